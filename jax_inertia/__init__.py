@@ -1,0 +1,1 @@
+"""Physically consistent inertial estimation and sim-to-real gap diagnosis in JAX."""
