@@ -1,1 +1,33 @@
 """Physically consistent inertial estimation and sim-to-real gap diagnosis in JAX."""
+
+from jax_inertia.dynamics import (
+    body_jacobian,
+    body_poses,
+    condensed_dynamics,
+    contact_torque,
+    inverse_dynamics,
+    mass_matrix,
+    passive_torque,
+    torque_regressor,
+)
+from jax_inertia.inertia import from_log_cholesky, is_physical, to_log_cholesky
+from jax_inertia.mjcf import ModelError, ModelWarning, load_model
+from jax_inertia.robot import Robot
+
+__all__ = [
+    "ModelError",
+    "ModelWarning",
+    "Robot",
+    "body_jacobian",
+    "body_poses",
+    "condensed_dynamics",
+    "contact_torque",
+    "from_log_cholesky",
+    "inverse_dynamics",
+    "is_physical",
+    "load_model",
+    "mass_matrix",
+    "passive_torque",
+    "to_log_cholesky",
+    "torque_regressor",
+]

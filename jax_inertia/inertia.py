@@ -1,0 +1,232 @@
+"""Inertial parameters of one rigid body: π, its pseudo-inertia, and the log-Cholesky maps.
+
+A body is physical (fully physically consistent: Traversaro et al. 2016) exactly when its 4×4 pseudo-inertia
+
+    P = [[Σ, h], [hᵀ, m]],   Σ = ½ tr(I) 1 − I
+
+is positive definite: positive mass, positive-definite rotational inertia about the centre of mass, and the
+triangle inequalities of its principal moments, all at once (Wensing et al. 2018). Writing P by its Cholesky factor makes
+every θ in R¹⁰ a physical body. Two factors are in use and are not interchangeable:
+
+    paper (Rucker and Wensing 2022; Foster et al., eq. log-cholesky)    P = UᵀU,   m = e^{2α} (t·t + 1)
+    Pinocchio, MuJoCo's sysid, later IHMC code                          P = U Uᵀ,  m = e^{2α}, t = centre of mass
+
+with one and the same upper-triangular
+
+    U = e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]].
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+PI_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+THETA_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3")
+
+
+def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
+    """Rotational inertia I [kg m²] about the frame origin, as a symmetric matrix."""
+    xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(4, 10))
+    rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
+    """Centre of mass h/m [m] in the body frame; zero for a massless body."""
+    m = pi[..., :1]
+    return jnp.where(m == 0, 0.0, pi[..., 1:4] / jnp.where(m == 0, 1.0, m))
+
+
+def from_com(
+    mass: Float[Array, "*b"], com: Float[Array, "*b 3"], inertia: Float[Array, "*b 3 3"]
+) -> Float[Array, "*b 10"]:
+    """π of a body of `mass` [kg], centre of mass `com` [m] and `inertia` [kg m²] *about the centre of mass*.
+
+    Parallel-axis theorem: I = I_c + m (c·c 1 − c cᵀ); h = m c.
+    """
+    shift = jnp.sum(com * com, -1)[..., None, None] * jnp.eye(3, dtype=com.dtype)
+    shift = shift - com[..., :, None] * com[..., None, :]
+    i = inertia + mass[..., None, None] * shift
+    return jnp.stack(
+        [
+            mass,
+            *(mass * com[..., k] for k in range(3)),
+            i[..., 0, 0],
+            i[..., 0, 1],
+            i[..., 0, 2],
+            i[..., 1, 1],
+            i[..., 1, 2],
+            i[..., 2, 2],
+        ],
+        axis=-1,
+    )
+
+
+def pseudo_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
+    """Pseudo-inertia P = [[½ tr(I) 1 − I, h], [hᵀ, m]] (Wensing et al. 2018, eq. 12)."""
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(10))
+    rows = [
+        [0.5 * (yy + zz - xx), -xy, -xz, hx],
+        [-xy, 0.5 * (xx + zz - yy), -yz, hy],
+        [-xz, -yz, 0.5 * (xx + yy - zz), hz],
+        [hx, hy, hz, m],
+    ]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_pseudo_inertia(p: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
+    """π of a pseudo-inertia: I = tr(Σ) 1 − Σ, the inverse of `pseudo_inertia`."""
+    sx, sy, sz = p[..., 0, 0], p[..., 1, 1], p[..., 2, 2]
+    return jnp.stack(
+        [
+            p[..., 3, 3],
+            p[..., 0, 3],
+            p[..., 1, 3],
+            p[..., 2, 3],
+            sy + sz,
+            -p[..., 0, 1],
+            -p[..., 0, 2],
+            sx + sz,
+            -p[..., 1, 2],
+            sx + sy,
+        ],
+        axis=-1,
+    )
+
+
+def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
+    """Whether the pseudo-inertia is positive definite: m > 0, I_c ≻ 0 and the triangle inequalities.
+
+    Tested by Cholesky after scaling the diagonal to one, so that the answer does not depend on units and holds in
+    float32 for bodies of ordinary proportions.
+    """
+    p = pseudo_inertia(pi)
+    diagonal = jnp.diagonal(p, axis1=-2, axis2=-1)
+    ok = jnp.all(diagonal > 0, axis=-1) & jnp.all(jnp.isfinite(pi), axis=-1)
+    scale = jax.lax.rsqrt(jnp.where(ok[..., None], diagonal, 1.0))
+    scaled = p * scale[..., :, None] * scale[..., None, :]
+    factor = jnp.linalg.cholesky(jnp.where(ok[..., None, None], scaled, jnp.eye(4, dtype=p.dtype)))
+    return ok & jnp.all(jnp.isfinite(factor), axis=(-2, -1))
+
+
+# --- the paper's factor: P = UᵀU ---------------------------------------------------------------------------------
+
+
+def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+    """π = g(θ) with pseudo-inertia UᵀU (Foster et al., eq. log-cholesky); physical for every finite θ.
+
+    θ = [α, d1, d2, d3, s12, s13, s23, t1, t2, t3].
+    """
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
+    terms = [
+        t1 * t1 + t2 * t2 + t3 * t3 + 1.0,
+        t1 * e1,
+        t1 * s12 + t2 * e2,
+        t1 * s13 + t2 * s23 + t3 * e3,
+        s12 * s12 + s13 * s13 + s23 * s23 + e2 * e2 + e3 * e3,
+        -s12 * e1,
+        -s13 * e1,
+        s13 * s13 + s23 * s23 + e1 * e1 + e3 * e3,
+        -s12 * s13 - s23 * e2,
+        s12 * s12 + e1 * e1 + e2 * e2,
+    ]
+    return jnp.exp(2.0 * a)[..., None] * jnp.stack(terms, axis=-1)
+
+
+def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+    """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical."""
+    u = jnp.swapaxes(jnp.linalg.cholesky(pseudo_inertia(pi)), -1, -2)
+    return _read_factor(u)
+
+
+def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
+    """∂π/∂θ of `from_log_cholesky` in closed form; equals `jax.jacfwd(from_log_cholesky)(theta)`."""
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
+    o = jnp.zeros_like(a)
+    pi = from_log_cholesky(theta)
+    rows = [
+        [o, o, o, o, o, o, 2 * t1, 2 * t2, 2 * t3],
+        [t1 * e1, o, o, o, o, o, e1, o, o],
+        [o, t2 * e2, o, t1, o, o, s12, e2, o],
+        [o, o, t3 * e3, o, t1, t2, s13, s23, e3],
+        [o, 2 * e2 * e2, 2 * e3 * e3, 2 * s12, 2 * s13, 2 * s23, o, o, o],
+        [-s12 * e1, o, o, -e1, o, o, o, o, o],
+        [-s13 * e1, o, o, o, -e1, o, o, o, o],
+        [2 * e1 * e1, o, 2 * e3 * e3, o, 2 * s13, 2 * s23, o, o, o],
+        [o, -s23 * e2, o, -s13, -s12, -e2, o, o, o],
+        [2 * e1 * e1, 2 * e2 * e2, o, 2 * s12, o, o, o, o, o],
+    ]
+    rest = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    rest = jnp.exp(2.0 * a)[..., None, None] * rest
+    return jnp.concatenate([2.0 * pi[..., :, None], rest], axis=-1)
+
+
+# --- the other factor: P = U Uᵀ ----------------------------------------------------------------------------------
+
+
+def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+    """π with pseudo-inertia U Uᵀ: m = e^{2α}, centre of mass t (Rucker and Wensing 2022 as Pinocchio has it)."""
+    u = _factor(theta)
+    return from_pseudo_inertia(u @ jnp.swapaxes(u, -1, -2))
+
+
+def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+    """Inverse of `from_log_cholesky_uut`; NaN where the body is not physical."""
+    # P = U Uᵀ with U upper: the ordinary Cholesky factor of P with both axes reversed.
+    reverse = pseudo_inertia(pi)[..., ::-1, ::-1]
+    return _read_factor(jnp.linalg.cholesky(reverse)[..., ::-1, ::-1])
+
+
+def log_cholesky_uut_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
+    """∂π/∂θ of `from_log_cholesky_uut` in closed form: ∂P = ∂U Uᵀ + U ∂Uᵀ, element by element of U."""
+    u = _factor(theta)
+    scale = u[..., 3:, 3:]
+    e = jnp.exp(theta[..., 1:4])[..., None, :]
+    # ∂U/∂θ_j = (entry of U that θ_j sets) for j > 0, and U itself for α.
+    du = jnp.concatenate(
+        [
+            u[..., None, :, :],
+            scale[..., None, :, :]
+            * jnp.concatenate(
+                [
+                    _ENTRIES[:3] * jnp.swapaxes(e, -1, -2)[..., None],
+                    jnp.broadcast_to(_ENTRIES[3:], (*theta.shape[:-1], 6, 4, 4)),
+                ],
+                axis=-3,
+            ).astype(theta.dtype),
+        ],
+        axis=-3,
+    )
+    half = du @ jnp.swapaxes(u, -1, -2)[..., None, :, :]
+    return jnp.swapaxes(from_pseudo_inertia(half + jnp.swapaxes(half, -1, -2)), -1, -2)
+
+
+# Where d1, d2, d3, s12, s13, s23, t1, t2, t3 stand in U.
+_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+_ENTRIES = np.zeros((9, 4, 4))
+for _k, (_i, _j) in enumerate(_PLACES):
+    _ENTRIES[_k, _i, _j] = 1.0
+
+
+def _factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    o, one = jnp.zeros_like(a), jnp.ones_like(a)
+    rows = [
+        [jnp.exp(d1), s12, s13, t1],
+        [o, jnp.exp(d2), s23, t2],
+        [o, o, jnp.exp(d3), t3],
+        [o, o, o, one],
+    ]
+    u = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return jnp.exp(a)[..., None, None] * u
+
+
+def _read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
+    scale = u[..., 3, 3]
+    n = u / scale[..., None, None]
+    logs = [jnp.log(n[..., i, i]) for i in range(3)]
+    rest = [n[..., i, j] for i, j in _PLACES[3:]]
+    return jnp.stack([jnp.log(scale), *logs, *rest], axis=-1)
