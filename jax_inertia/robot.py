@@ -216,8 +216,8 @@ def tree_origin(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, "nodes 3"]
     top = robot.topology
     root = np.argmax(top.ancestors, axis=1) if top.parent else np.zeros(0, int)
     free = np.array(top.kind)[root] == FREE
-    start = np.where(free, np.array(top.qpos_adr)[root], 0)
-    return jnp.where(free[:, None], q[start[:, None] + np.arange(3)], 0.0)
+    index = np.array(top.qpos_adr)[root][:, None] + np.arange(3)
+    return jnp.where(free[:, None], q[np.where(free[:, None], index, 0)], 0.0)
 
 
 def accumulate_outward(robot: Robot, x: Float[Array, "nv k"]) -> Float[Array, "nodes k"]:

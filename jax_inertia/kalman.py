@@ -1,0 +1,233 @@
+"""Kalman filtering of one measurement at a time; knows no robot.
+
+The update is the paper's (Foster et al., eq. predict and eq. update, with H = ∂h/∂x at the prior for the extended
+filter). In exact arithmetic both forms below are that update; `Standard` is its literal text, `SquareRoot` (the
+default) computes the same through a QR factorisation, so that the covariance stays symmetric positive in float32.
+
+Beyond the paper, each by one argument of `update`: iterations (Gauss–Newton from the prior: the iterated EKF of Bell
+and Cathey 1993, which counts the observation once), a gate on the *prior* innovation, a mask of rows to leave out.
+Numerical trouble is returned as data (`Innovation.accepted`), never raised: an update that is not finite is not made.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jax.scipy.linalg import cho_solve, solve_triangular
+from jaxtyping import Array, Bool, Float
+
+
+class Belief(eqx.Module):
+    """A Gaussian: what the filter believes of the state."""
+
+    mean: Float[Array, " n"]
+    covariance: Float[Array, "n n"]
+
+
+class Innovation(eqx.Module):
+    """What one measurement said, before it was believed."""
+
+    residual: Float[Array, " m"]
+    """ν = z − h(x⁻); zero on masked rows."""
+    sigma: Float[Array, " m"]
+    """Standard deviation of ν by the filter's own account, √diag(S)."""
+    nis: Float[Array, ""]
+    """Normalised innovation squared νᵀ S⁻¹ ν over the rows used."""
+    rows: Float[Array, ""]
+    """Number of rows used: the degrees of freedom of `nis`."""
+    log_likelihood: Float[Array, ""]
+    """log N(ν; 0, S) over the rows used."""
+    accepted: Bool[Array, ""]
+
+
+class Gate(eqx.Module):
+    """Innovation gate: a measurement is used if νᵀ S⁻¹ ν ≤ γ (Foster et al., sec. IV-B)."""
+
+    @abc.abstractmethod
+    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
+        """γ for a measurement of so many rows."""
+
+
+class FixedGate(Gate):
+    """One γ for every measurement, as the paper tuned it; infinite: no gate."""
+
+    gamma: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=jnp.inf)
+
+    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.asarray(self.gamma, rows.dtype)
+
+
+class ChiSquaredGate(Gate):
+    """γ such that a consistent filter keeps a measurement with the given probability, whatever its row count."""
+
+    table: Float[Array, " rows"]
+
+    def __init__(self, probability: float, max_rows: int):
+        """`probability` of keeping a good measurement, in (0, 1); ValueError otherwise."""
+        if not 0 < probability < 1:
+            raise ValueError(f"gate probability is {probability}; it must lie between 0 and 1")
+        quantiles = scipy.stats.chi2.ppf(probability, np.arange(1, max_rows + 1))
+        self.table = jnp.asarray(np.concatenate([[np.inf], quantiles]))
+
+    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.asarray(self.table, rows.dtype)[rows.astype(int)]
+
+
+class Noise(eqx.Module):
+    """Measurement noise; `whiten` brings rows to unit variance, masked ones to zero."""
+
+    @abc.abstractmethod
+    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        """R^{-1/2} rows, with rows where `used` is 0 left out."""
+
+    @abc.abstractmethod
+    def matrix(self) -> Float[Array, "m m"]:
+        """R."""
+
+
+class IndependentNoise(Noise):
+    """Rows with independent noise of the given variance."""
+
+    variance: Float[Array, " m"]
+
+    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        return rows * (used * jax.lax.rsqrt(self.variance))[:, None]
+
+    def matrix(self) -> Float[Array, "m m"]:
+        return jnp.diag(self.variance)
+
+
+class CorrelatedNoise(Noise):
+    """Rows with a full noise covariance R, such as contact-wrench noise seen through Jᵀ."""
+
+    covariance: Float[Array, "m m"]
+
+    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        # A masked row is given unit noise apart from the others, then zeroed: the marginal of the rest.
+        keep = used[:, None] * used[None, :]
+        covariance = jnp.where(keep > 0, self.covariance, jnp.diag(1.0 - used))
+        return solve_triangular(jnp.linalg.cholesky(covariance), rows * used[:, None], lower=True)
+
+    def matrix(self) -> Float[Array, "m m"]:
+        return self.covariance
+
+
+class Form(eqx.Module):
+    """How gain and posterior covariance are computed from whitened rows (unit noise)."""
+
+    @abc.abstractmethod
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> tuple[
+        Float[Array, " n"], Float[Array, "n n"], Float[Array, ""], Float[Array, ""], Float[Array, " m"]
+    ]:
+        """(K ν, P⁺, νᵀ S⁻¹ ν, log det S, diag S − 1) for S = H P Hᵀ + 1."""
+
+
+class Standard(Form):
+    """The paper's text: K = P Hᵀ S⁻¹, P⁺ = (1 − K H) P (eq. update). Loses symmetry and sign in float32."""
+
+    def correct(self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]):
+        ph = p @ h.T
+        s = h @ ph + jnp.eye(len(nu), dtype=p.dtype)
+        factor = jnp.linalg.cholesky(s)
+        gain = cho_solve((factor, True), ph.T).T
+        posterior = p - gain @ h @ p
+        nis = nu @ cho_solve((factor, True), nu)
+        log_det = 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor)))
+        return gain @ nu, posterior, nis, log_det, jnp.diagonal(s) - 1.0
+
+
+class SquareRoot(Form):
+    """The same through P = L Lᵀ and the QR factor of [H L; 1]: P⁺ = L (RᵀR)⁻¹ Lᵀ, positive by construction."""
+
+    def correct(self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]):
+        n = len(p)
+        factor = _cholesky(p)
+        rows = h @ factor
+        # R of [rows; 1]: RᵀR = 1 + rowsᵀ rows without ever squaring the condition number.
+        r = jnp.linalg.qr(jnp.concatenate([rows, jnp.eye(n, dtype=p.dtype)]), mode="r")
+        root = solve_triangular(r, factor.T, trans=1, lower=False)
+        w = solve_triangular(r, solve_triangular(r, rows.T @ nu, trans=1, lower=False), lower=False)
+        # A sum of squares (the least-squares cost at its minimum), where Woodbury would subtract.
+        misfit = nu - rows @ w
+        nis = misfit @ misfit + w @ w
+        log_det = 2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r))))
+        return factor @ w, root.T @ root, nis, log_det, jnp.sum(rows * rows, axis=1)
+
+
+def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
+    """Random walk: the mean stays, P⁻ = P + Q (Foster et al., eq. predict with F = 1)."""
+    return Belief(belief.mean, belief.covariance + q)
+
+
+def update(
+    belief: Belief,
+    measurement: Float[Array, " m"],
+    model: Callable[[Float[Array, " n"]], Float[Array, " m"]],
+    noise: Noise,
+    *,
+    jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None,
+    mask: Bool[Array, " m"] | None = None,
+    gate: Gate | None = None,
+    iterations: int = 1,
+    form: Form | None = None,
+    project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
+) -> tuple[Belief, Innovation]:
+    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
+
+    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
+    False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
+    is returned unchanged where the gate rejects or the result would not be finite.
+    """
+    form = SquareRoot() if form is None else form
+    jacobian = jax.jacfwd(model) if jacobian is None else jacobian
+    prior, p = belief.mean, belief.covariance
+    used = jnp.isfinite(measurement) if mask is None else jnp.isfinite(measurement) & mask
+    z = jnp.where(used, measurement, 0.0)
+    used = used.astype(prior.dtype)
+
+    def linearise(x):
+        h = jacobian(x)
+        nu = (z - model(x) - h @ (prior - x)) * used
+        white = noise.whiten(jnp.concatenate([h, nu[:, None]], axis=1), used)
+        return h, nu, white[:, :-1], white[:, -1]
+
+    h, residual, h_white, nu_white = linearise(prior)
+    step, posterior, nis, log_det, _ = form.correct(p, h_white, nu_white)
+    mean = project(prior + step)
+    for _ in range(iterations - 1):
+        _, _, h_white, nu_i = linearise(mean)
+        step, posterior, *_ = form.correct(p, h_white, nu_i)
+        mean = project(prior + step)
+
+    rows = jnp.sum(used)
+    limit = jnp.inf if gate is None else gate.threshold(rows)
+    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(posterior))
+    accepted = (nis <= limit) & finite
+    spread = jnp.einsum("mi,ij,mj->m", h, p, h) + jnp.diagonal(noise.matrix())
+    # Whitening changes the density by √det R; with masked rows only the used block counts.
+    ones = noise.whiten(jnp.eye(len(z), dtype=z.dtype), used)
+    log_det_r = -2.0 * jnp.sum(jnp.where(used > 0, jnp.log(jnp.abs(jnp.diagonal(ones))), 0.0))
+    likelihood = -0.5 * (nis + log_det + log_det_r + rows * jnp.log(2.0 * jnp.pi))
+    out = Belief(
+        jnp.where(accepted, mean, prior),
+        jnp.where(accepted, 0.5 * (posterior + posterior.T), p),
+    )
+    return out, Innovation(
+        residual, jnp.sqrt(jnp.maximum(spread, 0.0)), nis, rows, likelihood, accepted
+    )
+
+
+def _cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Cholesky factor after scaling the diagonal to one, with n ε added there: rounding cannot make it fail."""
+    n = len(p)
+    diagonal = jnp.diagonal(p)
+    scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    unit = p / (scale[:, None] * scale[None, :])
+    jitter = n * jnp.finfo(p.dtype).eps
+    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(n, dtype=p.dtype))
