@@ -1,0 +1,141 @@
+"""Controllers in the loop: they know the nominal model and the noisy signals, nothing else."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from motions import Legged
+from robots import HIP_W, HIP_X, HIP_Y, LEGS, SHANK, THIGH, Robot
+
+
+class ComputedTorque:
+    """τ = ID(q, q̇, q̈_ref + 2ζω ė + ω² e) with the nominal model; its friction loss at 0.8."""
+
+    def __init__(self, robot: Robot, omega: float):
+        self.model = robot.model()
+        self.friction = 0.8 * self.model.dof_frictionloss.copy()
+        self.model.dof_frictionloss[:] = 0.0
+        self.data = mujoco.MjData(self.model)
+        self.omega, self.limit = omega, robot.peak
+
+    def inverse(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        d = self.data
+        d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
+        mujoco.mj_inverse(self.model, d)
+        return d.qfrc_inverse
+
+    def __call__(self, k: int, t: float, q, v, base, target):
+        q_ref, v_ref, a_ref = target
+        a = a_ref + 2.0 * self.omega * (v_ref - v) + self.omega**2 * (q_ref - q)
+        tau = self.inverse(q, v, a) + self.friction * np.tanh(v_ref / 0.05)
+        return np.clip(tau, -self.limit, self.limit), q_ref
+
+
+def leg_angles(foot: np.ndarray, front: float, left: float) -> np.ndarray:
+    """Joint angles that put the foot's centre at `foot` (trunk frame)."""
+    x, y, z = foot - np.array([front * HIP_X, left * HIP_W, 0.0])
+    lateral = left * HIP_Y
+    r = math.sqrt(max(y * y + z * z - lateral**2, 1e-4))
+    abduction = math.atan2(z, y) + math.atan2(r, lateral)
+    reach = min(math.sqrt(x * x + r * r), 0.999 * (THIGH + SHANK))
+    cosine = (reach**2 - THIGH**2 - SHANK**2) / (2 * THIGH * SHANK)
+    knee = -math.acos(min(max(cosine, -1.0), 1.0))
+    hip = math.atan2(-x, r) - math.atan2(SHANK * math.sin(knee), THIGH + SHANK * math.cos(knee))
+    return np.array([abduction, hip, knee])
+
+
+def matrix_from_rpy(rpy: np.ndarray) -> np.ndarray:
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+SIDES = tuple((1.0 if leg[0] == "F" else -1.0, 1.0 if leg[1] == "L" else -1.0) for leg in LEGS)
+
+
+class Balance:
+    """A wrench on the trunk shared among the standing feet, and joint feedback around the IK."""
+
+    def __init__(self, robot: Robot, motion: Legged):
+        self.model = robot.model()
+        self.model.dof_frictionloss[:] = 0.0
+        self.data = mujoco.MjData(self.model)
+        self.motion, self.limit = motion, robot.peak
+        self.feet = [self.model.body(f).id for f in robot.feet]
+        self.mass = float(self.model.body_mass.sum())
+        self.down: list[np.ndarray | None] = [None] * 4
+        self.jac = np.zeros((3, self.model.nv))
+
+    def start(self) -> np.ndarray:
+        """qpos of the standing robot at the motion's first pose."""
+        pose = self.motion.pose(-2.0)
+        home = self.motion.home - np.array([0.0, 0.0, pose[2]])
+        legs = [leg_angles(p, *side) for p, side in zip(home, SIDES, strict=True)]
+        return np.concatenate([[0, 0, pose[2] - 0.0005, 1, 0, 0, 0], *legs])
+
+    def __call__(self, k: int, t: float, q, v, base, target):
+        m, d = self.model, self.data
+        d.qpos[:7], d.qpos[7:], d.qvel[:6], d.qvel[6:] = base[:7], q, base[7:], v
+        mujoco.mj_fwdPosition(m, d)
+        mujoco.mj_fwdVelocity(m, d)
+        h = 4e-3
+        before, after = self.motion.pose(t - h), self.motion.pose(t + h)
+        pose, speed = target.pose, (after - before) / (2 * h)
+        accel = (after - 2 * pose + before) / h**2
+        rot, want = d.xmat[1].reshape(3, 3), matrix_from_rpy(pose[3:])
+        error = want @ rot.T
+        error = 0.5 * np.array(
+            [error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]
+        )
+        omega = rot @ base[10:13]
+        force = accel[:3] + 60.0 * (pose[:3] - base[:3]) + 12.0 * (speed[:3] - base[7:10])
+        force[2] += 9.81
+        torque = np.array([0.3, 0.6, 0.6]) * (160.0 * error + 18.0 * (speed[3:] - omega))
+        wrench = np.concatenate([self.mass * force, torque])
+
+        position = d.xpos[self.feet]
+        arms = position - d.subtree_com[1]
+        grasp = np.zeros((6, 12))
+        for i, (x, y, z) in enumerate(arms):
+            grasp[:3, 3 * i : 3 * i + 3] = np.eye(3)
+            grasp[3:, 3 * i : 3 * i + 3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+        weights = np.repeat(target.weight, 3) * np.tile([0.5, 0.5, 1.0], 4)
+        scaled = grasp * weights
+        forces = scaled.T @ np.linalg.solve(scaled @ grasp.T + 1e-4 * np.eye(6), wrench)
+        forces = forces.reshape(4, 3)
+        forces[:, 2] = np.maximum(forces[:, 2], 0.0)
+        flat = np.linalg.norm(forces[:, :2], axis=1) + 1e-9
+        forces[:, :2] *= np.minimum(1.0, 0.6 * forces[:, 2] / flat)[:, None]
+
+        tau, angles = d.qfrc_bias[6:].copy(), np.empty(12)
+        for i, side in enumerate(SIDES):
+            leg = slice(3 * i, 3 * i + 3)
+            foot, p, gains = self._foot(i, target, position[i])
+            angles[leg] = leg_angles(want.T @ (foot - pose[:3]), *side)
+            mujoco.mj_jacBody(m, d, self.jac, None, self.feet[i])
+            tau[leg] -= self.jac[:, 6 + 3 * i : 9 + 3 * i].T @ forces[i]
+            tau[leg] += gains[0] * (angles[leg] - q[leg]) - gains[1] * v[leg]
+        return np.clip(tau, -self.limit, self.limit), angles
+
+    def _foot(self, i: int, target, measured: np.ndarray):
+        """World target of one foot and the joint gains for its phase."""
+        if target.swing[i] < 0.0:
+            if self.down[i] is None:
+                self.down[i] = np.array([measured[0], measured[1], 0.022])
+            return self.down[i], measured, (25.0, 0.8)
+        if self.down[i] is not None:
+            self.lifted = getattr(self, "lifted", {})
+            self.lifted[i] = self.down[i]
+            self.down[i] = None
+        s = target.swing[i]
+        along = s * s * (3 - 2 * s)
+        foot = (1 - along) * self.lifted.get(i, target.feet[i]) + along * target.feet[i]
+        foot = foot + np.array([0, 0, self.motion.lift * math.sin(math.pi * s) ** 2])
+        return foot, measured, (90.0, 1.6)

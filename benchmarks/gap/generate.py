@@ -1,0 +1,325 @@
+"""Development data for the sim-to-real diagnosis: logs of simulated robots with hidden effects.
+
+    python benchmarks/gap/generate.py OUT --n 100 --seed 1 --stratum exciting --jobs 2
+
+writes OUT/logs/00042/{log.npz, test.npz, nominal.xml} and OUT/truth/00042.json. Log 42 depends on the
+seed, the stratum and 42 alone. A second call skips what is complete. Shares no code with the package.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from check import visibility
+from control import Balance, ComputedTorque
+from draw import Draw, equivalents, reference_peaks
+from effects import Effect
+from motions import make_motion
+from plant import PREROLL, Noise, Plant, Unstable
+from robots import ROBOTS, Robot
+from strata import STRATA, Stratum
+
+ATTEMPTS = 12
+
+
+@dataclass
+class Spec:
+    """Everything about one log but its effects."""
+
+    robot: Robot
+    seed: list[int]
+    rate: int
+    duration: float
+    kinds: tuple[str, str]
+    bandwidth: float
+    loud: bool
+    wrong: bool
+    noise: Noise | None = None
+    options: dict = field(default_factory=dict)
+
+
+def draw_spec(stratum: Stratum, seed: int, index: int) -> Spec:
+    rng = np.random.default_rng([seed, stratum.number, index, 0])
+    name = "quadruped" if stratum.legged else str(rng.choice(["arm7", "arm2"], p=[0.75, 0.25]))
+    robot = ROBOTS[name]()
+    if robot.floating:
+        kinds = tuple(rng.choice(["squat", "sway", "trot"], 2, p=[0.35, 0.35, 0.3]))
+        rate = int(rng.choice([500, 1000], p=[0.8, 0.2]))
+    else:
+        first = "ordinary" if rng.random() < stratum.ordinary else "exciting"
+        other = {"ordinary": "exciting", "exciting": "ordinary"}[first]
+        kinds = (first, first if rng.random() < 0.7 else other)
+        rate = int(rng.choice([1000, 500, 250], p=[0.7, 0.18, 0.12]))
+    return Spec(
+        robot=robot,
+        seed=[seed, stratum.number, index],
+        rate=rate,
+        duration=8.0 if robot.floating else 10.0,
+        kinds=(str(kinds[0]), str(kinds[1])),
+        bandwidth=float(rng.uniform(10.0, 15.0)),
+        loud=bool(rng.random() < stratum.loud),
+        wrong=bool(rng.random() < stratum.wrong),
+        options={
+            "tau_kind": str(rng.choice(["commanded", "current", "sensor"], p=[0.5, 0.35, 0.15])),
+            "qvel": bool(rng.random() < 0.7),
+            "sigma": bool(rng.random() < 0.7),
+            "extras": bool(rng.random() < 0.5),
+            "shuffle": bool(rng.random() < 0.2),
+        },
+    )
+
+
+def draw_noise(spec: Spec, peak: np.ndarray) -> Noise:
+    """Encoders of 1e-5 to 1e-4 rad, torques of 0.2 to 0.5 % of the peak; four times that if loud."""
+    rng = np.random.default_rng([*spec.seed, 1])
+    robot, factor = spec.robot, 4.0 if spec.loud else 1.0
+    n = len(robot.joints)
+    qpos = factor * np.exp(rng.uniform(np.log(1e-5), np.log(1e-4))) * np.ones(n)
+    qvel = qpos * rng.uniform(15.0, 40.0)
+    tau = factor * rng.uniform(0.002, 0.005) * np.maximum(peak, 0.1 * robot.peak)
+    base = factor * np.repeat([2e-4, 2e-4, 3e-3, 3e-3], 3) * rng.uniform(0.5, 1.0)
+    wrench = factor * np.repeat([0.25, 0.004], 3) * rng.uniform(0.6, 1.5)
+    silent = np.zeros(n)
+    # A commanded torque is logged exactly; what the drive adds to it is the noise.
+    if spec.options["tau_kind"] == "commanded":
+        return Noise(qpos, qvel, silent, tau, base, wrench)
+    return Noise(qpos, qvel, tau, silent, base, wrench)
+
+
+def slightly_wrong(spec: Spec):
+    """The real robot's model: the nominal one with 1 % masses, 1 mm centres, 5-10 % damping."""
+    model = spec.robot.model()
+    if not spec.wrong:
+        return model
+    rng = np.random.default_rng([*spec.seed, 2])
+    for body in range(1, model.nbody):
+        factor = 1.0 + rng.uniform(-0.01, 0.01)
+        model.body_mass[body] *= factor
+        model.body_inertia[body] *= factor
+        model.body_ipos[body] += rng.uniform(-1e-3, 1e-3, 3)
+    level = rng.uniform(0.05, 0.10)
+    model.dof_damping[:] *= 1.0 + rng.uniform(-level, level, model.nv)
+    return model
+
+
+def simulate(spec: Spec, effects: list[Effect], which: int, duration: float) -> dict:
+    """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
+    robot = spec.robot
+    motion = make_motion(robot, spec.kinds[which], [*spec.seed, 3, which])
+    plant = Plant(robot, slightly_wrong(spec), effects)
+    if robot.floating:
+        controller = Balance(robot, motion)
+        start = (controller.start(), np.zeros(plant.model.nv))
+    else:
+        controller = ComputedTorque(robot, spec.bandwidth)
+        start = motion(-PREROLL)[:2]
+    rng = np.random.default_rng([*spec.seed, 4, which])
+    noise = spec.noise or Noise.none(len(robot.joints))
+    return plant.run(controller, motion, start, spec.rate, duration, noise, rng)
+
+
+def to_contract(spec: Spec, log: dict, duration: float) -> dict[str, np.ndarray]:
+    """The log as the diagnosis gets it: noisy, cut to length, with the arrays of the contract."""
+    rows, noise, o = round(duration * spec.rate), log["noise"], spec.options
+    order = np.arange(len(spec.robot.joints))
+    if o["shuffle"]:
+        order = np.random.default_rng([*spec.seed, 5]).permutation(order)
+    out = {
+        "time": log["time"],
+        "qpos": (log["qpos"] + noise["qpos"])[:, order],
+        "tau": (log["tau"] + noise["tau"])[:, order],
+    }
+    if o["qvel"]:
+        out["qvel"] = (log["qvel"] + noise["qvel"])[:, order]
+    if o["extras"]:
+        out["qpos_target"], out["tau_command"] = log["qpos_target"][:, order], log["tau"][:, order]
+    if spec.robot.floating:
+        from plant import disturb_base
+
+        pairs = zip(log["base"], noise["base"], strict=True)
+        base = np.array([disturb_base(b, e) for b, e in pairs])
+        out["base_pos"], out["base_quat"] = base[:, :3], base[:, 3:7]
+        out["base_linvel"], out["base_angvel"] = base[:, 7:10], base[:, 10:]
+        out["contact_wrench"] = log["contact_wrench"] + noise["wrench"]
+    out = {name: np.ascontiguousarray(x[:rows]) for name, x in out.items()}
+    out["joint_names"] = np.array(spec.robot.joints)[order]
+    out["tau_kind"] = np.array(o["tau_kind"])
+    if spec.robot.floating:
+        out["contact_bodies"] = log["contact_bodies"]
+    if o["sigma"]:
+        out["sigma_qpos"] = spec.noise.qpos[order]
+        out["sigma_tau"] = np.hypot(spec.noise.tau, spec.noise.ripple)[order]
+    return out
+
+
+def cut(log: dict, rows: int) -> dict:
+    return {k: v[:rows] if k not in ("noise", "contact_bodies") else v for k, v in log.items()}
+
+
+def make(stratum: Stratum, seed: int, index: int):
+    """Draws effects until each is visible and the loop is stable; returns spec, logs and truth."""
+    spec = draw_spec(stratum, seed, index)
+    rows = round(spec.duration * spec.rate)
+    test_duration = spec.duration if spec.robot.floating else 7.0
+    if spec.robot.floating:
+        still = simulate(spec, [], 0, spec.duration)
+        peak = np.percentile(np.abs(still["tau"]), 99.5, axis=0)
+        span = np.array([still["qpos"].min(0), still["qpos"].max(0)])
+    else:
+        seed_of_motion = [*spec.seed, 3, 0]
+        peak, span = reference_peaks(spec.robot, spec.kinds[0], seed_of_motion, spec.duration)
+    spec.noise = draw_noise(spec, peak)
+    reason = "never tried"
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([*spec.seed, 6, attempt])
+        families = draw_families(stratum, index, seed, rng)
+        draw = Draw(spec.robot, rng, peak, span, stratum.small, stratum.slip)
+        effects = [draw.make(family) for family in families]
+        if clash(effects):
+            continue
+        if attempt >= ATTEMPTS // 2:
+            spec.bandwidth = 8.0
+        true_model = slightly_wrong(spec)
+        try:
+            seen, alone = [], None
+            for effect in effects if len(effects) > 1 else []:
+                alone = cut(simulate(spec, [effect], 0, spec.duration), rows)
+                seen.append(visibility(spec.robot, true_model, alone, spec.noise))
+            if len(effects) > 1 and min(v["chi2"] for v in seen) < stratum.chi2:
+                reason = "one of the pair too small"
+                continue
+            log = simulate(spec, effects, 0, spec.duration)
+            whole = visibility(spec.robot, true_model, cut(log, rows), spec.noise)
+            if effects and whole["chi2"] < stratum.chi2:
+                reason = f"too small (chi2 {whole['chi2']:.0f})"
+                continue
+            test = simulate(spec, effects, 1, test_duration)
+        except Unstable as error:
+            reason = str(error)
+            continue
+        raw = visibility(spec.robot, spec.robot.model(), cut(log, rows), spec.noise)
+        truth = describe(spec, effects, seen or [whole], raw, peak, attempt)
+        logs = to_contract(spec, log, spec.duration), to_contract(spec, test, test_duration)
+        return spec, logs, truth
+    raise RuntimeError(f"log {index}: no fair draw in {ATTEMPTS} attempts ({reason})")
+
+
+def draw_families(stratum: Stratum, index: int, seed: int, rng) -> list[str]:
+    """The first family goes round the list, so that every family comes; the second is free."""
+    if stratum.count == 0:
+        return []
+    order = np.random.default_rng([seed, stratum.number]).permutation(stratum.families)
+    chosen = [str(order[index % len(order)])]
+    while len(chosen) < stratum.count:
+        other = str(rng.choice(stratum.families))
+        if other not in chosen:
+            chosen.append(other)
+    return chosen
+
+
+def clash(effects: list[Effect]) -> bool:
+    """Pairs at one place, or that are one effect in disguise, are no fair question."""
+    places = [e.name for e in effects]
+    alike = [{"time_delay", "actuator_lag"}, {"joint_elasticity", "backlash"}]
+    families = {e.family for e in effects}
+    return len(set(places)) < len(places) or any(a <= families for a in alike)
+
+
+def describe(spec: Spec, effects, seen, raw, peak, attempt: int) -> dict:
+    robot = spec.robot
+    entries = []
+    for effect, view in zip(effects, seen, strict=False):
+        entries.append(effect.truth() | {"equivalent": equivalents(robot, effect)})
+        entries[-1]["visibility"] = view
+    return {
+        "schema": 1,
+        "verdict": expected_verdict(effects),
+        "effects": entries,
+        "robot": robot.name,
+        "motion": {"log": spec.kinds[0], "test": spec.kinds[1]},
+        "rate_hz": spec.rate,
+        "duration_s": spec.duration,
+        "bandwidth_rad_s": spec.bandwidth,
+        "nominal_slightly_wrong": spec.wrong,
+        "noise_factor": 4 if spec.loud else 1,
+        "noise": {k: np.asarray(v).tolist() for k, v in vars(spec.noise).items()},
+        "options": spec.options,
+        "peak_torque": dict(zip(robot.joints, map(float, peak), strict=True)),
+        "raw_gap": raw,
+        "seed": spec.seed,
+        "attempt": attempt,
+    }
+
+
+def expected_verdict(effects: list[Effect]) -> str:
+    if not effects:
+        return "no_gap"
+    return "unknown" if any(e.family == "unknown" for e in effects) else "explained"
+
+
+def write(out: Path, stratum: str, seed: int, index: int) -> str:
+    """One log on disk, whole or not at all: the truth file, written last, marks it complete."""
+    begun = time.time()
+    truth_file = out / "truth" / f"{index:05d}.json"
+    folder = out / "logs" / f"{index:05d}"
+    if truth_file.exists() and folder.exists():
+        return "there already"
+    spec, (log, test), truth = make(STRATA[stratum], seed, index)
+    part = folder.with_name(f".{folder.name}.{os.getpid()}")
+    part.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
+    np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
+    (part / "nominal.xml").write_text(spec.robot.xml)
+    if folder.exists():
+        shutil.rmtree(folder)
+    part.rename(folder)
+    truth_part = truth_file.with_suffix(f".{os.getpid()}.part")
+    truth_part.write_text(json.dumps(truth, indent=1))
+    truth_part.rename(truth_file)
+    names = " + ".join(
+        f"{e.get('mechanism', e['family'])}@{e['location']['name']}" for e in truth["effects"]
+    )
+    return f"{spec.robot.name} {names or 'none'} ({time.time() - begun:.1f} s)"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--n", type=int, default=20, help="number of logs")
+    parser.add_argument("--first", type=int, default=0, help="index of the first log")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--stratum", choices=sorted(STRATA), default="mixed")
+    parser.add_argument("--jobs", type=int, default=1)
+    args = parser.parse_args()
+    for folder in ("logs", "truth"):
+        (args.out / folder).mkdir(parents=True, exist_ok=True)
+    failed = 0
+    with ProcessPoolExecutor(args.jobs) as pool:
+        jobs = {
+            pool.submit(write, args.out, args.stratum, args.seed, k): k
+            for k in range(args.first, args.first + args.n)
+        }
+        for done, job in enumerate(as_completed(jobs), start=1):
+            try:
+                line = job.result()
+            except RuntimeError as error:
+                failed, line = failed + 1, f"skipped: {error}"
+            print(f"[{done}/{args.n}] {jobs[job]:05d} {line}", flush=True)
+    if failed:
+        raise SystemExit(f"{failed} of {args.n} logs could not be drawn")
+
+
+if __name__ == "__main__":
+    main()
