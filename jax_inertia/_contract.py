@@ -1,0 +1,147 @@
+"""The log contract: which arrays a log holds, their shapes, and what their values must satisfy."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jax_inertia._npz import LogError
+from jax_inertia._torque_unit import TorqueKind, TorqueUnit
+
+SHAPES: Mapping[str, tuple[str | int, ...]] = {
+    "time": ("T",),
+    "qpos": ("T", "n"),
+    "tau": ("T", "n"),
+    "qvel": ("T", "n"),
+    "tau_command": ("T", "n"),
+    "qpos_target": ("T", "n"),
+    "sigma_qpos": ("n",),
+    "sigma_tau": ("n",),
+    "base_pos": ("T", 3),
+    "base_quat": ("T", 4),
+    "base_linvel": ("T", 3),
+    "base_angvel": ("T", 3),
+    "contact_wrench": ("T", "C", 6),
+}
+_REQUIRED = ("time", "joint_names", "qpos", "tau")
+TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
+CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and name != "time")
+
+
+def check_structure(fields: Mapping) -> None:
+    """Raise `LogError` where names or shapes of a log's fields do not fit together."""
+    names, bodies = fields["joint_names"], fields.get("contact_bodies", ())
+    if not names:
+        raise LogError("joint_names is empty; name one joint per column of qpos")
+    name, times = Counter(names).most_common(1)[0]
+    if times > 1:
+        raise LogError(f"joint_names holds {name!r} {times} times; each joint has one column")
+    if (fields.get("contact_wrench") is None) != (not bodies):
+        raise LogError("contact_wrench and contact_bodies come together; one is missing or empty")
+    sizes = {"T": np.shape(fields["time"])[:1], "n": (len(names),), "C": (len(bodies),)}
+    for name, spec in SHAPES.items():
+        if (value := fields.get(name)) is None:
+            continue
+        right = tuple(x for s in spec for x in (sizes[s] if isinstance(s, str) else (s,)))
+        if len(right) != len(spec) or np.shape(value) != right:
+            meaning = ", ".join(str(s) for s in spec)
+            raise LogError(
+                f"{name} has shape {np.shape(value)}; expected ({meaning}) = {right}, "
+                "T samples of time, n joint_names, C contact_bodies"
+            )
+
+
+def fields_of(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> dict[str, Any]:
+    """Check a reader's arrays (numbers float64, text str) and turn them into the fields of a
+    `Log`.
+    """
+    for name in _REQUIRED:
+        if name not in arrays:
+            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+    for name, value in arrays.items():
+        if (value.dtype.kind == "U") != (name in TEXTS):
+            is_, right = ("text", "numbers") if value.dtype.kind == "U" else ("numbers", "text")
+            raise LogError(f"array '{name}' holds {is_}; expected {right}")
+    fields: dict[str, Any] = {name: value for name, value in arrays.items() if name in SHAPES}
+    fields["joint_names"] = _names("joint_names", arrays["joint_names"])
+    if "contact_bodies" in arrays:
+        fields["contact_bodies"] = _names("contact_bodies", arrays["contact_bodies"])
+    for name in ("sigma_qpos", "sigma_tau"):
+        if name in fields:
+            fields[name] = _sigma(name, fields[name], len(fields["joint_names"]))
+    _check_time(fields["time"])
+    unit = _word("tau_unit", arrays, "N m")
+    kind = _word("tau_kind", arrays, "unknown").lower()
+    if kind not in list(TorqueKind):
+        raise LogError(f"tau_kind is {kind[:60]!r}; expected commanded, current or sensor")
+    if (
+        fields.get("contact_bodies") == ()
+        and fields.get("contact_wrench", fields["time"]).size == 0
+    ):
+        # A writer for many robots gives an empty array to the one that touches nothing.
+        del fields["contact_wrench"]
+    fields |= {
+        "tau_kind": TorqueKind(kind),
+        "tau_unit": TorqueUnit.parse(unit),
+        "tau_unit_text": unit,
+        "notes": _notes(arrays, others),
+    }
+    check_structure(fields)
+    return fields
+
+
+def _names(array: str, value: np.ndarray) -> tuple[str, ...]:
+    if value.ndim != 1:
+        raise LogError(f"{array} has shape {value.shape}; expected one dimension of names")
+    for k, name in enumerate(value.tolist()):
+        if not name or not name.isprintable():
+            raise LogError(f"{array}[{k}] is {name[:60]!r}; expected a printable name")
+    return tuple(value.tolist())
+
+
+def _word(array: str, arrays: Mapping[str, np.ndarray], default: str) -> str:
+    value = arrays.get(array, np.array(default))
+    if value.size != 1:
+        raise LogError(f"{array} has shape {value.shape}; expected one text")
+    return " ".join(str(value.item()).split())
+
+
+def _sigma(array: str, value: np.ndarray, n: int) -> np.ndarray:
+    if value.shape not in ((), (n,)):
+        raise LogError(
+            f"{array} has shape {value.shape}; expected a scalar or one per joint ({n},)"
+        )
+    if not np.all(np.isfinite(value) & (value >= 0)):
+        raise LogError(
+            f"{array} holds {value[~(np.isfinite(value) & (value >= 0))][0]}; "
+            "a standard deviation is finite and not negative"
+        )
+    return np.broadcast_to(value, (n,)).copy()
+
+
+def _check_time(time: np.ndarray) -> None:
+    if time.ndim != 1 or time.size < 2:
+        raise LogError(f"time has shape {time.shape}; expected (T,) with at least two samples")
+    # The bound leaves room for Unix time in seconds and none for milliseconds or less.
+    if bad := np.flatnonzero(~(np.abs(time) < 1e11)).tolist():
+        raise LogError(f"time[{bad[0]}] is {time[bad[0]]} ({len(bad)} such); expected seconds")
+    if back := np.flatnonzero(~(np.diff(time) > 0)).tolist():
+        k = back[0]
+        raise LogError(
+            f"time[{k + 1}] = {time[k + 1]:.9g} s does not come after time[{k}] = {time[k]:.9g} s "
+            f"({len(back)} such); stamps must strictly increase"
+        )
+
+
+def _notes(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> tuple[str, ...]:
+    notes = []
+    if others:
+        shown = ", ".join(repr(name[:60]) for name in others[:20])
+        more = f" and {len(others) - 20} more" if len(others) > 20 else ""
+        notes.append(f"ignored, not part of the log contract: {shown}{more}")
+    if "tau_kind" not in arrays:
+        notes.append("tau_kind is missing: whether torque was commanded or measured is not known")
+    if "tau_unit" not in arrays:
+        notes.append("tau_unit is missing: torque is taken to be in N m")
+    return tuple(notes)

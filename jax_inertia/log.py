@@ -1,0 +1,199 @@
+"""A robot's log: time, joint positions, velocities and torques, and what is known about them.
+
+`Log` is a pytree, so that simulated and measured logs go through the same code. `read_log` and
+`write_log` hold it in an .npz without pickles. What is structurally wrong raises `LogError`; what
+is only suspicious is for `jax_inertia.preflight` to say. Units: s, rad (m on slide joints), rad/s,
+N m; base as in MuJoCo (position and linear velocity in the world, quaternion wxyz, angular velocity
+in the body).
+"""
+
+import dataclasses
+import os
+import secrets
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float
+
+from jax_inertia._contract import CHANNELS, SHAPES, TEXTS, check_structure, fields_of
+from jax_inertia._npz import LogError, read_npz
+from jax_inertia._torque_unit import TorqueKind, TorqueUnit
+
+__all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log"]
+
+AnyArray = np.ndarray | jax.Array
+
+
+class Log(eqx.Module):
+    """One log of T samples and n joints, every joint column in the order of `joint_names`.
+
+    `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
+    moment about the frame origin of the body named in `contact_bodies`. `sigma_*` are standard
+    deviations of one sample. Raises `LogError` where shapes or names do not fit together; values
+    are not looked at, so that it may be traced.
+    """
+
+    time: Float[AnyArray, "T"]
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    qpos: Float[AnyArray, "T n"]
+    tau: Float[AnyArray, "T n"]
+    qvel: Float[AnyArray, "T n"] | None = None
+    tau_kind: TorqueKind = eqx.field(static=True, default=TorqueKind.UNKNOWN)
+    tau_unit: TorqueUnit = eqx.field(static=True, default=TorqueUnit.NEWTON_METRE)
+    tau_unit_text: str = eqx.field(static=True, default="N m")
+    tau_command: Float[AnyArray, "T n"] | None = None
+    qpos_target: Float[AnyArray, "T n"] | None = None
+    sigma_qpos: Float[AnyArray, "n"] | None = None
+    sigma_tau: Float[AnyArray, "n"] | None = None
+    base_pos: Float[AnyArray, "T 3"] | None = None
+    base_quat: Float[AnyArray, "T 4"] | None = None
+    base_linvel: Float[AnyArray, "T 3"] | None = None
+    base_angvel: Float[AnyArray, "T 3"] | None = None
+    contact_wrench: Float[AnyArray, "T C 6"] | None = None
+    contact_bodies: tuple[str, ...] = eqx.field(static=True, default=())
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self) -> None:
+        check_structure(vars(self))
+
+    @property
+    def duration(self) -> float:
+        """From the first stamp to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, from the median period: gaps do not count."""
+        return float(1.0 / np.median(np.diff(np.asarray(self.time, dtype=float))))
+
+    def between(self, start: float, stop: float) -> "Log":
+        """Keep the samples with start ≤ time ≤ stop [s]; raises `ValueError` where fewer than two
+        remain.
+        """
+        time = np.asarray(self.time)
+        rows = np.flatnonzero((time >= start) & (time <= stop))
+        if rows.size < 2:
+            raise ValueError(
+                f"{rows.size} samples lie between {start} and {stop} s; "
+                f"the log spans {time[0]:g} to {time[-1]:g} s"
+            )
+        return self.map_channels(lambda x: x[rows], time=self.time[rows])
+
+    def select(self, joints: Sequence[str]) -> "Log":
+        """Keep the named joints, in the order given; raises `ValueError` for one that the log does
+        not have.
+        """
+        if missing := [name for name in joints if name not in self.joint_names]:
+            raise ValueError(f"the log has no joint {missing}; it has {list(self.joint_names)}")
+        columns = np.array([self.joint_names.index(name) for name in joints], dtype=int)
+        per_joint = [name for name, spec in SHAPES.items() if spec[-1] == "n"]
+        return dataclasses.replace(
+            self,
+            joint_names=tuple(joints),
+            **{
+                name: value[..., columns]
+                for name in per_joint
+                if (value := getattr(self, name)) is not None
+            },
+        )
+
+    def with_torque_gains(self, gains: Float[AnyArray, "n"] | Sequence[float] | float) -> "Log":
+        """Turn currents or counts into torques, τ = g · i, by one gain per joint in N m per logged
+        unit.
+
+        Raises `ValueError` where the torque is in N m already, or the gains are not one per joint.
+        """
+        if self.tau_unit is TorqueUnit.NEWTON_METRE:
+            raise ValueError("tau is in N m already; gains are for currents and counts")
+        gain = gains if isinstance(gains, jax.Array) else np.asarray(gains, dtype=float)
+        if gain.shape not in ((), (len(self.joint_names),)):
+            raise ValueError(
+                f"gains have shape {gain.shape}; expected one for each of the joints "
+                f"{list(self.joint_names)}"
+            )
+        return dataclasses.replace(
+            self,
+            tau=self.tau * gain,
+            sigma_tau=None if self.sigma_tau is None else self.sigma_tau * abs(gain),
+            tau_unit=TorqueUnit.NEWTON_METRE,
+            tau_unit_text=f"N m (gains applied to: {self.tau_unit_text})",
+        )
+
+    def map_channels(self, function: Callable[[Any], AnyArray], **changes) -> "Log":
+        """Apply one function to every channel over time alike (not to `time`), and replace other
+        fields.
+        """
+        mapped = {
+            name: function(value) for name in CHANNELS if (value := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **{**mapped, **changes})
+
+    def __repr__(self) -> str:
+        traced = isinstance(self.time, Tracer)
+        span = "traced" if traced else f"{self.duration:.4g} s at {self.rate:.4g} Hz"
+        has = ", ".join(name for name in CHANNELS if getattr(self, name) is not None)
+        text = (
+            f"Log({span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
+            f"torque {self.tau_kind} in {self.tau_unit_text}"
+        )
+        if self.contact_bodies:
+            text += f"; contacts {', '.join(self.contact_bodies)}"
+        return text + (f"; {len(self.notes)} notes)" if self.notes else ")")
+
+
+def read_log(path: str | os.PathLike, *, max_bytes: int = 4 << 30) -> Log:
+    """Read a log from an .npz file, which is not trusted: no pickles, no memory beyond `max_bytes`.
+
+    Raises `LogError` with one line (what, where, what would be right) for a file that is not a
+    sound log: missing or misshapen arrays, other dtypes, repeated names, stamps that do not
+    increase. Samples may be NaN (a sensor that dropped out); stamps and noise may not. Arrays
+    outside the contract are left alone and named in `Log.notes`.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise LogError("no such file")
+        if path.suffix.lower() not in _READERS:
+            raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
+        arrays, others = _READERS[path.suffix.lower()](path, (*SHAPES, *TEXTS), max_bytes)
+        return Log(**fields_of(arrays, others))
+    except (LogError, OSError) as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+# A reader yields the contract's arrays by name (numbers float64, text str) and the names of all
+# others.
+_READERS = {".npz": read_npz}
+
+
+def write_log(log: Log, path: str | os.PathLike) -> None:
+    """Write a log that `read_log` reads back, whole or not at all (a temporary file takes the name
+    at the end).
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        raise ValueError(f"cannot write {path}: a log is written as .npz")
+    arrays = {
+        name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
+    }
+    arrays |= {
+        "joint_names": np.array(log.joint_names),
+        "tau_kind": np.array(str(log.tau_kind)),
+        "tau_unit": np.array(log.tau_unit_text),
+    }
+    if log.contact_bodies:
+        arrays["contact_bodies"] = np.array(log.contact_bodies)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        with open(part, "xb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

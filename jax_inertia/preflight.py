@@ -1,0 +1,178 @@
+"""Look at a log before anything is fitted to it: what would make results wrong, and what would make
+them poor.
+
+Each finding is one line: what, where, what would be right. Errors are for logs that give wrong
+answers (a velocity of the wrong sign, joints the model does not have); warnings for what an
+engineer would look at first.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import equinox as eqx
+import numpy as np
+
+from jax_inertia import _check_channels as channels
+from jax_inertia import _check_consistency as consistency
+from jax_inertia._findings import Finding, Severity
+from jax_inertia.log import Log, LogError, TorqueUnit
+from jax_inertia.motion import suggestion
+from jax_inertia.signals import mask
+
+__all__ = ["Finding", "Names", "Preflight", "Severity", "preflight"]
+
+_GAP_PERIODS = 3.0
+_JITTER_NOTE, _JITTER_WARNING = 0.05, 0.3
+_FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
+_SLOWEST, _FASTEST = 10.0, 2e4
+
+
+class Names(Protocol):
+    """What a robot calls its joints and bodies; `Robot` satisfies it."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+    @property
+    def joint_type(self) -> tuple[str, ...]: ...
+    @property
+    def body_names(self) -> tuple[str, ...]: ...
+
+
+class Preflight(eqx.Module):
+    """The findings on one log, the gravest first."""
+
+    findings: tuple[Finding, ...] = eqx.field(static=True)
+
+    def of(self, severity: Severity) -> tuple[Finding, ...]:
+        """The findings of one severity."""
+        return tuple(finding for finding in self.findings if finding.severity is severity)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found that makes results wrong."""
+        return not self.of(Severity.ERROR)
+
+    def raise_for_errors(self) -> None:
+        """Raise `LogError` with the first error, and how many more there are."""
+        errors = self.of(Severity.ERROR)
+        if len(errors) > 0:
+            more = f" (and {len(errors) - 1} more errors)" if len(errors) > 1 else ""
+            raise LogError(errors[0].message + more)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.findings)) or "nothing found"
+
+
+def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -> Preflight:
+    """Check a log, and where a robot is given its names against it.
+
+    `fixed` names joints of the robot that the log may lack. Values are looked at after bridging
+    what is not finite, so that one dropout is one finding. Raises nothing.
+    """
+    findings = [Finding(Severity.NOTE, "reader", note) for note in log.notes]
+    findings += _unit(log)
+    if robot is not None:
+        findings += _names(log, robot, fixed)
+    time = np.asarray(log.time, dtype=float)
+    stamps = list(_stamps(time))
+    findings += stamps
+    # Rates and intervals mean nothing while the stamps are wrong.
+    if not any(finding.severity is Severity.ERROR for finding in stamps):
+        findings += _values(log, time, robot)
+    order = list(Severity)
+    return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
+
+
+def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding]:
+    yield from channels.dropped(log, time)
+    log = mask(log).log
+    kinds = {} if robot is None else dict(zip(robot.joint_names, robot.joint_type, strict=True))
+    yield from channels.frozen(log, time)
+    yield from channels.repeated(log, time)
+    yield from channels.saturated(log, time)
+    yield from channels.spikes(log, time)
+    yield from channels.degrees(log, kinds)
+    yield from channels.still(log)
+    yield from consistency.velocity(log, time)
+    yield from consistency.quaternion(log)
+    yield from consistency.base_frames(log, time)
+
+
+def _unit(log: Log) -> Iterator[Finding]:
+    if log.tau_unit is not TorqueUnit.NEWTON_METRE:
+        message = (
+            f"tau is in {log.tau_unit_text!r}, not N m; give one gain per joint in N m per unit, "
+            "or have gains estimated"
+        )
+        yield Finding(Severity.WARNING, "torque_unit", message)
+
+
+def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
+    kinds = dict(zip(robot.joint_names, robot.joint_type, strict=True))
+    scalar = [name for name, kind in kinds.items() if kind in ("slide", "hinge")]
+    for name in log.joint_names:
+        if name not in scalar:
+            message = f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}"
+            yield Finding(Severity.ERROR, "joint_name", message)
+    needed = [name for name, kind in kinds.items() if kind != "free" and name not in fixed]
+    if missing := [name for name in needed if name not in log.joint_names]:
+        message = (
+            f"the log lacks joints of the model: {', '.join(missing)}; log them, or give the "
+            "positions they were fixed at"
+        )
+        yield Finding(Severity.ERROR, "joint_missing", message)
+    floats = any(kind == "free" and name not in fixed for name, kind in kinds.items())
+    posed = log.base_pos is not None and log.base_quat is not None
+    if floats and not posed:
+        message = "the model's base floats but the log lacks base_pos or base_quat; log both"
+        yield Finding(Severity.ERROR, "base", message)
+    if posed and not floats:
+        message = "the log has a base pose but the model's base is fixed; the pose is not used"
+        yield Finding(Severity.WARNING, "base", message)
+    for name in log.contact_bodies:
+        if name not in robot.body_names:
+            message = (
+                f"the model has no body {name!r} (contact); {suggestion(name, robot.body_names)}"
+            )
+            yield Finding(Severity.ERROR, "contact_body", message)
+
+
+def _stamps(time: np.ndarray) -> Iterator[Finding]:
+    if time.size < _FEW_SAMPLES:
+        message = f"the log holds {time.size} samples; at least {_FEW_SAMPLES}, better thousands"
+        yield Finding(Severity.ERROR, "short", message)
+        return
+    period = np.diff(time)
+    if (back := ~(period > 0)).any():
+        k = int(np.argmax(back)) + 1
+        message = (
+            f"time does not increase at sample {k} ({time[k]:.6g} s after {time[k - 1]:.6g} s), "
+            f"{back.sum()} times in all; sort the rows and drop repeated stamps"
+        )
+        yield Finding(Severity.ERROR, "stamps", message)
+        return
+    typical = float(np.median(period))
+    if time[-1] - time[0] < _SHORT_SECONDS:
+        message = f"the log lasts {time[-1] - time[0]:.3g} s; a fit needs some seconds of motion"
+        yield Finding(Severity.WARNING, "short", message)
+    if not _SLOWEST <= 1 / typical <= _FASTEST:
+        message = (
+            f"the median period is {typical:.3g}; expected seconds: are stamps in another unit?"
+        )
+        yield Finding(Severity.WARNING, "rate", message)
+    gaps = period > _GAP_PERIODS * typical
+    if gaps.any():
+        k = int(np.argmax(period))
+        message = (
+            f"time has {gaps.sum()} gaps above three periods, the longest {1e3 * period[k]:.3g} ms "
+            f"at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); what spans them will be masked"
+        )
+        yield Finding(Severity.WARNING, "gap", message)
+    low, high = np.percentile(period, [5, 95])
+    if (high - low) > _JITTER_NOTE * typical:
+        grave = (high - low) > _JITTER_WARNING * typical
+        message = (
+            f"stamps jitter: 5-95 % of the periods lie in {1e3 * low:.3g}-{1e3 * high:.3g} ms "
+            f"(median {1e3 * typical:.3g}); resample to a uniform grid before differentiating"
+        )
+        yield Finding(Severity.WARNING if grave else Severity.NOTE, "jitter", message)
