@@ -143,25 +143,7 @@ def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 
 def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
     """∂π/∂θ of `from_log_cholesky` in closed form; equals `jax.jacfwd(from_log_cholesky)(theta)`."""
-    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
-    e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
-    o = jnp.zeros_like(a)
-    pi = from_log_cholesky(theta)
-    rows = [
-        [o, o, o, o, o, o, 2 * t1, 2 * t2, 2 * t3],
-        [t1 * e1, o, o, o, o, o, e1, o, o],
-        [o, t2 * e2, o, t1, o, o, s12, e2, o],
-        [o, o, t3 * e3, o, t1, t2, s13, s23, e3],
-        [o, 2 * e2 * e2, 2 * e3 * e3, 2 * s12, 2 * s13, 2 * s23, o, o, o],
-        [-s12 * e1, o, o, -e1, o, o, o, o, o],
-        [-s13 * e1, o, o, o, -e1, o, o, o, o],
-        [2 * e1 * e1, o, 2 * e3 * e3, o, 2 * s13, 2 * s23, o, o, o],
-        [o, -s23 * e2, o, -s13, -s12, -e2, o, o, o],
-        [2 * e1 * e1, 2 * e2 * e2, o, 2 * s12, o, o, o, o, o],
-    ]
-    rest = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
-    rest = jnp.exp(2.0 * a)[..., None, None] * rest
-    return jnp.concatenate([2.0 * pi[..., :, None], rest], axis=-1)
+    return _jacobian(_UTU, theta)
 
 
 # --- the other factor: P = U Uᵀ ----------------------------------------------------------------------------------
@@ -169,8 +151,8 @@ def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 1
 
 def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """π with pseudo-inertia U Uᵀ: m = e^{2α}, centre of mass t (Rucker and Wensing 2022 as Pinocchio has it)."""
-    u = _factor(theta)
-    return from_pseudo_inertia(u @ jnp.swapaxes(u, -1, -2))
+    u = _entries(theta)
+    return 0.5 * jnp.einsum("pjk,...j,...k->...p", _UUT.astype(theta.dtype), u, u)
 
 
 def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
@@ -181,52 +163,51 @@ def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 
 
 def log_cholesky_uut_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
-    """∂π/∂θ of `from_log_cholesky_uut` in closed form: ∂P = ∂U Uᵀ + U ∂Uᵀ, element by element of U."""
-    u = _factor(theta)
-    scale = u[..., 3:, 3:]
-    e = jnp.exp(theta[..., 1:4])[..., None, :]
-    # ∂U/∂θ_j = (entry of U that θ_j sets) for j > 0, and U itself for α.
-    du = jnp.concatenate(
-        [
-            u[..., None, :, :],
-            scale[..., None, :, :]
-            * jnp.concatenate(
-                [
-                    _ENTRIES[:3] * jnp.swapaxes(e, -1, -2)[..., None],
-                    jnp.broadcast_to(_ENTRIES[3:], (*theta.shape[:-1], 6, 4, 4)),
-                ],
-                axis=-3,
-            ).astype(theta.dtype),
-        ],
-        axis=-3,
-    )
-    half = du @ jnp.swapaxes(u, -1, -2)[..., None, :, :]
-    return jnp.swapaxes(from_pseudo_inertia(half + jnp.swapaxes(half, -1, -2)), -1, -2)
+    """∂π/∂θ of `from_log_cholesky_uut` in closed form."""
+    return _jacobian(_UUT, theta)
 
 
-# Where d1, d2, d3, s12, s13, s23, t1, t2, t3 stand in U.
-_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
-_ENTRIES = np.zeros((9, 4, 4))
-for _k, (_i, _j) in enumerate(_PLACES):
-    _ENTRIES[_k, _i, _j] = 1.0
+# --- both are quadratic in the ten entries of U ------------------------------------------------------------------
+
+# Where the entries stand: the last diagonal one (e^α), then as d1, d2, d3, s12, s13, s23, t1, t2, t3 set them.
+_PLACES = ((3, 3), (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 
-def _factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
-    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
-    o, one = jnp.zeros_like(a), jnp.ones_like(a)
-    rows = [
-        [jnp.exp(d1), s12, s13, t1],
-        [o, jnp.exp(d2), s23, t2],
-        [o, o, jnp.exp(d3), t3],
-        [o, o, o, one],
-    ]
-    u = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
-    return jnp.exp(a)[..., None, None] * u
+def _quadratic(transposed_first: bool) -> np.ndarray:
+    """T with π_p = ½ Σ_jk T_pjk u_j u_k for the pseudo-inertia UᵀU (or U Uᵀ), so that ∂π/∂u = T u."""
+    t = np.zeros((10, 10, 10))
+    for j, k in np.ndindex(10, 10):
+        a, b = np.zeros((4, 4)), np.zeros((4, 4))
+        a[_PLACES[j]], b[_PLACES[k]] = 1.0, 1.0
+        p = a.T @ b if transposed_first else a @ b.T
+        p = p + p.T
+        moments = np.diagonal(p)[:3].sum() - np.diagonal(p)[:3]
+        t[:, j, k] = [p[3, 3], *p[:3, 3], moments[0], -p[0, 1], -p[0, 2], moments[1], -p[1, 2], moments[2]]
+    return t
+
+
+_UTU, _UUT = _quadratic(True), _quadratic(False)
+
+
+def _entries(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+    """u, the entries of U that are not zero."""
+    one = jnp.ones_like(theta[..., :1])
+    unscaled = jnp.concatenate([one, jnp.exp(theta[..., 1:4]), theta[..., 4:]], axis=-1)
+    return jnp.exp(theta[..., :1]) * unscaled
+
+
+def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
+    """(T u) ∂u/∂θ; ∂u/∂θ is diagonal but for α, which scales all of u."""
+    u = _entries(theta)
+    slope = jnp.einsum("pjk,...k->...pj", t.astype(theta.dtype), u)
+    scale = jnp.broadcast_to(u[..., :1], (*u.shape[:-1], 6))
+    rest = slope[..., 1:] * jnp.concatenate([u[..., 1:4], scale], axis=-1)[..., None, :]
+    return jnp.concatenate([jnp.sum(slope * u[..., None, :], -1, keepdims=True), rest], axis=-1)
 
 
 def _read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
     scale = u[..., 3, 3]
     n = u / scale[..., None, None]
     logs = [jnp.log(n[..., i, i]) for i in range(3)]
-    rest = [n[..., i, j] for i, j in _PLACES[3:]]
+    rest = [n[..., i, j] for i, j in _PLACES[4:]]
     return jnp.stack([jnp.log(scale), *logs, *rest], axis=-1)

@@ -34,7 +34,7 @@ class Innovation(eqx.Module):
     residual: Float[Array, " m"]
     """ν = z − h(x⁻); zero on masked rows."""
     sigma: Float[Array, " m"]
-    """Standard deviation of ν by the filter's own account, √diag(S)."""
+    """Standard deviation of ν by the filter's own account, √diag(S); exact for independent noise."""
     nis: Float[Array, ""]
     """Normalised innovation squared νᵀ S⁻¹ ν over the rows used."""
     rows: Float[Array, ""]
@@ -78,15 +78,19 @@ class ChiSquaredGate(Gate):
 
 
 class Noise(eqx.Module):
-    """Measurement noise; `whiten` brings rows to unit variance, masked ones to zero."""
+    """Measurement noise R of m rows; a row where `used` is 0 is left out of everything."""
 
     @abc.abstractmethod
     def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        """R^{-1/2} rows, with rows where `used` is 0 left out."""
+        """R^{-1/2} rows: unit noise, zero where not used."""
 
     @abc.abstractmethod
-    def matrix(self) -> Float[Array, "m m"]:
-        """R."""
+    def variances(self) -> Float[Array, " m"]:
+        """diag R."""
+
+    @abc.abstractmethod
+    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
+        """log det of the used block of R."""
 
 
 class IndependentNoise(Noise):
@@ -97,8 +101,11 @@ class IndependentNoise(Noise):
     def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
         return rows * (used * jax.lax.rsqrt(self.variance))[:, None]
 
-    def matrix(self) -> Float[Array, "m m"]:
-        return jnp.diag(self.variance)
+    def variances(self) -> Float[Array, " m"]:
+        return self.variance
+
+    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
+        return used @ jnp.log(self.variance)
 
 
 class CorrelatedNoise(Noise):
@@ -107,13 +114,33 @@ class CorrelatedNoise(Noise):
     covariance: Float[Array, "m m"]
 
     def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        # A masked row is given unit noise apart from the others, then zeroed: the marginal of the rest.
-        keep = used[:, None] * used[None, :]
-        covariance = jnp.where(keep > 0, self.covariance, jnp.diag(1.0 - used))
-        return solve_triangular(jnp.linalg.cholesky(covariance), rows * used[:, None], lower=True)
+        return solve_triangular(self._factor(used), rows * used[:, None], lower=True)
 
-    def matrix(self) -> Float[Array, "m m"]:
-        return self.covariance
+    def variances(self) -> Float[Array, " m"]:
+        return jnp.diagonal(self.covariance)
+
+    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
+        return 2.0 * jnp.sum(jnp.log(jnp.diagonal(self._factor(used))))
+
+    def _factor(self, used: Float[Array, " m"]) -> Float[Array, "m m"]:
+        # A row left out gets unit noise apart from the others: what remains is the marginal of the rest.
+        keep = used[:, None] * used[None, :]
+        return jnp.linalg.cholesky(jnp.where(keep > 0, self.covariance, jnp.diag(1.0 - used)))
+
+
+class Correction(eqx.Module):
+    """What a form makes of whitened rows, for S = H P Hᵀ + 1."""
+
+    step: Float[Array, " n"]
+    """K ν."""
+    covariance: Float[Array, "n n"]
+    """P⁺."""
+    nis: Float[Array, ""]
+    """νᵀ S⁻¹ ν."""
+    log_det: Float[Array, ""]
+    """log det S."""
+    spread: Float[Array, " m"]
+    """diag S."""
 
 
 class Form(eqx.Module):
@@ -122,42 +149,54 @@ class Form(eqx.Module):
     @abc.abstractmethod
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-    ) -> tuple[
-        Float[Array, " n"], Float[Array, "n n"], Float[Array, ""], Float[Array, ""], Float[Array, " m"]
-    ]:
-        """(K ν, P⁺, νᵀ S⁻¹ ν, log det S, diag S − 1) for S = H P Hᵀ + 1."""
+    ) -> Correction:
+        """The correction of covariance `p` by rows `h` with innovation `nu`."""
 
 
 class Standard(Form):
     """The paper's text: K = P Hᵀ S⁻¹, P⁺ = (1 − K H) P (eq. update). Loses symmetry and sign in float32."""
 
-    def correct(self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]):
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
         ph = p @ h.T
         s = h @ ph + jnp.eye(len(nu), dtype=p.dtype)
         factor = jnp.linalg.cholesky(s)
         gain = cho_solve((factor, True), ph.T).T
-        posterior = p - gain @ h @ p
-        nis = nu @ cho_solve((factor, True), nu)
-        log_det = 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor)))
-        return gain @ nu, posterior, nis, log_det, jnp.diagonal(s) - 1.0
+        return Correction(
+            step=gain @ nu,
+            covariance=p - gain @ ph.T,
+            nis=nu @ cho_solve((factor, True), nu),
+            log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(factor))),
+            spread=jnp.diagonal(s),
+        )
 
 
 class SquareRoot(Form):
-    """The same through P = L Lᵀ and the QR factor of [H L; 1]: P⁺ = L (RᵀR)⁻¹ Lᵀ, positive by construction."""
+    """The same from one QR factorisation; P⁺ is positive by construction.
 
-    def correct(self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]):
+    With P = L Lᵀ, QR of [[H L, ν], [1, 0]] gives R, u and ρ in [[R, u], [0, ρ]]: RᵀR = 1 + (H L)ᵀ H L without
+    squaring the condition number, P⁺ = L (RᵀR)⁻¹ Lᵀ, K ν = L R⁻¹ u, and νᵀ S⁻¹ ν = ρ², the least-squares cost at
+    its minimum, where Woodbury's formula would subtract.
+    """
+
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
         n = len(p)
         factor = _cholesky(p)
         rows = h @ factor
-        # R of [rows; 1]: RᵀR = 1 + rowsᵀ rows without ever squaring the condition number.
-        r = jnp.linalg.qr(jnp.concatenate([rows, jnp.eye(n, dtype=p.dtype)]), mode="r")
-        root = solve_triangular(r, factor.T, trans=1, lower=False)
-        w = solve_triangular(r, solve_triangular(r, rows.T @ nu, trans=1, lower=False), lower=False)
-        # A sum of squares (the least-squares cost at its minimum), where Woodbury would subtract.
-        misfit = nu - rows @ w
-        nis = misfit @ misfit + w @ w
-        log_det = 2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r))))
-        return factor @ w, root.T @ root, nis, log_det, jnp.sum(rows * rows, axis=1)
+        below = jnp.eye(n, n + 1, dtype=p.dtype)
+        stacked = jnp.concatenate([jnp.concatenate([rows, nu[:, None]], axis=1), below])
+        r = jnp.linalg.qr(stacked, mode="r")
+        root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
+        return Correction(
+            step=r[:n, n] @ root,
+            covariance=root.T @ root,
+            nis=r[n, n] ** 2,
+            log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
+            spread=1.0 + jnp.sum(rows * rows, axis=1),
+        )
 
 
 def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
@@ -195,32 +234,29 @@ def update(
         h = jacobian(x)
         nu = (z - model(x) - h @ (prior - x)) * used
         white = noise.whiten(jnp.concatenate([h, nu[:, None]], axis=1), used)
-        return h, nu, white[:, :-1], white[:, -1]
+        return nu, white[:, :-1], white[:, -1]
 
-    h, residual, h_white, nu_white = linearise(prior)
-    step, posterior, nis, log_det, _ = form.correct(p, h_white, nu_white)
-    mean = project(prior + step)
+    residual, h_white, nu_white = linearise(prior)
+    first = correction = form.correct(p, h_white, nu_white)
+    mean = project(prior + correction.step)
     for _ in range(iterations - 1):
-        _, _, h_white, nu_i = linearise(mean)
-        step, posterior, *_ = form.correct(p, h_white, nu_i)
-        mean = project(prior + step)
+        _, h_white, nu_i = linearise(mean)
+        correction = form.correct(p, h_white, nu_i)
+        mean = project(prior + correction.step)
 
     rows = jnp.sum(used)
     limit = jnp.inf if gate is None else gate.threshold(rows)
-    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(posterior))
-    accepted = (nis <= limit) & finite
-    spread = jnp.einsum("mi,ij,mj->m", h, p, h) + jnp.diagonal(noise.matrix())
-    # Whitening changes the density by √det R; with masked rows only the used block counts.
-    ones = noise.whiten(jnp.eye(len(z), dtype=z.dtype), used)
-    log_det_r = -2.0 * jnp.sum(jnp.where(used > 0, jnp.log(jnp.abs(jnp.diagonal(ones))), 0.0))
-    likelihood = -0.5 * (nis + log_det + log_det_r + rows * jnp.log(2.0 * jnp.pi))
+    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(correction.covariance))
+    accepted = (first.nis <= limit) & finite
     out = Belief(
         jnp.where(accepted, mean, prior),
-        jnp.where(accepted, 0.5 * (posterior + posterior.T), p),
+        jnp.where(accepted, correction.covariance, p),
     )
-    return out, Innovation(
-        residual, jnp.sqrt(jnp.maximum(spread, 0.0)), nis, rows, likelihood, accepted
-    )
+    # The log-density of ν itself: whitening scaled it by √det R.
+    log_det = first.log_det + noise.log_det(used)
+    likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
+    sigma = jnp.sqrt(first.spread * noise.variances())
+    return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
 
 
 def _cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
