@@ -71,6 +71,7 @@ class Balance:
         self.feet = [self.model.body(f).id for f in robot.feet]
         self.mass = float(self.model.body_mass.sum())
         self.down: list[np.ndarray | None] = [None] * 4
+        self.lifted = list(motion.home)
         self.jac = np.zeros((3, self.model.nv))
 
     def start(self) -> np.ndarray:
@@ -117,25 +118,28 @@ class Balance:
         tau, angles = d.qfrc_bias[6:].copy(), np.empty(12)
         for i, side in enumerate(SIDES):
             leg = slice(3 * i, 3 * i + 3)
-            foot, p, gains = self._foot(i, target, position[i])
+            foot, gains = self._foot(i, target, position[i], base)
             angles[leg] = leg_angles(want.T @ (foot - pose[:3]), *side)
             mujoco.mj_jacBody(m, d, self.jac, None, self.feet[i])
             tau[leg] -= self.jac[:, 6 + 3 * i : 9 + 3 * i].T @ forces[i]
             tau[leg] += gains[0] * (angles[leg] - q[leg]) - gains[1] * v[leg]
         return np.clip(tau, -self.limit, self.limit), angles
 
-    def _foot(self, i: int, target, measured: np.ndarray):
+    def _foot(self, i: int, target, measured: np.ndarray, base: np.ndarray):
         """World target of one foot and the joint gains for its phase."""
         if target.swing[i] < 0.0:
             if self.down[i] is None:
                 self.down[i] = np.array([measured[0], measured[1], 0.022])
-            return self.down[i], measured, (25.0, 0.8)
+            return self.down[i], (25.0, 0.8)
         if self.down[i] is not None:
-            self.lifted = getattr(self, "lifted", {})
-            self.lifted[i] = self.down[i]
-            self.down[i] = None
+            self.lifted[i], self.down[i] = self.down[i], None
+        # Raibert's placement: under the moving trunk, ahead by half a stance, drifting home.
+        drift, speed = base[:2] - target.pose[:2], base[7:9]
+        place = target.feet[i].copy()
+        stance = self.motion.duty * self.motion.period
+        place[:2] += np.clip(0.8 * drift + (0.5 * stance + 0.06) * speed, -0.12, 0.12)
         s = target.swing[i]
         along = s * s * (3 - 2 * s)
-        foot = (1 - along) * self.lifted.get(i, target.feet[i]) + along * target.feet[i]
+        foot = (1 - along) * self.lifted[i] + along * place
         foot = foot + np.array([0, 0, self.motion.lift * math.sin(math.pi * s) ** 2])
-        return foot, measured, (90.0, 1.6)
+        return foot, (120.0, 2.2)

@@ -17,12 +17,15 @@ DEGREE = np.pi / 180.0
 
 
 class Draw:
-    """One draw of effects for a robot whose motion has peak torques `peak` (n)."""
+    """One draw of effects for a robot whose motion has peak torques `peak` (n).
 
-    def __init__(self, robot: Robot, rng: np.random.Generator, peak, span, small=False, slip=1e-3):
-        """`span`: joint range of the motion (2, n); `slip`: the longest presliding distance, rad."""
+    `busy` (n) is the torque exceeded in a tenth of the motion.
+    """
+
+    def __init__(self, robot: Robot, rng, peak, busy, span, small=False, slip=1e-3):
+        """`span`: joint range of the motion (2, n); `slip`: longest presliding distance, rad."""
         self.robot, self.rng, self.small, self.slip = robot, rng, small, slip
-        self.peak = np.asarray(peak)
+        self.peak, self.busy = np.asarray(peak), np.asarray(busy)
         self.span = span
 
     def size(self, low: float, high: float) -> float:
@@ -138,7 +141,9 @@ class Draw:
     def torque_saturation(self):
         name, s = self.joint()
         share = self.rng.uniform(0.75, 0.9) if self.small else self.rng.uniform(0.55, 0.9)
-        return fx.TorqueSaturation("joint", name, {"limit": s * float(share)})
+        # A drive that cannot hold its load for long is a broken robot, not a gap.
+        busy = 1.02 * float(self.busy[self.robot.joints.index(name)])
+        return fx.TorqueSaturation("joint", name, {"limit": max(s * float(share), busy)})
 
     def _drive(self) -> tuple[str, str]:
         return ("global", "global") if self.rng.random() < 0.6 else ("joint", self.joint()[0])
@@ -266,13 +271,13 @@ class Draw:
 
 
 def reference_peaks(robot: Robot, kind: str, seed: list[int], duration: float):
-    """Peak torques (n) and joint range (2, n) of an arm's reference under the nominal model."""
+    """Peak and 90 % torques (n) and joint range (2, n) of an arm's reference, nominal model."""
     from check import inverse_dynamics
 
     motion = make_motion(robot, kind, seed)
     q, v, a = (np.array(x) for x in zip(*map(motion, np.arange(0, duration, 0.01)), strict=True))
-    tau = inverse_dynamics(robot.model(), q, v, a)
-    return np.abs(tau).max(0), np.array([q.min(0), q.max(0)])
+    tau = np.abs(inverse_dynamics(robot.model(), q, v, a))
+    return tau.max(0), np.percentile(tau, 90, axis=0), np.array([q.min(0), q.max(0)])
 
 
 def equivalents(robot: Robot, effect: fx.Effect) -> list[dict]:

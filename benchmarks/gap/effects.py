@@ -103,21 +103,21 @@ def add_mass(model: mujoco.MjModel, body: int, mass: float, com, inertia: np.nda
 
 
 class TorqueGain(Effect):
-    family, units = "torque_gain", {"gain": "1"}  # noqa: RUF012
+    family, units = "torque_gain", {"gain": "1"}
 
     def actuate(self, t, dt, u):
         u[self.joint] *= self.parameters["gain"]
 
 
 class TorqueBias(Effect):
-    family, units = "torque_bias", {"bias": "N m"}  # noqa: RUF012
+    family, units = "torque_bias", {"bias": "N m"}
 
     def actuate(self, t, dt, u):
         u[self.joint] += self.parameters["bias"]
 
 
 class TorqueSaturation(Effect):
-    family, units = "torque_saturation", {"limit": "N m"}  # noqa: RUF012
+    family, units = "torque_saturation", {"limit": "N m"}
 
     def actuate(self, t, dt, u):
         limit = self.parameters["limit"]
@@ -139,7 +139,7 @@ class TimeDelay(_Selected):
     exactly the interpolation of two cells, whatever the delay.
     """
 
-    family, units = "time_delay", {"delay": "s"}  # noqa: RUF012
+    family, units = "time_delay", {"delay": "s"}
 
     def reset(self, q, v):
         self.cells = None
@@ -161,7 +161,7 @@ class TimeDelay(_Selected):
 class ActuatorLag(_Selected):
     """First-order lag; the step's mean of the exact response to a held input."""
 
-    family, units = "actuator_lag", {"time_constant": "s"}  # noqa: RUF012
+    family, units = "actuator_lag", {"time_constant": "s"}
 
     def reset(self, q, v):
         self.state = None
@@ -180,7 +180,7 @@ class ActuatorLag(_Selected):
 
 
 class EncoderOffset(Effect):
-    family, units = "encoder_offset", {"offset": "rad"}  # noqa: RUF012
+    family, units = "encoder_offset", {"offset": "rad"}
 
     def sense(self, q, v):
         q[self.joint] += self.parameters["offset"]
@@ -189,7 +189,7 @@ class EncoderOffset(Effect):
 class EncoderScale(Effect):
     """q_logged = (1 + scale) q."""
 
-    family, units = "encoder_scale", {"scale": "1"}  # noqa: RUF012
+    family, units = "encoder_scale", {"scale": "1"}
 
     def sense(self, q, v):
         q[self.joint] *= 1.0 + self.parameters["scale"]
@@ -199,7 +199,7 @@ class EncoderScale(Effect):
 class ContactForceScale(Effect):
     """The wrench sensor of one foot reads `scale` times the true wrench."""
 
-    family, units = "contact_force_scale", {"scale": "1"}  # noqa: RUF012
+    family, units = "contact_force_scale", {"scale": "1"}
 
     def record(self, log):
         column = list(log["contact_bodies"]).index(self.name)
@@ -212,7 +212,7 @@ class ContactForceScale(Effect):
 class Armature(Effect):
     """`armature` is the change from the nominal armature, kg m²."""
 
-    family, units = "armature", {"armature": "kg m^2"}  # noqa: RUF012
+    family, units = "armature", {"armature": "kg m^2"}
 
     def edit(self, model):
         model.dof_armature[int(model.joint(self.name).dofadr[0])] += self.parameters["armature"]
@@ -221,7 +221,7 @@ class Armature(Effect):
 class GravityTilt(Effect):
     """Gravity turned by the rotation vector `tilt` (about world x and y)."""
 
-    family, units = "gravity_tilt", {"tilt": "rad", "gravity": "m/s^2"}  # noqa: RUF012
+    family, units = "gravity_tilt", {"tilt": "rad", "gravity": "m/s^2"}
 
     def edit(self, model):
         model.opt.gravity[:] = rotation_from_tilt(*self.parameters["tilt"]) @ model.opt.gravity
@@ -241,7 +241,7 @@ class Payload(Effect):
 
 
 class ComShift(Effect):
-    family, units = "com_shift", {"com_shift": "m"}  # noqa: RUF012
+    family, units = "com_shift", {"com_shift": "m"}
 
     def edit(self, model):
         model.body_ipos[int(model.body(self.name).id)] += self.parameters["com_shift"]
@@ -250,7 +250,7 @@ class ComShift(Effect):
 class LinkInertia(Effect):
     """Rotational inertia about the centre of mass times `inertia_scale`."""
 
-    family, units = "link_inertia", {"inertia_scale": "1"}  # noqa: RUF012
+    family, units = "link_inertia", {"inertia_scale": "1"}
 
     def edit(self, model):
         model.body_inertia[int(model.body(self.name).id)] *= self.parameters["inertia_scale"]
@@ -259,16 +259,16 @@ class LinkInertia(Effect):
 class ConstantForce(Effect):
     """A world-fixed force at the body's centre of mass."""
 
-    family, units = "constant_force", {"force": "N"}  # noqa: RUF012
+    family, units = "constant_force", {"force": "N"}
 
     def load(self, t, data, tau, out):
         data.xfrc_applied[self.body, :3] += self.parameters["force"]
 
 
 class Push(Effect):
-    """A world-fixed force at the centre of mass from `start` to `end`, with raised-cosine flanks."""
+    """A world-fixed force at the centre of mass, `start` to `end`, with raised-cosine flanks."""
 
-    family, units = "push", {"force": "N", "start": "s", "end": "s"}  # noqa: RUF012
+    family, units = "push", {"force": "N", "start": "s", "end": "s"}
 
     def load(self, t, data, tau, out):
         start, end = self.parameters["start"], self.parameters["end"]
@@ -282,7 +282,7 @@ class Push(Effect):
 class Drag(Effect):
     """−c |v| v at the body's centre of mass."""
 
-    family, units = "drag", {"coefficient": "N s^2/m^2"}  # noqa: RUF012
+    family, units = "drag", {"coefficient": "N s^2/m^2"}
 
     def bind(self, model, joints):
         super().bind(model, joints)

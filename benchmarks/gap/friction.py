@@ -1,8 +1,9 @@
 """Hidden effects of the joint: friction with a bristle state, springs, cogging.
 
-Dry friction is LuGre's (Canudas de Wit, Olsson, Åström, Lischinsky 1995): a bristle deflection z with
-ż = v − σ₀ |v| z / g(v) and the friction torque σ₀ z + σ₁ ż. The level g(v) makes the families; sliding
-steadily, the torque is g(v) sign(v). z is integrated exactly over a step at the stage's v and g.
+Dry friction is LuGre's (Canudas de Wit, Olsson, Åström, Lischinsky 1995): a bristle deflection z
+with ż = v − σ₀ |v| z / g(v) and the friction torque σ₀ z + σ₁ ż. The level g(v) makes the families;
+sliding steadily, the torque is g(v) sign(v). z is integrated exactly over a step at the stage's v
+and g.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ class LoadFriction(_DryFriction):
 
 
 class ViscousFriction(Effect):
-    family, units = "viscous_friction", {"damping": "N m s/rad"}  # noqa: RUF012
+    family, units = "viscous_friction", {"damping": "N m s/rad"}
 
     def load(self, t, data, tau, out):
         out[self.dof] -= self.parameters["damping"] * data.qvel[self.dof]
@@ -144,7 +145,7 @@ class FrictionDrift(Effect):
 
 
 class JointSpring(Effect):
-    family, units = "joint_spring", {"stiffness": "N m/rad", "rest_angle": "rad"}  # noqa: RUF012
+    family, units = "joint_spring", {"stiffness": "N m/rad", "rest_angle": "rad"}
 
     def load(self, t, data, tau, out):
         p = self.parameters
@@ -154,7 +155,7 @@ class JointSpring(Effect):
 class Cogging(Effect):
     """A sin(N q + φ) with a second harmonic of a tenth, which no fitted form has."""
 
-    family, units = "cogging", {"amplitude": "N m", "frequency": "1/rad", "phase": "rad"}  # noqa: RUF012
+    family, units = "cogging", {"amplitude": "N m", "frequency": "1/rad", "phase": "rad"}
 
     def load(self, t, data, tau, out):
         p = self.parameters

@@ -2,8 +2,9 @@
 
     python benchmarks/gap/generate.py OUT --n 100 --seed 1 --stratum exciting --jobs 2
 
-writes OUT/logs/00042/{log.npz, test.npz, nominal.xml} and OUT/truth/00042.json. Log 42 depends on the
-seed, the stratum and 42 alone. A second call skips what is complete. Shares no code with the package.
+writes OUT/logs/00042/{log.npz, test.npz, nominal.xml} and OUT/truth/00042.json. Log 42 depends on
+the seed, the stratum and 42 alone. A second call skips what is complete. Shares no code with the
+package.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def draw_spec(stratum: Stratum, seed: int, index: int) -> Spec:
 
 
 def draw_noise(spec: Spec, peak: np.ndarray) -> Noise:
-    """Encoders of 1e-5 to 1e-4 rad, torques of 0.2 to 0.5 % of the peak; four times that if loud."""
+    """Encoders of 1e-5 to 1e-4 rad, torques of 0.2 to 0.5 % of the peak; four times if loud."""
     rng = np.random.default_rng([*spec.seed, 1])
     robot, factor = spec.robot, 4.0 if spec.loud else 1.0
     n = len(robot.joints)
@@ -172,20 +173,21 @@ def make(stratum: Stratum, seed: int, index: int):
     """Draws effects until each is visible and the loop is stable; returns spec, logs and truth."""
     spec = draw_spec(stratum, seed, index)
     rows = round(spec.duration * spec.rate)
-    test_duration = spec.duration if spec.robot.floating else 7.0
+    test_duration = 7.0
     if spec.robot.floating:
-        still = simulate(spec, [], 0, spec.duration)
+        still = simulate(spec, [], 0, 3.0)
         peak = np.percentile(np.abs(still["tau"]), 99.5, axis=0)
+        busy = np.percentile(np.abs(still["tau"]), 90, axis=0)
         span = np.array([still["qpos"].min(0), still["qpos"].max(0)])
     else:
         seed_of_motion = [*spec.seed, 3, 0]
-        peak, span = reference_peaks(spec.robot, spec.kinds[0], seed_of_motion, spec.duration)
+        peak, busy, span = reference_peaks(spec.robot, spec.kinds[0], seed_of_motion, spec.duration)
     spec.noise = draw_noise(spec, peak)
     reason = "never tried"
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([*spec.seed, 6, attempt])
         families = draw_families(stratum, index, seed, rng)
-        draw = Draw(spec.robot, rng, peak, span, stratum.small, stratum.slip)
+        draw = Draw(spec.robot, rng, peak, busy, span, stratum.small, stratum.slip)
         effects = [draw.make(family) for family in families]
         if clash(effects):
             continue
@@ -193,17 +195,19 @@ def make(stratum: Stratum, seed: int, index: int):
             spec.bandwidth = 8.0
         true_model = slightly_wrong(spec)
         try:
-            seen, alone = [], None
+            seen = []
             for effect in effects if len(effects) > 1 else []:
                 alone = cut(simulate(spec, [effect], 0, spec.duration), rows)
                 seen.append(visibility(spec.robot, true_model, alone, spec.noise))
-            if len(effects) > 1 and min(v["chi2"] for v in seen) < stratum.chi2:
+                if not fair(stratum, spec, seen[-1]):
+                    break
+            if seen and not fair(stratum, spec, seen[-1]):
                 reason = "one of the pair too small"
                 continue
             log = simulate(spec, effects, 0, spec.duration)
             whole = visibility(spec.robot, true_model, cut(log, rows), spec.noise)
-            if effects and whole["chi2"] < stratum.chi2:
-                reason = f"too small (chi2 {whole['chi2']:.0f})"
+            if effects and not fair(stratum, spec, whole):
+                reason = f"too small (chi2 {whole['chi2']:.0f}, distinct {whole['distinct']:.0f})"
                 continue
             test = simulate(spec, effects, 1, test_duration)
         except Unstable as error:
@@ -214,6 +218,12 @@ def make(stratum: Stratum, seed: int, index: int):
         logs = to_contract(spec, log, spec.duration), to_contract(spec, test, test_duration)
         return spec, logs, truth
     raise RuntimeError(f"log {index}: no fair draw in {ATTEMPTS} attempts ({reason})")
+
+
+def fair(stratum: Stratum, spec: Spec, view: dict) -> bool:
+    """Whether an effect can be seen at all: above the noise and above the nominal model's error."""
+    floor = stratum.distinct if spec.wrong else 0.0
+    return view["chi2"] >= stratum.chi2 and view["distinct"] >= floor
 
 
 def draw_families(stratum: Stratum, index: int, seed: int, rng) -> list[str]:

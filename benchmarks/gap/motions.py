@@ -80,7 +80,7 @@ class PickPlace:
 
 @dataclass(frozen=True)
 class Stance:
-    """Targets of the quadruped at one time; `swing` is a foot's phase in the air, −1 on the ground."""
+    """Targets of the quadruped; `swing`: a foot's phase in the air, −1 on the ground."""
 
     pose: np.ndarray  # x, y, z (m), roll, pitch, yaw (rad)
     weight: np.ndarray  # 4: share of load a foot may take, 0 to 1

@@ -1,8 +1,9 @@
-"""The real robot: MuJoCo's forward dynamics under our own integrator, with the hidden effects inside.
+"""The real robot: MuJoCo's forward dynamics under our own integrator, hidden effects inside.
 
-MuJoCo's Euler step is semi-implicit: its first-order error looks like drag or a delay. We integrate by
-the explicit midpoint rule (second order) on a grid of 0.25 ms, finer where an effect is stiff, and
-call `mj_forward` for the accelerations. Stiff inner states (bristles) advance by their exact solution.
+MuJoCo's Euler step is semi-implicit: its first-order error looks like drag or a delay. We integrate
+by the explicit midpoint rule (second order) on a grid of 0.25 ms, finer where an effect is stiff,
+and call `mj_forward` for the accelerations. Stiff inner states (bristles) advance by their exact
+solution.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from effects import Effect
 from robots import Robot
 
 PREROLL, TAIL = 1.4, 0.05
+LOST = 0.4  # rad: a loop that strays further from its aim would be stopped by its owner
 
 
 @dataclass
@@ -130,7 +132,7 @@ class Plant:
         substeps = int(np.ceil(1.0 / rate / dt - 1e-9))
         dt = 1.0 / rate / substeps
         first = -int(PREROLL * rate)
-        rows = int(round((duration + TAIL) * rate))
+        rows = round((duration + TAIL) * rate)
         draws = {
             "qpos": rng.normal(size=(rows - first, n)) * noise.qpos,
             "qvel": rng.normal(size=(rows - first, n)) * noise.qvel,
@@ -186,7 +188,7 @@ class Plant:
     def _check(self, t: float, aim: np.ndarray) -> None:
         data = self.data
         q = data.qpos[7:] if self.robot.floating else data.qpos
-        if not np.abs(q - aim).max() < 1.0:
+        if not np.abs(q - aim).max() < LOST:
             raise Unstable(f"lost the motion at {t:.2f} s")
         if self.robot.floating and (data.qpos[2] < 0.2 or data.xmat[1][8] < 0.85):
             raise Unstable(f"fell at {t:.2f} s")

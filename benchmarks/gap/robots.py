@@ -70,7 +70,8 @@ def _arm_xml(name: str, links: list[dict], base_height: float) -> str:
             f'{pad}  <joint name="joint{k}" type="hinge" axis="{_vec(link["axis"])}" '
             f'range="{_vec(link["range"])}" limited="false" armature="{link["armature"]}" '
             f'damping="{link["damping"]}" frictionloss="{link.get("frictionloss", 0)}"/>\n'
-            f'{pad}  <geom type="capsule" size="0.04" fromto="0 0 0 {_vec(link["tip"])}" mass="0"/>\n'
+            f'{pad}  <geom type="capsule" size="0.04" mass="0" fromto="0 0 0 '
+            f'{_vec(link["tip"])}"/>\n'
         )
         pad += "  "
     closing = [f"{'  ' * (k + 2)}</body>\n" for k in range(len(links), 0, -1)]

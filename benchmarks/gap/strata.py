@@ -29,7 +29,8 @@ UNKNOWN = (
 class Stratum:
     """`wrong`, `loud`, `ordinary`: chances of a wrong nominal model, noise x 4, everyday motion.
 
-    `chi2`: the least visibility of each effect; `slip`: the longest presliding distance, rad.
+    `chi2`: the least visibility of each effect, `distinct`: the same after nuisances (check.py);
+    `slip`: the longest presliding distance, rad.
     """
 
     number: int
@@ -40,6 +41,7 @@ class Stratum:
     count: int = 1
     small: bool = False
     chi2: float = 300.0
+    distinct: float = 60.0
     slip: float = 1e-3
     legged: bool = False
 
@@ -47,7 +49,9 @@ class Stratum:
 STRATA = {
     "exciting": Stratum(1, ARM),
     "ordinary": Stratum(2, ARM, wrong=0.5, ordinary=1.0),
-    "hard": Stratum(3, ARM, wrong=1.0, loud=0.5, ordinary=0.3, small=True, chi2=150.0),
+    "hard": Stratum(
+        3, ARM, wrong=1.0, loud=0.5, ordinary=0.3, small=True, chi2=150.0, distinct=40.0
+    ),
     "none": Stratum(4, (), wrong=0.6, loud=0.4, ordinary=0.5, count=0),
     "presliding": Stratum(5, FRICTION, wrong=0.5, ordinary=0.5, slip=3e-3),
     "backlash": Stratum(6, ("backlash",), wrong=0.5, ordinary=0.5),

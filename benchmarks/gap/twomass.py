@@ -1,7 +1,8 @@
 """Two-mass joints: a motor with its own inertia, coupled to the link by a spring or a dead zone.
 
-The nominal armature, damping and friction loss move from the link to the motor, where they belong; the
-encoder sits on the motor. The motor is a state of the effect, integrated with the plant's own stages.
+The nominal armature, damping and friction loss move from the link to the motor, where they belong;
+the encoder sits on the motor. The motor is a state of the effect, integrated with the plant's own
+stages.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class _TwoMass(Effect):
 
 
 class JointElasticity(_TwoMass):
-    family, units = "joint_elasticity", {"stiffness": "N m/rad"}  # noqa: RUF012
+    family, units = "joint_elasticity", {"stiffness": "N m/rad"}
 
 
 class Backlash(_TwoMass):

@@ -20,7 +20,7 @@ class _Unknown(Effect):
 class JointCoupling(_Unknown):
     """A belt that drags on the neighbour: −c q̇ of the other joint acts on this one."""
 
-    mechanism, units = "joint_coupling", {"coefficient": "N m s/rad"}  # noqa: RUF012
+    mechanism, units = "joint_coupling", {"coefficient": "N m s/rad"}
 
     def bind(self, model, joints):
         super().bind(model, joints)
@@ -34,7 +34,7 @@ class JointCoupling(_Unknown):
 class QuadraticFriction(_Unknown):
     """Churning losses: −c |q̇| q̇."""
 
-    mechanism, units = "quadratic_friction", {"coefficient": "N m s^2/rad^2"}  # noqa: RUF012
+    mechanism, units = "quadratic_friction", {"coefficient": "N m s^2/rad^2"}
 
     def load(self, t, data, tau, out):
         v = data.qvel[self.dof]
@@ -71,7 +71,7 @@ class StopCushion(_Unknown):
 class LengthError(_Unknown):
     """A link is longer than the model says: its child sits further out; masses stay."""
 
-    mechanism, units = "length_error", {"extension": "m"}  # noqa: RUF012
+    mechanism, units = "length_error", {"extension": "m"}
 
     def edit(self, model):
         body = int(np.flatnonzero(model.body_parentid == model.body(self.name).id)[0])
@@ -80,9 +80,9 @@ class LengthError(_Unknown):
 
 
 class ClockSkew(_Unknown):
-    """The encoders' clock runs at (1 + rate) of the drives' clock: q in row t is q((1 + rate) t)."""
+    """The encoders' clock runs at (1 + rate) of the drives': row t holds q((1 + rate) t)."""
 
-    mechanism, units = "clock_skew", {"rate": "1"}  # noqa: RUF012
+    mechanism, units = "clock_skew", {"rate": "1"}
 
     def record(self, log):
         time = log["time"]
