@@ -68,17 +68,14 @@ def fields_of(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> dict[s
     if "contact_bodies" in arrays:
         fields["contact_bodies"] = _names("contact_bodies", arrays["contact_bodies"])
     for name in ("sigma_qpos", "sigma_tau"):
-        if name in fields:
-            fields[name] = _sigma(name, fields[name], len(fields["joint_names"]))
-    _check_time(fields["time"])
+        if name in fields and fields[name].shape == ():
+            fields[name] = np.full(len(fields["joint_names"]), fields[name])
     unit = _word("tau_unit", arrays, "N m")
     kind = _word("tau_kind", arrays, "unknown").lower()
     if kind not in list(TorqueKind):
         raise LogError(f"tau_kind is {kind[:60]!r}; expected commanded, current or sensor")
-    if (
-        fields.get("contact_bodies") == ()
-        and fields.get("contact_wrench", fields["time"]).size == 0
-    ):
+    wrench = fields.get("contact_wrench")
+    if fields.get("contact_bodies") == () and wrench is not None and wrench.size == 0:
         # A writer for many robots gives an empty array to the one that touches nothing.
         del fields["contact_wrench"]
     fields |= {
@@ -87,7 +84,11 @@ def fields_of(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> dict[s
         "tau_unit_text": unit,
         "notes": _notes(arrays, others),
     }
+    _check_time(fields["time"])
     check_structure(fields)
+    for name in ("sigma_qpos", "sigma_tau"):
+        if name in fields:
+            _check_sigma(name, fields[name])
     return fields
 
 
@@ -107,17 +108,11 @@ def _word(array: str, arrays: Mapping[str, np.ndarray], default: str) -> str:
     return " ".join(str(value.item()).split())
 
 
-def _sigma(array: str, value: np.ndarray, n: int) -> np.ndarray:
-    if value.shape not in ((), (n,)):
+def _check_sigma(array: str, value: np.ndarray) -> None:
+    if (bad := ~(np.isfinite(value) & (value >= 0))).any():
         raise LogError(
-            f"{array} has shape {value.shape}; expected a scalar or one per joint ({n},)"
+            f"{array} holds {value[bad][0]}; a standard deviation is finite and not negative"
         )
-    if not np.all(np.isfinite(value) & (value >= 0)):
-        raise LogError(
-            f"{array} holds {value[~(np.isfinite(value) & (value >= 0))][0]}; "
-            "a standard deviation is finite and not negative"
-        )
-    return np.broadcast_to(value, (n,)).copy()
 
 
 def _check_time(time: np.ndarray) -> None:

@@ -11,9 +11,9 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -165,7 +165,7 @@ def _array(
     raw = np.empty(header.nbytes, np.uint8)
     with archive.open(info) as member:
         member.read(header.length)
-        got = _fill(member, raw)
+        got = _fill(member.read, raw)
         # Reading past the end is what makes zipfile compare the checksum.
         surplus = len(member.read(1))
     if got < header.nbytes or surplus:
@@ -179,10 +179,10 @@ def _array(
     return flat.reshape(header.shape, order="F" if header.fortran_order else "C")
 
 
-def _fill(member: IO[bytes], target: np.ndarray) -> int:
+def _fill(read: Callable[[int], bytes], target: np.ndarray) -> int:
     got = 0
     while got < target.size:
-        chunk = member.read(min(_CHUNK, target.size - got))
+        chunk = read(min(_CHUNK, target.size - got))
         if not chunk:
             break
         target[got : got + len(chunk)] = np.frombuffer(chunk, np.uint8)

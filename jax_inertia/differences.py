@@ -194,12 +194,13 @@ def _same_signs(q: AnyArray, last: AnyArray, addresses: tuple[int, ...]) -> Arra
 
 def _held(sample: Motion, last: Motion) -> tuple[Motion, Bool[Array, "nv"]]:
     """The sample with the last values where it is not finite, and which rows are measured."""
+    sample = jax.tree.map(jnp.asarray, sample)
     moved = [sample.time, sample.q, sample.v]
     moved += [] if sample.wrench is None else [sample.wrench]
     motion_valid = jnp.stack([jnp.isfinite(x).all() for x in moved]).all()
     valid = jnp.asarray(sample.valid) & jnp.isfinite(sample.tau) & motion_valid
 
-    def hold(new: AnyArray, old: AnyArray) -> Array:
+    def hold(new: Array, old: Array) -> Array:
         return jnp.where(jnp.isfinite(new), new, old)
 
     return jax.tree.map(hold, sample, last), valid

@@ -71,7 +71,7 @@ class Log(eqx.Module):
         """Samples per second, from the median period: gaps do not count."""
         return float(1.0 / np.median(np.diff(np.asarray(self.time, dtype=float))))
 
-    def between(self, start: float, stop: float) -> "Log":
+    def between(self, start: float | int, stop: float | int) -> "Log":
         """Keep the samples with start ≤ time ≤ stop [s]; raises `ValueError` where fewer than two
         remain.
         """
@@ -102,7 +102,9 @@ class Log(eqx.Module):
             },
         )
 
-    def with_torque_gains(self, gains: Float[AnyArray, "n"] | Sequence[float] | float) -> "Log":
+    def with_torque_gains(
+        self, gains: Float[AnyArray, "n"] | Sequence[float] | float | int
+    ) -> "Log":
         """Turn currents or counts into torques, τ = g · i, by one gain per joint in N m per logged
         unit.
 

@@ -6,7 +6,7 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -19,6 +19,7 @@ _Q_SIZE = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 _V_SIZE = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 
 
+@runtime_checkable
 class Joints(Protocol):
     """A robot's joints: name, type ('free', 'ball', 'slide', 'hinge') and first entry in q and in
     v.

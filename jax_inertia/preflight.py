@@ -7,7 +7,7 @@ engineer would look at first.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -27,6 +27,7 @@ _FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
 _SLOWEST, _FASTEST = 10.0, 2e4
 
 
+@runtime_checkable
 class Names(Protocol):
     """What a robot calls its joints and bodies; `Robot` satisfies it."""
 

@@ -63,7 +63,7 @@ def mask(log: Log) -> Masked:
     )
 
 
-def resample(log: Log | Masked, rate: float) -> Masked:
+def resample(log: Log | Masked, rate: float | int) -> Masked:
     """Put every channel on the uniform grid t₀ + k / rate by local quadratic regression.
 
     Each grid value is the weighted least-squares parabola through the samples within a half-width
@@ -104,7 +104,7 @@ def resample(log: Log | Masked, rate: float) -> Masked:
     )
 
 
-def low_pass(log: Log | Masked, cutoff: float, order: int = 4) -> Masked:
+def low_pass(log: Log | Masked, cutoff: float | int, order: int = 4) -> Masked:
     """Filter every channel forwards and backwards by one Butterworth low-pass: no phase, |H|² = ½
     at the cutoff.
 
