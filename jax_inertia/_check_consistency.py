@@ -187,11 +187,16 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> float:
 
 def _lag(x: np.ndarray, y: np.ndarray, most: int) -> tuple[float, float]:
     """By how many samples y is behind x, and the correlation there; a parabola refines the peak."""
-    x, y = x - x.mean(), y - y.mean()
     most = min(most, x.size // 4)
-    middle = x.size - 1
-    curve = signal.correlate(y, x, method="fft")[middle - most : middle + most + 1]
-    curve = curve / np.sqrt((x @ x) * (y @ y))
+    core = x[most : x.size - most]
+    # Each lag correlates the same stretch of x with as long a stretch of y: no lag is favoured.
+    core, y = core - core.mean(), y - y.mean()
+    total = np.cumsum(np.concatenate([[0.0], y]))
+    square = np.cumsum(np.concatenate([[0.0], y**2]))
+    mean = (total[core.size :] - total[: -core.size]) / core.size
+    energy = square[core.size :] - square[: -core.size] - core.size * mean**2
+    curve = signal.correlate(y, core, mode="valid", method="fft")
+    curve = curve / np.sqrt((core @ core) * np.maximum(energy, 1e-300))
     k = int(np.argmax(curve))
     if not 0 < k < curve.size - 1:
         return float(k - most), float(curve[k])
