@@ -10,6 +10,7 @@ import friction as fr
 import numpy as np
 import twomass as tm
 import unknowns as un
+from check import inverse_dynamics
 from motions import make_motion
 from robots import Robot
 
@@ -272,8 +273,6 @@ class Draw:
 
 def reference_peaks(robot: Robot, kind: str, seed: list[int], duration: float):
     """Peak and 90 % torques (n) and joint range (2, n) of an arm's reference, nominal model."""
-    from check import inverse_dynamics
-
     motion = make_motion(robot, kind, seed)
     q, v, a = (np.array(x) for x in zip(*map(motion, np.arange(0, duration, 0.01)), strict=True))
     tau = np.abs(inverse_dynamics(robot.model(), q, v, a))

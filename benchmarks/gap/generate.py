@@ -19,150 +19,17 @@ import json
 import shutil
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from check import visibility
-from control import Balance, ComputedTorque
 from draw import Draw, equivalents, reference_peaks
 from effects import Effect
-from motions import make_motion
-from plant import PREROLL, Noise, Plant, Unstable
-from robots import ROBOTS, Robot
+from plant import Unstable
+from spec import Spec, draw_noise, draw_spec, simulate, slightly_wrong, to_contract
 from strata import STRATA, Stratum
 
 ATTEMPTS = 12
-
-
-@dataclass
-class Spec:
-    """Everything about one log but its effects."""
-
-    robot: Robot
-    seed: list[int]
-    rate: int
-    duration: float
-    kinds: tuple[str, str]
-    bandwidth: float
-    loud: bool
-    wrong: bool
-    noise: Noise | None = None
-    options: dict = field(default_factory=dict)
-
-
-def draw_spec(stratum: Stratum, seed: int, index: int) -> Spec:
-    rng = np.random.default_rng([seed, stratum.number, index, 0])
-    name = "quadruped" if stratum.legged else str(rng.choice(["arm7", "arm2"], p=[0.75, 0.25]))
-    robot = ROBOTS[name]()
-    if robot.floating:
-        kinds = tuple(rng.choice(["squat", "sway", "trot"], 2, p=[0.35, 0.35, 0.3]))
-        rate = int(rng.choice([500, 1000], p=[0.8, 0.2]))
-    else:
-        first = "ordinary" if rng.random() < stratum.ordinary else "exciting"
-        other = {"ordinary": "exciting", "exciting": "ordinary"}[first]
-        kinds = (first, first if rng.random() < 0.7 else other)
-        rate = int(rng.choice([1000, 500, 250], p=[0.7, 0.18, 0.12]))
-    return Spec(
-        robot=robot,
-        seed=[seed, stratum.number, index],
-        rate=rate,
-        duration=8.0 if robot.floating else 10.0,
-        kinds=(str(kinds[0]), str(kinds[1])),
-        bandwidth=float(rng.uniform(10.0, 15.0)),
-        loud=bool(rng.random() < stratum.loud),
-        wrong=bool(rng.random() < stratum.wrong),
-        options={
-            "tau_kind": str(rng.choice(["commanded", "current", "sensor"], p=[0.5, 0.35, 0.15])),
-            "qvel": bool(rng.random() < 0.7),
-            "sigma": bool(rng.random() < 0.7),
-            "extras": bool(rng.random() < 0.5),
-            "shuffle": bool(rng.random() < 0.2),
-        },
-    )
-
-
-def draw_noise(spec: Spec, peak: np.ndarray) -> Noise:
-    """Encoders of 1e-5 to 1e-4 rad, torques of 0.2 to 0.5 % of the peak; four times if loud."""
-    rng = np.random.default_rng([*spec.seed, 1])
-    robot, factor = spec.robot, 4.0 if spec.loud else 1.0
-    n = len(robot.joints)
-    qpos = factor * np.exp(rng.uniform(np.log(1e-5), np.log(1e-4))) * np.ones(n)
-    qvel = qpos * rng.uniform(15.0, 40.0)
-    tau = factor * rng.uniform(0.002, 0.005) * np.maximum(peak, 0.1 * robot.peak)
-    base = factor * np.repeat([2e-4, 2e-4, 3e-3, 3e-3], 3) * rng.uniform(0.5, 1.0)
-    wrench = factor * np.repeat([0.25, 0.004], 3) * rng.uniform(0.6, 1.5)
-    silent = np.zeros(n)
-    # A commanded torque is logged exactly; what the drive adds to it is the noise.
-    if spec.options["tau_kind"] == "commanded":
-        return Noise(qpos, qvel, silent, tau, base, wrench)
-    return Noise(qpos, qvel, tau, silent, base, wrench)
-
-
-def slightly_wrong(spec: Spec):
-    """The real robot's model: the nominal one with 1 % masses, 1 mm centres, 5-10 % damping."""
-    model = spec.robot.model()
-    if not spec.wrong:
-        return model
-    rng = np.random.default_rng([*spec.seed, 2])
-    for body in range(1, model.nbody):
-        factor = 1.0 + rng.uniform(-0.01, 0.01)
-        model.body_mass[body] *= factor
-        model.body_inertia[body] *= factor
-        model.body_ipos[body] += rng.uniform(-1e-3, 1e-3, 3)
-    level = rng.uniform(0.05, 0.10)
-    model.dof_damping[:] *= 1.0 + rng.uniform(-level, level, model.nv)
-    return model
-
-
-def simulate(spec: Spec, effects: list[Effect], which: int, duration: float) -> dict:
-    """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
-    robot = spec.robot
-    motion = make_motion(robot, spec.kinds[which], [*spec.seed, 3, which])
-    plant = Plant(robot, slightly_wrong(spec), effects)
-    if robot.floating:
-        controller = Balance(robot, motion)
-        start = (controller.start(), np.zeros(plant.model.nv))
-    else:
-        controller = ComputedTorque(robot, spec.bandwidth)
-        start = motion(-PREROLL)[:2]
-    rng = np.random.default_rng([*spec.seed, 4, which])
-    noise = spec.noise or Noise.none(len(robot.joints))
-    return plant.run(controller, motion, start, spec.rate, duration, noise, rng)
-
-
-def to_contract(spec: Spec, log: dict, duration: float) -> dict[str, np.ndarray]:
-    """The log as the diagnosis gets it: noisy, cut to length, with the arrays of the contract."""
-    rows, noise, o = round(duration * spec.rate), log["noise"], spec.options
-    order = np.arange(len(spec.robot.joints))
-    if o["shuffle"]:
-        order = np.random.default_rng([*spec.seed, 5]).permutation(order)
-    out = {
-        "time": log["time"],
-        "qpos": (log["qpos"] + noise["qpos"])[:, order],
-        "tau": (log["tau"] + noise["tau"])[:, order],
-    }
-    if o["qvel"]:
-        out["qvel"] = (log["qvel"] + noise["qvel"])[:, order]
-    if o["extras"]:
-        out["qpos_target"], out["tau_command"] = log["qpos_target"][:, order], log["tau"][:, order]
-    if spec.robot.floating:
-        from plant import disturb_base
-
-        pairs = zip(log["base"], noise["base"], strict=True)
-        base = np.array([disturb_base(b, e) for b, e in pairs])
-        out["base_pos"], out["base_quat"] = base[:, :3], base[:, 3:7]
-        out["base_linvel"], out["base_angvel"] = base[:, 7:10], base[:, 10:]
-        out["contact_wrench"] = log["contact_wrench"] + noise["wrench"]
-    out = {name: np.ascontiguousarray(x[:rows]) for name, x in out.items()}
-    out["joint_names"] = np.array(spec.robot.joints)[order]
-    out["tau_kind"] = np.array(o["tau_kind"])
-    if spec.robot.floating:
-        out["contact_bodies"] = log["contact_bodies"]
-    if o["sigma"]:
-        out["sigma_qpos"] = spec.noise.qpos[order]
-        out["sigma_tau"] = np.hypot(spec.noise.tau, spec.noise.ripple)[order]
-    return out
 
 
 def cut(log: dict, rows: int) -> dict:
@@ -173,9 +40,8 @@ def make(stratum: Stratum, seed: int, index: int):
     """Draws effects until each is visible and the loop is stable; returns spec, logs and truth."""
     spec = draw_spec(stratum, seed, index)
     rows = round(spec.duration * spec.rate)
-    test_duration = 7.0
     if spec.robot.floating:
-        still = simulate(spec, [], 0, 3.0)
+        still = simulate(spec, [], 0, min(3.0, spec.duration))
         peak = np.percentile(np.abs(still["tau"]), 99.5, axis=0)
         busy = np.percentile(np.abs(still["tau"]), 90, axis=0)
         span = np.array([still["qpos"].min(0), still["qpos"].max(0)])
@@ -201,7 +67,7 @@ def make(stratum: Stratum, seed: int, index: int):
                 seen.append(visibility(spec.robot, true_model, alone, spec.noise))
                 if not fair(stratum, spec, seen[-1]):
                     break
-            if seen and not fair(stratum, spec, seen[-1]):
+            if seen and not (fair(stratum, spec, seen[-1]) and comparable(seen)):
                 reason = "one of the pair too small"
                 continue
             log = simulate(spec, effects, 0, spec.duration)
@@ -209,13 +75,17 @@ def make(stratum: Stratum, seed: int, index: int):
             if effects and not fair(stratum, spec, whole):
                 reason = f"too small (chi2 {whole['chi2']:.0f}, distinct {whole['distinct']:.0f})"
                 continue
-            test = simulate(spec, effects, 1, test_duration)
+            test = simulate(spec, effects, 1, spec.test_duration)
         except Unstable as error:
             reason = str(error)
             continue
         raw = visibility(spec.robot, spec.robot.model(), cut(log, rows), spec.noise)
         truth = describe(spec, effects, seen or [whole], raw, peak, attempt)
-        logs = to_contract(spec, log, spec.duration), to_contract(spec, test, test_duration)
+        for effect, entry in zip(effects, truth["effects"], strict=True):
+            if effect.kind == "joint":
+                tau = log["tau"][:rows, effect.joint]
+                entry["torque_reversals"] = reversals(tau, float(peak[effect.joint]))
+        logs = to_contract(spec, log, spec.duration), to_contract(spec, test, spec.test_duration)
         return spec, logs, truth
     raise RuntimeError(f"log {index}: no fair draw in {ATTEMPTS} attempts ({reason})")
 
@@ -224,6 +94,18 @@ def fair(stratum: Stratum, spec: Spec, view: dict) -> bool:
     """Whether an effect can be seen at all: above the noise and above the nominal model's error."""
     floor = stratum.distinct if spec.wrong else 0.0
     return view["chi2"] >= stratum.chi2 and view["distinct"] >= floor
+
+
+def comparable(seen: list[dict]) -> bool:
+    """Neither of two effects is more than ten times the other, in units of the noise."""
+    sizes = [view["chi2"] for view in seen]
+    return max(sizes) <= 100.0 * min(sizes)
+
+
+def reversals(tau: np.ndarray, peak: float) -> int:
+    """How often a torque changes sign, by more than 2 % of its peak."""
+    signs = np.sign(tau[np.abs(tau) > 0.02 * peak])
+    return int(np.count_nonzero(np.diff(signs)))
 
 
 def draw_families(stratum: Stratum, index: int, seed: int, rng) -> list[str]:

@@ -115,7 +115,7 @@ class Plant:
         out[:, 5] -= x * fy - y * fx
         return out
 
-    def run(self, controller, motion, start, rate, duration, noise: Noise, rng) -> dict:
+    def run(self, controller, motion, start, rate, duration, noise: Noise, rng, preroll=PREROLL):
         """Runs the motion; returns the clean log and, under `noise`, what the sensors add to it.
 
         Row k holds the sensors at time k / rate and the torque command held from there to the next
@@ -131,7 +131,7 @@ class Plant:
         dt = min([2.5e-4] + [e.dt_max for e in self.effects])
         substeps = int(np.ceil(1.0 / rate / dt - 1e-9))
         dt = 1.0 / rate / substeps
-        first = -int(PREROLL * rate)
+        first = -int(preroll * rate)
         rows = round((duration + TAIL) * rate)
         draws = {
             "qpos": rng.normal(size=(rows - first, n)) * noise.qpos,
