@@ -121,7 +121,7 @@ def body_poses(
 ) -> tuple[Float[Array, "nb 3 3"], Float[Array, "nb 3"]]:
     """World rotation and frame-origin position [m] of every body."""
     kin = forward_kinematics(robot, q)
-    nodes = np.array(robot.topology.body_node)
+    nodes = np.array(robot.topology.body_node, int)
     return kin.rotation[nodes], kin.position[nodes] + tree_origin(robot, q)[nodes]
 
 
@@ -174,7 +174,7 @@ def _body_motion(
     rate = spatial.motion_cross(velocity[top.dof_node], kin.axes) * turning
     acceleration = accumulate_outward(robot, kin.axes * a[:, None] + rate)
 
-    nodes = np.array(top.body_node)
+    nodes = np.array(top.body_node, int)
     rotation, position = kin.rotation[nodes], kin.position[nodes]
     w, u = velocity[nodes, :3], velocity[nodes, 3:]
     dw, du = acceleration[nodes, :3], acceleration[nodes, 3:] - robot.gravity
@@ -204,7 +204,7 @@ def _torque(
         + spatial.cross(w, spatial.matvec(inertia, w))
         + spatial.cross(h, d)
     )
-    nodes = np.array(robot.topology.body_node)
+    nodes = np.array(robot.topology.body_node, int)
     force = spatial.matvec(kin.rotation[nodes], force)
     moment = spatial.matvec(kin.rotation[nodes], moment) + spatial.cross(kin.position[nodes], force)
     total = accumulate_inward(robot, jnp.concatenate([moment, force], -1))
@@ -215,9 +215,9 @@ def _regressor(
     robot: Robot, kin: Kinematics, motion: BodyMotion, chosen: tuple[int, ...]
 ) -> Float[Array, "nv n 10"]:
     """Inward pass, linear in π: each joint's axis, seen from the body, times the body's own 6×10 regressor."""
-    pick = np.array(chosen)
+    pick = np.array(chosen, int)
     own = jax.vmap(_body_regressor)(jax.tree.map(lambda x: x[pick], motion))
-    nodes = np.array(robot.topology.body_node)[pick]
+    nodes = np.array(robot.topology.body_node, int)[pick]
     rotation, position = kin.rotation[nodes], kin.position[nodes]
     w, u = kin.axes[None, :, :3], kin.axes[None, :, 3:]
     u = u + spatial.cross(w, position[:, None])
@@ -247,13 +247,17 @@ def _lever(w: Float[Array, "3"]) -> Float[Array, "3 6"]:
     x, y, z = w
     o = jnp.zeros_like(x)
     return jnp.stack(
-        [jnp.stack([x, y, z, o, o, o]), jnp.stack([o, x, o, y, z, o]), jnp.stack([o, o, x, o, y, z])]
+        [
+            jnp.stack([x, y, z, o, o, o]),
+            jnp.stack([o, x, o, y, z, o]),
+            jnp.stack([o, o, x, o, y, z]),
+        ]
     )
 
 
 def _world_pi(robot: Robot, kin: Kinematics) -> Float[Array, "nb 10"]:
     """π of every body about the tree's origin, in world axes."""
-    nodes = np.array(robot.topology.body_node)
+    nodes = np.array(robot.topology.body_node, int)
     rotation, p = kin.rotation[nodes], kin.position[nodes]
     m = robot.pi[:, 0]
     h = spatial.matvec(rotation, robot.pi[:, 1:4])
@@ -263,7 +267,8 @@ def _world_pi(robot: Robot, kin: Kinematics) -> Float[Array, "nb 10"]:
     hp = h[:, :, None] * p[:, None, :]
     pp = m[:, None, None] * p[:, :, None] * p[:, None, :]
     moved = hp + jnp.swapaxes(hp, -1, -2) + pp
-    inertia = inertia + jnp.trace(moved, axis1=-2, axis2=-1)[:, None, None] * np.eye(3) - moved
+    trace = jnp.trace(moved, axis1=-2, axis2=-1)[:, None, None]
+    inertia = inertia + trace * jnp.eye(3, dtype=p.dtype) - moved
     first = h + m[:, None] * p
     return jnp.stack(
         [

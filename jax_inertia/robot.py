@@ -179,7 +179,7 @@ def forward_kinematics(robot: Robot, q: Float[Array, " nq"]) -> Kinematics:
 
     node = top.dof_node
     in_world, rotates = top.dof_in_world[:, None], top.dof_rotates[:, None]
-    world = np.eye(3)[top.dof_local % 3]
+    world = eye[top.dof_local % 3]
     joint = np.isin(np.array(top.kind)[node], (HINGE, SLIDE))[:, None]
     local = jnp.where(joint, robot.joint_axis[node], world)
     axis = jnp.where(in_world, local, spatial.matvec(rotation[node], local))
@@ -197,15 +197,16 @@ def _local_poses(
     top = robot.topology
     kind = np.array(top.kind)
     scalar = np.isin(kind, (HINGE, SLIDE))
-    turn, shift = np.where(kind == HINGE, 1.0, 0.0), np.where(kind == SLIDE, 1.0, 0.0)
-    travel = jnp.where(scalar, q[np.where(scalar, top.qpos_adr, 0)] - robot.joint_reference, 0.0)
-    motion = spatial.axis_angle_to_matrix(robot.joint_axis, travel * turn)
+    adr = np.where(scalar, top.qpos_adr, 0).astype(int)
+    travel = jnp.where(scalar, q[adr] - robot.joint_reference, 0.0)
+    turn, shift = jnp.where(kind == HINGE, travel, 0.0), jnp.where(kind == SLIDE, travel, 0.0)
+    motion = spatial.axis_angle_to_matrix(robot.joint_axis, turn)
     for i in np.flatnonzero(np.isin(kind, (BALL, FREE))):
         start = top.qpos_adr[i] + (3 if kind[i] == FREE else 0)
         motion = motion.at[i].set(spatial.quat_to_matrix(q[start : start + 4]))
     # A rotation turns about the joint's anchor, not about the frame origin.
     offset = robot.joint_position - spatial.matvec(motion, robot.joint_position)
-    offset = offset + robot.joint_axis * (travel * shift)[:, None]
+    offset = offset + robot.joint_axis * shift[:, None]
     rotation = spatial.matmul(robot.placement_rotation, motion)
     position = robot.placement_position + spatial.matvec(robot.placement_rotation, offset)
     return rotation, position
@@ -216,7 +217,7 @@ def tree_origin(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, "nodes 3"]
     top = robot.topology
     root = np.argmax(top.ancestors, axis=1) if top.parent else np.zeros(0, int)
     free = np.array(top.kind)[root] == FREE
-    index = np.array(top.qpos_adr)[root][:, None] + np.arange(3)
+    index = np.array(top.qpos_adr, int)[root][:, None] + np.arange(3)
     return jnp.where(free[:, None], q[np.where(free[:, None], index, 0)], 0.0)
 
 
