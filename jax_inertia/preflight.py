@@ -79,7 +79,9 @@ def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -
     findings += stamps
     # Rates and intervals mean nothing while the stamps are wrong.
     if not any(finding.severity is Severity.ERROR for finding in stamps):
-        findings += _values(log, time, robot)
+        # Absurd values may overflow; what is then not a number fails its check's comparison.
+        with np.errstate(all="ignore"):
+            findings += list(_values(log, time, robot))
     order = list(Severity)
     return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
 

@@ -22,6 +22,8 @@ from jax_inertia.log import AnyArray, Log
 _GAP_PERIODS = 3.0
 _HALF_WIDTH_IN_PERIODS = 2.5
 _HALF_WIDTH_IN_STEPS = 2.0
+_MOST_STRETCH = 100
+_MOST_WEIGHTS = 50_000_000
 
 
 class Masked(eqx.Module):
@@ -77,13 +79,19 @@ def resample(log: Log | Masked, rate: float | int) -> Masked:
     from 100 to 250 Hz), and `sigma_qpos`, `sigma_tau` are scaled by its root mean square.
 
     rate: Hz. A grid value is valid where every sample that it weighs is, and where samples lie on
-    both sides. Raises `ValueError` for a rate that leaves fewer than two grid times.
+    both sides. Raises `ValueError` for a rate that leaves fewer than two grid times, or far more
+    than the log holds.
     """
     source = _masked(log)
     time = np.asarray(source.log.time)
     if not (np.isfinite(rate) and rate * (time[-1] - time[0]) >= 1):
         raise ValueError(
             f"rate {rate} Hz leaves fewer than two samples of {source.log.duration:.4g} s of log"
+        )
+    if rate * (time[-1] - time[0]) > _MOST_STRETCH * time.size:
+        raise ValueError(
+            f"rate {rate} Hz over {source.log.duration:.4g} s makes over {_MOST_STRETCH} times the "
+            f"log's {time.size} samples; cut the log at its gaps or lower the rate"
         )
     grid = time[0] + np.arange(int(rate * (time[-1] - time[0]) + 1e-6) + 1) / rate
     half_width = max(_HALF_WIDTH_IN_PERIODS / source.log.rate, _HALF_WIDTH_IN_STEPS / rate)
@@ -227,7 +235,13 @@ def _local_quadratic(
     high = np.searchsorted(time, grid + half_width)
     left = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, time.size - 2)
     low, high = np.minimum(low, left), np.maximum(high, left + 2)
-    index = low[:, None] + np.arange((high - low).max())
+    most = int((high - low).max())
+    if most * grid.size > _MOST_WEIGHTS:
+        raise ValueError(
+            f"up to {most} samples fall within {half_width:.3g} s of one of {grid.size} times, "
+            "too many to weigh; raise the rate, or cut the log into pieces"
+        )
+    index = low[:, None] + np.arange(most)
     inside = index < high[:, None]
     index = np.minimum(index, time.size - 1)
     u = (time[index] - grid[:, None]) / half_width

@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.preflight import Severity, preflight
+from jax_inertia.signals import mask
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 ERROR, WARNING, NOTE = Severity
@@ -346,6 +349,41 @@ def test_base_velocities_in_the_other_frame():
     assert found(other, WALKER) == [(WARNING, "frame")]
     spun = dataclasses.replace(log, base_angvel=np.degrees(log.base_angvel))
     assert "is in degrees per second" in message(spun, "frame", WALKER)
+
+
+@settings(max_examples=80, deadline=None)
+@given(data=st.data())
+def test_any_log_gets_one_line_findings(data):
+    """Whatever the samples hold, preflight and masks come through."""
+    samples = data.draw(st.integers(2, 60))
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    time = np.cumsum(rng.choice([1e-4, 0.01, 0.011, 0.5], samples, p=[0.1, 0.5, 0.3, 0.1]))
+    odd = st.sampled_from([0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 1e150, 1e-150, 57.3])
+
+    def channel(*shape):
+        x = rng.normal(size=(samples, *shape)) * data.draw(st.sampled_from([0.0, 1e-5, 1.0, 1e4]))
+        for value in data.draw(st.lists(odd, max_size=4)):
+            x.reshape(-1)[rng.integers(x.size)] = value
+        return x
+
+    log = Log(
+        time=time,
+        joint_names=ARM.joint_names,
+        qpos=channel(3),
+        qvel=channel(3),
+        tau=channel(3),
+        base_pos=channel(3),
+        base_quat=channel(4),
+        base_linvel=channel(3),
+        base_angvel=channel(3),
+    )
+    for finding in preflight(log, WALKER).findings:
+        assert "\n" not in finding.message
+    with np.errstate(all="ignore"):
+        masked = mask(log)
+    assert np.isfinite(masked.log.qpos).all()
+    bad = ~np.isfinite(log.tau)
+    assert not masked.rows[bad].any()
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real logs (../shared/data) are not here")

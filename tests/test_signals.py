@@ -146,6 +146,16 @@ def test_resample_refuses_a_rate_that_leaves_nothing():
         resample(sine_log(np.arange(20) * 0.01), 3)
 
 
+def test_resample_refuses_what_would_fill_the_memory():
+    time = np.arange(20) * 0.01
+    time[-1] = 1e9
+    with pytest.raises(ValueError, match="over 100 times the log's 20 samples"):
+        resample(sine_log(time), 250)
+    bunched = np.concatenate([np.linspace(0, 1e-6, 20000), np.linspace(1, 5000, 8000)])
+    with pytest.raises(ValueError, match="too many to weigh"):
+        resample(sine_log(bunched), 1)
+
+
 # Low-pass
 
 
