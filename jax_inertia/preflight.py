@@ -17,7 +17,7 @@ from jax_inertia import _check_consistency as consistency
 from jax_inertia._findings import Finding, Severity
 from jax_inertia.log import Log, LogError, TorqueUnit
 from jax_inertia.motion import suggestion
-from jax_inertia.signals import mask
+from jax_inertia.signals import gap_limit, mask
 
 __all__ = ["Finding", "Names", "Preflight", "Severity", "preflight"]
 
@@ -166,11 +166,13 @@ def _stamps(time: np.ndarray) -> Iterator[Finding]:
     gaps = period > _GAP_PERIODS * typical
     if gaps.any():
         k = int(np.argmax(period))
+        masked = int(np.sum(period > gap_limit(time)))
+        fate = f"{masked} of them will be masked" if masked else "short enough to be bridged"
         message = (
             f"time has {gaps.sum()} gaps above three periods, the longest {1e3 * period[k]:.3g} ms "
-            f"at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); what spans them will be masked"
+            f"at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); {fate}"
         )
-        yield Finding(Severity.WARNING, "gap", message)
+        yield Finding(Severity.WARNING if masked else Severity.NOTE, "gap", message)
     low, high = np.percentile(period, [5, 95])
     if (high - low) > _JITTER_NOTE * typical:
         grave = (high - low) > _JITTER_WARNING * typical

@@ -19,7 +19,8 @@ from scipy import ndimage, signal
 
 from jax_inertia.log import AnyArray, Log
 
-_GAP_PERIODS = 3.0
+_GAP_PERIODS, _GAP_SECONDS = 3.0, 0.01
+_MEASURED_SHARE = 0.9
 _HALF_WIDTH_IN_PERIODS = 2.5
 _HALF_WIDTH_IN_STEPS = 2.0
 _MOST_STRETCH = 100
@@ -47,12 +48,11 @@ def mask(log: Log) -> Masked:
     """Bridge what is not finite by straight lines in time and mark it, and mark the sample after
     each gap.
 
-    A gap is a period above three times the median. Its later edge carries the mark, so that
-    whatever spans the gap (a difference, an interpolation) touches a marked sample.
+    A gap is a period above `gap_limit`. Its later edge carries the mark, so that whatever spans the
+    gap (a difference, an interpolation) touches a marked sample.
     """
     time = np.asarray(log.time)
-    period = np.diff(time)
-    after_gap = np.concatenate([[False], period > _GAP_PERIODS * np.median(period)])
+    after_gap = np.concatenate([[False], np.diff(time) > gap_limit(time)])
     measured = {
         name: np.isfinite(value).reshape(time.size, -1).all(axis=1)
         for name, value in _motion_channels(log).items()
@@ -63,6 +63,14 @@ def mask(log: Log) -> Masked:
         motion_valid,
         np.isfinite(np.asarray(log.tau)) & ~after_gap[:, None],
     )
+
+
+def gap_limit(time: Float[np.ndarray, "T"]) -> float:
+    """The period above which samples do not speak for what lies between them, s.
+
+    Three times the median, and at least 10 ms: half a period of 50 Hz, which no joint follows.
+    """
+    return max(_GAP_PERIODS * float(np.median(np.diff(time))), _GAP_SECONDS)
 
 
 def resample(log: Log | Masked, rate: float | int) -> Masked:
@@ -117,9 +125,9 @@ def low_pass(log: Log | Masked, cutoff: float | int, order: int = 4) -> Masked:
     at the cutoff.
 
     cutoff: Hz, where the two passes together halve the amplitude. `sigma_*` are scaled by the
-    filter's noise gain (one sample's; neighbours are then correlated), and marks spread over the
-    filter's reach (99 % of its impulse response). Raises `ValueError` where the grid is not uniform
-    or the cutoff not below half the rate.
+    filter's noise gain (one sample's; neighbours are then correlated). A value is valid where 90 %
+    of the filter's weight lies on valid samples; the rest was bridged. Raises `ValueError` where
+    the grid is not uniform or the cutoff not below half the rate.
     """
     source = _masked(log)
     period = np.diff(np.asarray(source.log.time))
@@ -133,16 +141,20 @@ def low_pass(log: Log | Masked, cutoff: float | int, order: int = 4) -> Masked:
             f"cutoff {cutoff} Hz must lie between 0 and {rate / 2:.4g} Hz, half the rate"
         )
     sections = np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
-    response, reach = _impulse_response(sections, rate / cutoff)
-    pad = min(reach, period.size)
+    response = _impulse_response(sections, rate / cutoff)
+    share = np.abs(response) / np.sum(np.abs(response))
+    pad = min(response.size // 2, period.size)
+
+    def enough(valid: np.ndarray) -> np.ndarray:
+        measured = ndimage.convolve1d(valid.astype(float), share, axis=0, mode="nearest")
+        return measured >= _MEASURED_SHARE
+
     filtered = _filtered(
         source.log,
         lambda x: signal.sosfiltfilt(sections, x, axis=0, padlen=pad),
         float(np.sqrt(np.sum(response**2))),
     )
-    return Masked(
-        filtered, _spread(source.motion_valid, reach), _spread(source.torque_valid, reach)
-    )
+    return Masked(filtered, enough(source.motion_valid), enough(source.torque_valid))
 
 
 def centred_slopes(
@@ -261,18 +273,10 @@ def _local_quadratic(
     return index, np.where(supported[:, None], weight, line), supported
 
 
-def _impulse_response(sections: np.ndarray, samples_per_cycle: float) -> tuple[np.ndarray, int]:
-    """The two-pass impulse response, and how far from its centre 99 % of its absolute sum lie."""
+def _impulse_response(sections: np.ndarray, samples_per_cycle: float) -> np.ndarray:
+    """The two-pass impulse response, its centre in the middle, to eight cycles of the cutoff."""
     half = int(np.ceil(8 * samples_per_cycle))
     impulse = np.zeros(2 * half + 1)
     impulse[half] = 1.0
     once = np.asarray(signal.sosfilt(sections, impulse))
-    response = np.asarray(signal.sosfilt(sections, once[::-1]))[::-1]
-    size = np.abs(response)
-    outward = size[half] + np.cumsum(size[half + 1 :] + size[:half][::-1])
-    return response, int(np.searchsorted(outward, 0.99 * outward[-1])) + 1
-
-
-def _spread(valid: np.ndarray, reach: int) -> np.ndarray:
-    window = (2 * reach + 1,) + (1,) * (valid.ndim - 1)
-    return ndimage.minimum_filter(valid, size=window, mode="nearest")
+    return np.asarray(signal.sosfilt(sections, once[::-1]))[::-1]

@@ -173,6 +173,11 @@ def test_gaps_are_counted_and_placed():
     log = log.map_channels(lambda x: x[keep], time=log.time[keep])
     assert found(log) == [(WARNING, "gap")]
     assert "1 gaps above three periods, the longest 85 ms at 4.995 s" in message(log, "gap")
+    fast = arm_log(time=0.2 * arm_log().time, qvel=None)
+    keep = np.r_[0:1000, 1007:2000]
+    fast = fast.map_channels(lambda x: x[keep], time=fast.time[keep])
+    assert found(fast) == [(NOTE, "gap")]
+    assert "8 ms at 0.999 s (period 1 ms); short enough to be bridged" in message(fast, "gap")
 
 
 @pytest.mark.parametrize(("amount", "expected"), [(0.01, []), (0.15, [NOTE]), (0.6, [WARNING])])
