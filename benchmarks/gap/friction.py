@@ -91,6 +91,17 @@ class CoulombFriction(_DryFriction):
     family, units = "coulomb_friction", _COULOMB
 
 
+class KnownFriction(CoulombFriction):
+    """The nominal model's own friction loss, realised by a bristle: no effect, but a real joint.
+
+    MuJoCo's soft constraint turns its friction about q̈/100 rad/s before the joint does; this
+    does not.
+    """
+
+    def edit(self, model):
+        model.joint(self.name).frictionloss[:] = 0.0
+
+
 class AsymmetricCoulomb(_DryFriction):
     family = "asymmetric_coulomb"
     units = {"positive": "N m", "negative": "N m", "presliding": "rad"}  # noqa: RUF012

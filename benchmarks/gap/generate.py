@@ -145,6 +145,7 @@ def describe(spec: Spec, effects, seen, raw, peak, attempt: int) -> dict:
         "duration_s": spec.duration,
         "bandwidth_rad_s": spec.bandwidth,
         "nominal_slightly_wrong": spec.wrong,
+        "known_friction": "constraint" if spec.presliding is None else "bristle",
         "noise_factor": 4 if spec.loud else 1,
         "noise": {k: np.asarray(v).tolist() for k, v in vars(spec.noise).items()},
         "options": spec.options,

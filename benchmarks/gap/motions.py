@@ -55,7 +55,7 @@ class PickPlace:
         self.time, self.q = [-2.0, 0.0 - rng.uniform(0.0, 0.6)], []
         first = rng.uniform(robot.lower, robot.upper)
         self.q = [first, first]
-        stations = rng.uniform(robot.lower, robot.upper, (5, n))
+        stations = first + 0.75 * (rng.uniform(robot.lower, robot.upper, (5, n)) - first)
         while self.time[-1] < 16.0:
             goal = stations[rng.integers(5)] + rng.normal(0.0, 0.08, n)
             goal = np.clip(goal, robot.lower, robot.upper)

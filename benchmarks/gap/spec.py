@@ -8,15 +8,21 @@ import mujoco
 import numpy as np
 from control import Balance, ComputedTorque
 from effects import Effect
+from friction import KnownFriction
 from motions import make_motion
 from plant import PREROLL, Noise, Plant, disturb_base
 from robots import ROBOTS, Robot
 from strata import Stratum
+from twomass import TwoMass
 
 
 @dataclass
 class Spec:
-    """Everything about one log but its effects."""
+    """Everything about one log but its effects.
+
+    `presliding`: the nominal friction loss is real, with bristles of this travel (rad); None leaves
+    it to MuJoCo's soft constraint.
+    """
 
     robot: Robot
     seed: list[int]
@@ -29,6 +35,7 @@ class Spec:
     wrong: bool
     noise: Noise | None = None
     preroll: float = PREROLL
+    presliding: float | None = None
     options: dict = field(default_factory=dict)
 
 
@@ -54,6 +61,7 @@ def draw_spec(stratum: Stratum, seed: int, index: int) -> Spec:
         bandwidth=float(rng.uniform(10.0, 15.0)),
         loud=bool(rng.random() < stratum.loud),
         wrong=bool(rng.random() < stratum.wrong),
+        presliding=float(10 ** rng.uniform(-4, -3)) if rng.random() < 0.6 else None,
         options={
             "tau_kind": str(rng.choice(["commanded", "current", "sensor"], p=[0.5, 0.35, 0.15])),
             "qvel": bool(rng.random() < 0.7),
@@ -97,11 +105,26 @@ def slightly_wrong(spec: Spec) -> mujoco.MjModel:
     return model
 
 
+def known_friction(spec: Spec, model: mujoco.MjModel, effects: list[Effect]) -> list[Effect]:
+    """Bristles in the place of the model's friction loss, where the draw says so."""
+    if spec.presliding is None:
+        return []
+    # A two-mass joint takes its friction to the motor itself.
+    taken = {e.name for e in effects if isinstance(e, TwoMass)}
+    levels = {j: float(model.joint(j).frictionloss[0]) for j in spec.robot.joints}
+    return [
+        KnownFriction("joint", j, {"coulomb": level, "presliding": spec.presliding})
+        for j, level in levels.items()
+        if level > 0.0 and j not in taken
+    ]
+
+
 def simulate(spec: Spec, effects: list[Effect], which: int, duration: float) -> dict:
     """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
     robot = spec.robot
     motion = make_motion(robot, spec.kinds[which], [*spec.seed, 3, which])
-    plant = Plant(robot, slightly_wrong(spec), effects)
+    model = slightly_wrong(spec)
+    plant = Plant(robot, model, effects + known_friction(spec, model, effects))
     if robot.floating:
         controller = Balance(robot, motion)
         start = (controller.start(), np.zeros(plant.model.nv))

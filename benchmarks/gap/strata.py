@@ -41,7 +41,7 @@ class Stratum:
     count: int = 1
     small: bool = False
     chi2: float = 300.0
-    distinct: float = 60.0
+    distinct: float = 150.0
     slip: float = 1e-3
     legged: bool = False
 
@@ -50,7 +50,7 @@ STRATA = {
     "exciting": Stratum(1, ARM),
     "ordinary": Stratum(2, ARM, wrong=0.5, ordinary=1.0),
     "hard": Stratum(
-        3, ARM, wrong=1.0, loud=0.5, ordinary=0.3, small=True, chi2=150.0, distinct=40.0
+        3, ARM, wrong=1.0, loud=0.5, ordinary=0.3, small=True, chi2=150.0, distinct=100.0
     ),
     "none": Stratum(4, (), wrong=0.6, loud=0.4, ordinary=0.5, count=0),
     "presliding": Stratum(5, FRICTION, wrong=0.5, ordinary=0.5, slip=3e-3),

@@ -13,7 +13,7 @@ from effects import Effect
 from friction import Bristle, reflected_inertia
 
 
-class _TwoMass(Effect):
+class TwoMass(Effect):
     """Motor θ: J θ̈ = τ − d θ̇ − friction − transmitted; the link receives `transmitted`."""
 
     def edit(self, model):
@@ -70,11 +70,11 @@ class _TwoMass(Effect):
         q[self.joint], v[self.joint] = self.angle0, self.speed0
 
 
-class JointElasticity(_TwoMass):
+class JointElasticity(TwoMass):
     family, units = "joint_elasticity", {"stiffness": "N m/rad"}
 
 
-class Backlash(_TwoMass):
+class Backlash(TwoMass):
     """Teeth that touch at ±dead_zone/2: a stiff spring outside, nothing between, never pulling."""
 
     family = "backlash"
