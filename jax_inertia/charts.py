@@ -5,9 +5,12 @@ Kalman filter the same on `LogCholesky`. Every chart but `Linear` gives a physic
 """
 
 import abc
+import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from jax_inertia import inertia
@@ -29,7 +32,7 @@ class Chart(eqx.Module):
         """∂g/∂x in closed form; equals `jax.jacfwd(self.to_pi)(x)` for one x."""
 
     def project(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        """Nearest x whose π survives rounding; the identity for every body a robot could carry."""
+        """An x whose π survives rounding; the identity for every body a robot could carry."""
         return x
 
 
@@ -46,7 +49,46 @@ class Linear(Chart):
         return jnp.broadcast_to(jnp.eye(10, dtype=x.dtype), (*x.shape, 10))
 
 
-class LogCholesky(Chart):
+class Physical(Chart):
+    """A chart that gives a physical body for every finite x, in rounded arithmetic after `project`."""
+
+    @abc.abstractmethod
+    def inverse_root(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 3 4"]:
+        """W with W Wᵀ = Σ_c⁻¹, the inverse spread of mass about the centre of mass [1/(kg m²)]."""
+
+    def project(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
+        """x where π = g(x) survives rounding to ten numbers; otherwise that of π with inertia added.
+
+        A wild outlier can throw x anywhere. Every x is a physical body in exact arithmetic, but π holds
+        the spread of its mass only as differences of moments about the frame's origin, so that a body
+        whose spread Σ_c about the centre of mass is, in some direction, below some ε of tr Σ is lost to
+        rounding. With 1/tr Σ_c⁻¹ ≤ λ_min(Σ_c) as the measure, what is lacking is added in all
+        directions: λ_min(Σ_c) ≥ 32 ε tr Σ. In float32 this is a rod some 400 times as long as thick,
+        in float64 of 1e7.
+        """
+        limit = 32.0 * float(jnp.finfo(x.dtype).eps)
+        # Masses to 5e8 kg, lengths of 6 µm to 100 m, and room for what UᵀU shifts from α to d and s
+        # when t is large: exp and its squares stay finite in float32.
+        far = limit**-0.5
+        low = [-10.0 - math.log(far)] + [-12.0] * 3 + [-100.0 * far] * 3 + [-far] * 3
+        high = [10.0] + [4.6 + math.log(far)] * 3 + [100.0 * far] * 3 + [far] * 3
+        inside = jnp.clip(x, jnp.array(low, x.dtype), jnp.array(high, x.dtype))
+
+        pi, root = self.to_pi(inside), self.inverse_root(inside)
+        trace = 0.5 * (pi[..., 4] + pi[..., 7] + pi[..., 9])
+        lack = jnp.maximum(limit * trace - 1.0 / jnp.sum(root * root, axis=(-2, -1)), 0.0)[
+            ..., None
+        ]
+        # Σ + lack 1 is I + 2 lack 1.
+        diagonal = jnp.array([0, 0, 0, 0, 2, 0, 0, 2, 0, 2], x.dtype)
+        return jax.lax.cond(
+            jnp.any(lack > 0),
+            lambda: jnp.where(lack > 0, self.from_pi(pi + lack * diagonal), inside),
+            lambda: inside,
+        )
+
+
+class LogCholesky(Physical):
     """The paper's chart θ, pseudo-inertia UᵀU (Foster et al., eq. log-cholesky)."""
 
     def to_pi(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
@@ -58,11 +100,11 @@ class LogCholesky(Chart):
     def jacobian(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
         return inertia.log_cholesky_jacobian(x)
 
-    def project(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        return _well_conditioned(x, rows=False)
+    def inverse_root(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 3 4"]:
+        return _inverse_factor(x)[..., :3, :]
 
 
-class LogCholeskyUUt(Chart):
+class LogCholeskyUUt(Physical):
     """The other factor, pseudo-inertia U Uᵀ, as in Pinocchio: m = e^{2α}, t the centre of mass."""
 
     def to_pi(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
@@ -74,11 +116,11 @@ class LogCholeskyUUt(Chart):
     def jacobian(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
         return inertia.log_cholesky_uut_jacobian(x)
 
-    def project(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        return _well_conditioned(x, rows=True)
+    def inverse_root(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 3 4"]:
+        return jnp.swapaxes(_inverse_factor(x)[..., :3], -1, -2)
 
 
-class Relative(Chart):
+class Relative(Physical):
     """Log-Cholesky relative to a nominal body: P = L U Uᵀ Lᵀ with nominal P₀ = L Lᵀ, so that x = 0 is the nominal.
 
     U is the factor of `LogCholeskyUUt`; x is dimensionless and every component is of the order of the relative
@@ -93,13 +135,18 @@ class Relative(Chart):
         return cls(jnp.linalg.cholesky(inertia.pseudo_inertia(nominal)))
 
     def to_pi(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        p = inertia.pseudo_inertia(inertia.from_log_cholesky_uut(x))
-        return inertia.from_pseudo_inertia(self.factor @ p @ jnp.swapaxes(self.factor, -1, -2))
+        # (L U)(L U)ᵀ rather than L (U Uᵀ) Lᵀ, here and back: in float32 thin bodies would be lost in the latter.
+        root = self.factor @ inertia.factor(x)
+        return inertia.from_pseudo_inertia(root @ jnp.swapaxes(root, -1, -2))
 
     def from_pi(self, pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        inverse = jnp.linalg.inv(self.factor)
-        p = inverse @ inertia.pseudo_inertia(pi) @ jnp.swapaxes(inverse, -1, -2)
-        return inertia.to_log_cholesky_uut(inertia.from_pseudo_inertia(p))
+        root = jnp.linalg.cholesky(inertia.pseudo_inertia(pi))
+        root = solve_triangular(self.factor, root, lower=True)
+        # root rootᵀ = U Uᵀ with U upper: the R of a QR factorisation, with both axes reversed.
+        reverse = jnp.swapaxes(root[..., ::-1, :], -1, -2)
+        upper = jnp.swapaxes(jnp.linalg.qr(reverse, mode="r"), -1, -2)[..., ::-1, ::-1]
+        signs = jnp.sign(jnp.diagonal(upper, axis1=-2, axis2=-1))
+        return inertia.read_factor(upper * signs[..., None, :])
 
     def jacobian(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
         inner = inertia.log_cholesky_uut_jacobian(x)
@@ -109,30 +156,23 @@ class Relative(Chart):
         moved = factor @ columns @ jnp.swapaxes(factor, -1, -2)
         return jnp.swapaxes(inertia.from_pseudo_inertia(moved), -1, -2) @ inner
 
-    def project(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        return _well_conditioned(x, rows=True)
+    def inverse_root(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 3 4"]:
+        root = _inverse_factor(x) @ jnp.linalg.inv(self.factor)
+        return jnp.swapaxes(root[..., :3], -1, -2)
 
 
-def _well_conditioned(x: Float[Array, "*b 10"], *, rows: bool) -> Float[Array, "*b 10"]:
-    """Keep exp finite, and the off-diagonal of U within 0.1/√ε of its diagonal.
-
-    A wild outlier can throw x anywhere. Beyond these bounds π would still be physical in exact arithmetic, but
-    rounding to ten numbers would lose it. The bounds hold masses of 1e-9 to 1e9 kg and lengths of 10 µm to 100 m.
-    """
-    # What follows a row of U for UUᵀ, and a column of it for UᵀU, decides how close P is to singular.
-    ratio = 0.1 / jnp.sqrt(jnp.finfo(x.dtype).eps)
-    a = jnp.clip(x[..., :1], -10.0, 10.0)
-    d = jnp.clip(x[..., 1:4], -11.5, 4.6)
-    s, t = x[..., 4:7], x[..., 7:]
-    e = jnp.exp(d)
-    if rows:
-        s_bound = ratio * jnp.stack([e[..., 1], e[..., 2], e[..., 2]], -1)
-        t_bound = jnp.minimum(ratio * jnp.ones_like(e), 1e2)
-        # A long lever with little spread is what a far-away point mass is: the spread gives way.
-        d = jnp.maximum(d, jnp.log(jnp.abs(jnp.clip(t, -t_bound, t_bound)) / ratio + 1e-12))
-    else:
-        s_bound = ratio * jnp.stack([e[..., 1], e[..., 2], e[..., 2]], -1)
-        t_bound = ratio * jnp.ones_like(e)
-    return jnp.concatenate(
-        [a, d, jnp.clip(s, -s_bound, s_bound), jnp.clip(t, -t_bound, t_bound)], -1
-    )
+def _inverse_factor(x: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
+    """U⁻¹, written out so that XLA fuses it: a filter step can afford it."""
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (x[..., i] for i in range(10))
+    i11, i22, i33 = jnp.exp(-d1), jnp.exp(-d2), jnp.exp(-d3)
+    i12, i23 = -s12 * i11 * i22, -s23 * i22 * i33
+    i13 = -(s13 * i11 + s23 * i12) * i33
+    o = jnp.zeros_like(a)
+    rows = [
+        [i11, i12, i13, -(i11 * t1 + i12 * t2 + i13 * t3)],
+        [o, i22, i23, -(i22 * t2 + i23 * t3)],
+        [o, o, i33, -i33 * t3],
+        [o, o, o, jnp.ones_like(a)],
+    ]
+    inverse = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return jnp.exp(-a)[..., None, None] * inverse

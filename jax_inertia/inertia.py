@@ -138,7 +138,7 @@ def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical."""
     u = jnp.swapaxes(jnp.linalg.cholesky(pseudo_inertia(pi)), -1, -2)
-    return _read_factor(u)
+    return read_factor(u)
 
 
 def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
@@ -159,7 +159,7 @@ def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """Inverse of `from_log_cholesky_uut`; NaN where the body is not physical."""
     # P = U Uᵀ with U upper: the ordinary Cholesky factor of P with both axes reversed.
     reverse = pseudo_inertia(pi)[..., ::-1, ::-1]
-    return _read_factor(jnp.linalg.cholesky(reverse)[..., ::-1, ::-1])
+    return read_factor(jnp.linalg.cholesky(reverse)[..., ::-1, ::-1])
 
 
 def log_cholesky_uut_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
@@ -182,7 +182,16 @@ def _quadratic(transposed_first: bool) -> np.ndarray:
         p = a.T @ b if transposed_first else a @ b.T
         p = p + p.T
         moments = np.diagonal(p)[:3].sum() - np.diagonal(p)[:3]
-        t[:, j, k] = [p[3, 3], *p[:3, 3], moments[0], -p[0, 1], -p[0, 2], moments[1], -p[1, 2], moments[2]]
+        t[:, j, k] = [
+            p[3, 3],
+            *p[:3, 3],
+            moments[0],
+            -p[0, 1],
+            -p[0, 2],
+            moments[1],
+            -p[1, 2],
+            moments[2],
+        ]
     return t
 
 
@@ -205,7 +214,16 @@ def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 1
     return jnp.concatenate([jnp.sum(slope * u[..., None, :], -1, keepdims=True), rest], axis=-1)
 
 
-def _read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
+def factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
+    """U of either map as a matrix: e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], …]."""
+    at = np.zeros((10, 4, 4))
+    for k, place in enumerate(_PLACES):
+        at[k][place] = 1.0
+    return jnp.einsum("kij,...k->...ij", at.astype(theta.dtype), _entries(theta))
+
+
+def read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
+    """θ of a matrix U with positive diagonal, the inverse of `factor`."""
     scale = u[..., 3, 3]
     n = u / scale[..., None, None]
     logs = [jnp.log(n[..., i, i]) for i in range(3)]
