@@ -141,7 +141,7 @@ class Relative(Physical):
 
     def from_pi(self, pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
         root = jnp.linalg.cholesky(inertia.pseudo_inertia(pi))
-        root = solve_triangular(self.factor, root, lower=True)
+        root = solve_triangular(jnp.broadcast_to(self.factor, root.shape), root, lower=True)
         # root rootᵀ = U Uᵀ with U upper: the R of a QR factorisation, with both axes reversed.
         reverse = jnp.swapaxes(root[..., ::-1, :], -1, -2)
         upper = jnp.swapaxes(jnp.linalg.qr(reverse, mode="r"), -1, -2)[..., ::-1, ::-1]
