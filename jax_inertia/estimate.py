@@ -169,6 +169,18 @@ class Estimator(eqx.Module):
         estimate = jax.lax.map(lambda x: self._physical(*x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
 
+    def calibrate_bias(self, state: State, observations: Observation) -> State:
+        """Take the mean residual over a window into the bias, parameters held (Foster et al., sec. IV-B).
+
+        b ← b + mean(Δτ − h(x)): accumulated, so that a second window refines the first. Rows that are nowhere
+        valid keep their bias. A load carried meanwhile would be calibrated away: call it unloaded.
+        """
+        regressors, deltas = torque_residuals(self.robot, observations, self.bodies, state.bias)
+        left = deltas - jnp.einsum("tvbp,bp->tv", regressors, self._pi(state.belief.mean))
+        used = jnp.asarray(observations.motion.valid) & jnp.isfinite(left)
+        mean = jnp.sum(jnp.where(used, left, 0.0), 0) / jnp.maximum(jnp.sum(used, 0), 1)
+        return eqx.tree_at(lambda s: s.bias, state, state.bias + mean)
+
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
         return self._physical(belief.mean, self._own_blocks(belief.covariance))
@@ -234,7 +246,9 @@ def make_estimator(
     if noise is None:
         sigma = jnp.broadcast_to(jnp.asarray(sigma_tau, robot.pi.dtype), (robot.nv,))
         if not bool(jnp.all(sigma > 0)):
-            raise ValueError(f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive")
+            raise ValueError(
+                f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive"
+            )
         noise = kalman.IndependentNoise(sigma**2)
     start = kalman.Belief(mean.ravel(), _in_chart(chart, nominal, prior))
     return Estimator(

@@ -5,8 +5,8 @@ A body is physical (fully physically consistent: Traversaro et al. 2016) exactly
     P = [[Σ, h], [hᵀ, m]],   Σ = ½ tr(I) 1 − I
 
 is positive definite: positive mass, positive-definite rotational inertia about the centre of mass, and the
-triangle inequalities of its principal moments, all at once (Wensing et al. 2018). Writing P by its Cholesky factor makes
-every θ in R¹⁰ a physical body. Two factors are in use and are not interchangeable:
+triangle inequalities of its principal moments, all at once (Wensing et al. 2018). Writing P by its Cholesky factor
+makes every θ in R¹⁰ a physical body. Two factors are in use and are not interchangeable:
 
     paper (Rucker and Wensing 2022; Foster et al., eq. log-cholesky)    P = UᵀU,   m = e^{2α} (t·t + 1)
     Pinocchio, MuJoCo's sysid, later IHMC code                          P = U Uᵀ,  m = e^{2α}, t = centre of mass

@@ -188,7 +188,7 @@ class SquareRoot(Form):
         rows = h @ factor
         below = jnp.eye(n, n + 1, dtype=p.dtype)
         stacked = jnp.concatenate([jnp.concatenate([rows, nu[:, None]], axis=1), below])
-        r = jnp.linalg.qr(stacked, mode="r")
+        r = jnp.asarray(jnp.linalg.qr(stacked, mode="r"))
         root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
         return Correction(
             step=r[:n, n] @ root,

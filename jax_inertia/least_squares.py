@@ -1,0 +1,120 @@
+"""The paper's batch estimator (eq. stacked, eq. least-squares), and what its data can and cannot determine.
+
+    min over π of ½ ‖f − Y π‖²_W
+
+The regressor of a robot is rank-deficient twice over, by structure and by the motion. The solution with the smallest
+norm (in scaled columns) is given, and `Identifiability` says which parameters it means anything for.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+
+class Identifiability(eqx.Module):
+    """Rank and null space of a regressor, column by column."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    rank: int = eqx.field(static=True)
+    condition: float = eqx.field(static=True)
+    """Ratio of the largest to the smallest singular value within the rank, columns scaled to one."""
+    null_space: Float[np.ndarray, "p k"]
+    """Orthonormal basis of what the data cannot see, in units of the column scales."""
+    determined: Bool[np.ndarray, " p"]
+    """Parameters that no null direction touches: the data alone fixes them."""
+    invisible: Bool[np.ndarray, " p"]
+    """Parameters that never moved the measurement at all."""
+    combinations: tuple[str, ...] = eqx.field(static=True)
+    """The independent combinations that are determined, e.g. 'link2.m + 3.1 link3.hx'."""
+
+    def __repr__(self) -> str:
+        seen, alone = len(self.names) - int(self.invisible.sum()), int(self.determined.sum())
+        return (
+            f"Identifiability(rank {self.rank} of {len(self.names)}; {alone} determined alone, "
+            f"{seen - alone} only in combination, {int(self.invisible.sum())} invisible)"
+        )
+
+
+class LinearFit(eqx.Module):
+    """Solution of the weighted least-squares problem."""
+
+    value: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    """Of the determined part, for unit-variance weighted noise; infinite uncertainty lies in the null space."""
+    cost: float = eqx.field(static=True)
+    """½ ‖f − Y π‖²_W at the solution."""
+    identifiability: Identifiability
+
+
+def weighted_least_squares(
+    regressor: Float[np.ndarray, "rows p"],
+    measurement: Float[np.ndarray, " rows"],
+    weight: Float[np.ndarray, " rows"] | float = 1.0,
+    *,
+    names: Sequence[str] | None = None,
+    tolerance: float = 1e-8,
+) -> LinearFit:
+    """Weighted least squares with a rank report (Foster et al., eq. least-squares); W = diag(`weight`).
+
+    Rows with weight zero are left out. Raises ValueError for non-finite rows or negative weights.
+    """
+    y, f = np.asarray(regressor, float), np.asarray(measurement, float)
+    w = np.broadcast_to(np.asarray(weight, float), f.shape)
+    if np.any(w < 0):
+        raise ValueError("a weight is negative; weights are inverse variances")
+    keep = w > 0
+    if not (np.isfinite(y[keep]).all() and np.isfinite(f[keep]).all()):
+        raise ValueError("a row is not finite; give it weight 0")
+    root = np.sqrt(w[keep])
+    names = tuple(names) if names is not None else tuple(f"x{i}" for i in range(y.shape[1]))
+    p = y.shape[1]
+    # QR first: the singular values of a long regressor are those of its small triangular factor.
+    stacked = np.column_stack([y[keep] * root[:, None], f[keep] * root])
+    r = np.asarray(np.linalg.qr(stacked, mode="r"))
+    if r.shape[0] < p + 1:
+        r = np.vstack([r, np.zeros((p + 1 - r.shape[0], p + 1))])
+    scale = np.linalg.norm(r[:p, :p], axis=0)
+    invisible = scale <= tolerance * max(scale.max(initial=0.0), 1e-300)
+    scale = np.where(invisible, 1.0, scale)
+    scaled = np.where(invisible, 0.0, r[:p, :p] / scale)
+    u, s, vt = np.linalg.svd(scaled)
+    rank = int(np.sum(s > tolerance * max(s[0], 1e-300))) if p else 0
+    inverse = vt[:rank].T / s[:rank]
+    value = inverse @ (u[:, :rank].T @ r[:p, p]) / scale
+    root_covariance = inverse / scale[:, None]
+    null = vt[rank:].T
+    cost = 0.5 * float(np.sum((r[:, p] - r[:, :p] @ value) ** 2))
+    report = Identifiability(
+        names=names,
+        rank=rank,
+        condition=float(s[0] / s[rank - 1]) if rank else np.inf,
+        null_space=null,
+        determined=np.linalg.norm(null, axis=1) < 1e-6,
+        invisible=invisible,
+        combinations=_combinations(scaled, scale, rank, names, invisible),
+    )
+    return LinearFit(value, root_covariance @ root_covariance.T, cost, report)
+
+
+def _combinations(
+    scaled: np.ndarray, scale: np.ndarray, rank: int, names: tuple[str, ...], invisible: np.ndarray
+) -> tuple[str, ...]:
+    """Base parameters by pivoted QR (Gautier 1991): each independent column with what is regrouped into it."""
+    if rank == 0:
+        return ()
+    r, order = (np.asarray(x) for x in scipy.linalg.qr(scaled, mode="r", pivoting=True))
+    regroup = scipy.linalg.solve_triangular(r[:rank, :rank], r[:rank, rank:])
+    # In units of the parameters: column k of the dependent ones adds regroup · scale_k / scale_i to base i.
+    regroup = regroup * scale[order[rank:]] / scale[order[:rank], None]
+    out = []
+    for i, base in enumerate(order[:rank]):
+        terms = [names[base]]
+        for k in np.argsort(-np.abs(regroup[i])):
+            relative = abs(regroup[i, k]) * scale[base] / scale[order[rank + k]]
+            if relative > 1e-6 and not invisible[order[rank + k]]:
+                terms.append(f"{regroup[i, k]:+.4g} {names[order[rank + k]]}")
+        out.append(" ".join(terms))
+    return tuple(out)
