@@ -174,7 +174,7 @@ def _leg_xml(leg: str) -> str:
             </body>
           </body>
         </body>
-      </body>"""  # noqa: E501
+      </body>"""
 
 
 def quadruped() -> Robot:
@@ -197,7 +197,7 @@ def quadruped() -> Robot:
   <actuator>
 {motors}  </actuator>
 </mujoco>
-"""  # noqa: E501
+"""
     parts = ("hip", "thigh", "shank")
     return Robot(
         name="quadruped",
