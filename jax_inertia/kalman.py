@@ -85,6 +85,10 @@ class Noise(eqx.Module):
         """R^{-1/2} rows: unit noise, zero where not used."""
 
     @abc.abstractmethod
+    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        """R^{1/2} rows: back from `whiten`, for the rows used."""
+
+    @abc.abstractmethod
     def variances(self) -> Float[Array, " m"]:
         """diag R."""
 
@@ -101,6 +105,9 @@ class IndependentNoise(Noise):
     def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
         return rows * (used * jax.lax.rsqrt(self.variance))[:, None]
 
+    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        return rows * jnp.sqrt(self.variance)[:, None]
+
     def variances(self) -> Float[Array, " m"]:
         return self.variance
 
@@ -115,6 +122,9 @@ class CorrelatedNoise(Noise):
 
     def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
         return solve_triangular(self._factor(used), rows * used[:, None], lower=True)
+
+    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
+        return self._factor(used) @ rows
 
     def variances(self) -> Float[Array, " m"]:
         return jnp.diagonal(self.covariance)
@@ -139,8 +149,8 @@ class Correction(eqx.Module):
     """νᵀ S⁻¹ ν."""
     log_det: Float[Array, ""]
     """log det S."""
-    spread: Float[Array, " m"]
-    """diag S."""
+    rows: Float[Array, "m n"]
+    """H L with P = L Lᵀ, so that S = H L (H L)ᵀ + 1."""
 
 
 class Form(eqx.Module):
@@ -168,7 +178,7 @@ class Standard(Form):
             covariance=p - gain @ ph.T,
             nis=nu @ cho_solve((factor, True), nu),
             log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(factor))),
-            spread=jnp.diagonal(s),
+            rows=h @ _cholesky(p),
         )
 
 
@@ -192,10 +202,10 @@ class SquareRoot(Form):
         root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
         return Correction(
             step=r[:n, n] @ root,
-            covariance=root.T @ root,
+            covariance=_positive(root.T @ root),
             nis=r[n, n] ** 2,
             log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
-            spread=1.0 + jnp.sum(rows * rows, axis=1),
+            rows=rows,
         )
 
 
@@ -231,8 +241,9 @@ def update(
     used = used.astype(prior.dtype)
 
     def linearise(x):
-        h = jacobian(x)
-        nu = (z - model(x) - h @ (prior - x)) * used
+        # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
+        h = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
+        nu = jnp.where(used > 0, z - model(x) - h @ (prior - x), 0.0)
         white = noise.whiten(jnp.concatenate([h, nu[:, None]], axis=1), used)
         return nu, white[:, :-1], white[:, -1]
 
@@ -246,24 +257,32 @@ def update(
 
     rows = jnp.sum(used)
     limit = jnp.inf if gate is None else gate.threshold(rows)
-    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(correction.covariance))
-    accepted = (first.nis <= limit) & finite
-    out = Belief(
-        jnp.where(accepted, mean, prior),
-        jnp.where(accepted, correction.covariance, p),
-    )
+    # The step too, since `project` may make a number of what is none.
+    finite = [jnp.all(jnp.isfinite(x)) for x in (correction.step, mean, correction.covariance)]
+    accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
+    out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, correction.covariance, p))
     # The log-density of ν itself: whitening scaled it by √det R.
     log_det = first.log_det + noise.log_det(used)
     likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
-    sigma = jnp.sqrt(first.spread * noise.variances())
+    sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
     return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
 
 
+def _positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """p as it can be stored: symmetric to the last bit, and positive in spite of rounding and underflow.
+
+    A Gram matrix rounded entry by entry is indefinite by up to n ε of its diagonal, so that much is added there,
+    and so little that its own square would vanish.
+    """
+    info = jnp.finfo(p.dtype)
+    margin = len(p) * info.eps * jnp.diagonal(p) + info.tiny**0.5
+    return 0.5 * (p + p.T) + jnp.diag(margin)
+
+
 def _cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Cholesky factor after scaling the diagonal to one, with n ε added there: rounding cannot make it fail."""
-    n = len(p)
+    """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular."""
     diagonal = jnp.diagonal(p)
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     unit = p / (scale[:, None] * scale[None, :])
-    jitter = n * jnp.finfo(p.dtype).eps
-    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(n, dtype=p.dtype))
+    jitter = 8.0 * jnp.finfo(p.dtype).eps
+    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(len(p), dtype=p.dtype))
