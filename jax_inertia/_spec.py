@@ -1,0 +1,164 @@
+"""MuJoCo specs: read from a file, compiled with clear errors, and given inertial parameters."""
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class ModelError(ValueError):
+    """A model that cannot be used: one line that says what, where, and what would be right."""
+
+
+class ModelWarning(UserWarning):
+    """A part of a model that the rigid-body dynamics leaves out, by name."""
+
+
+def load_spec(path: str | Path) -> mujoco.MjSpec:
+    """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot."""
+    path = Path(path)
+    if path.is_dir():
+        raise ModelError(f"{path}: a folder; name the MJCF or URDF file in it")
+    if not path.is_file():
+        raise ModelError(f"{path}: no such model file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{path}: {_one_line(error)}") from None
+    # A welded link must stay a body of its own: its parameters may be what is asked for.
+    spec.compiler.fusestatic = False
+    _drop_missing_meshes(spec, path)
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec, where: str | Path = "model") -> mujoco.MjModel:
+    """Compile a spec; `where` says in errors what it came from.
+
+    Inertias that break the triangle inequality are balanced, with a warning that names them.
+    """
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        if "balanceinertia" not in str(error):
+            raise ModelError(f"{where}: {_one_line(error)}") from None
+    bodies = [(i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)]
+    names = [b.name or f"body_{i}" for i, b in bodies]
+    warnings.warn(
+        f"{where}: inertia breaks the triangle inequality and was balanced by MuJoCo: "
+        + (", ".join(names) or "some body"),
+        ModelWarning,
+        stacklevel=3,
+    )
+    spec.compiler.balanceinertia = True
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{where}: {_one_line(error)}") from None
+
+
+def set_inertials(spec: mujoco.MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:
+    """Write inertial parameters of named bodies into a spec, as mass, centre and principal moments.
+
+    Raises ModelError for an unknown body, for parameters that no body can have, and where the
+    compiler would change what is written.
+    """
+    known = {b.name: b for b in spec.bodies if b.name != "world"}
+    if spec.compiler.settotalmass > 0:
+        raise ModelError(
+            "compiler settotalmass rescales every mass: remove it before setting inertials"
+        )
+    inertials = {name: _inertial(name, known, value) for name, value in pi.items()}
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        # It ignores every inertial that is written out, the ones about to be written among them.
+        for body in spec.bodies:
+            body.explicitinertial, body.ipos = False, np.full(3, np.nan)
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    for name, (mass, com, moments, quat) in inertials.items():
+        body = known[name]
+        body.explicitinertial = True
+        body.mass, body.ipos, body.iquat, body.inertia = mass, com, quat, moments
+        body.fullinertia = np.full(6, np.nan)
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _inertial(
+    name: str, known: Mapping[str, mujoco.MjsBody], pi
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, centre of mass, principal moments and the quaternion of their axes; ModelError if there are none."""
+    if name not in known:
+        raise ModelError(f"no body named {name!r}; the model has: {', '.join(known)}")
+    pi = np.asarray(pi, float)
+    if pi.shape != (10,):
+        raise ModelError(
+            f"body {name!r}: parameters have the shape {pi.shape}; they are 10 numbers"
+        )
+    if not np.all(np.isfinite(pi)):
+        raise ModelError(f"body {name!r}: parameters are not finite: {pi}")
+    m, h, i = _split(pi)
+    if m <= 0:
+        raise ModelError(f"body {name!r}: mass {m:.4g} kg; it must be positive")
+    c = h / m
+    moments, axes = np.linalg.eigh(i - m * (c @ c * np.eye(3) - np.outer(c, c)))
+    if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
+        raise ModelError(f"body {name!r}: principal moments {moments} kg m² are not physical")
+    # A plate has the equality, which rounding must not turn into an error of MuJoCo's.
+    moments[2] = min(moments[2], moments[0] + moments[1])
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    return m, c, moments, quat
+
+
+def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> None:
+    """Remove geoms whose mesh file is absent, unless a body's inertia would have come from it."""
+    folder = Path(spec.modelfiledir or path.parent)
+    missing = {m.name for m in spec.meshes if m.file and not _mesh_file(folder, spec, m).is_file()}
+    if not missing:
+        return
+    for geom in list(spec.geoms):
+        if geom.meshname not in missing:
+            continue
+        if not geom.parent.explicitinertial and _moves(geom.parent):
+            raise ModelError(
+                f"{path}: mesh {geom.meshname!r} is absent and body {geom.parent.name!r} has no inertial; "
+                "give the mesh file or an explicit inertial"
+            )
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if mesh.name in missing:
+            spec.delete(mesh)
+
+
+def _moves(body: mujoco.MjsBody) -> bool:
+    """Whether a joint stands between the body and the world; what is fixed there needs no inertia."""
+    while body.name != "world":
+        if body.joints:
+            return True
+        body = body.parent
+    return False
+
+
+def _mesh_file(folder: Path, spec: mujoco.MjSpec, mesh) -> Path:
+    name = mesh.file.split("://", 1)[-1]
+    return folder / (spec.meshdir or "") / (Path(name).name if spec.strippath else name)
+
+
+def _triangle(body) -> bool:
+    if not np.isnan(body.fullinertia[0]):
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    else:
+        moments = np.sort(body.inertia)
+    return bool(moments[0] + moments[1] >= moments[2])
+
+
+def _split(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = pi
+    return m, np.array([hx, hy, hz]), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
