@@ -21,22 +21,8 @@ from jax_inertia import charts, inertia, kalman
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.measurement import torque_residual, torque_residuals
+from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
-
-
-class Load(eqx.Module):
-    """How far a body's parameters may be from the model's, as a load: `mass` [kg] anywhere within `reach` [m].
-
-    The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach².
-    """
-
-    mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
-
-    def sigma_pi(self) -> Float[Array, "10"]:
-        """Standard deviation of each component of π."""
-        powers = jnp.array([0.0] + [1.0] * 3 + [2.0] * 6, self.mass.dtype)
-        return self.mass * self.reach**powers
 
 
 class State(eqx.Module):
@@ -104,7 +90,7 @@ class Estimator(eqx.Module):
     ) -> tuple[State, Step]:
         """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement)."""
         regressor, delta = torque_residual(self.robot, observation, self.bodies, state.bias)
-        return self.update(state, regressor, delta, observation.motion.valid, dt)
+        return self.update(state, regressor, delta, jnp.asarray(observation.motion.valid), dt)
 
     def update(
         self,
@@ -160,13 +146,13 @@ class Estimator(eqx.Module):
 
         def one(carry, x):
             carry, step = self.update(carry, *x)
-            own = (step.belief.mean, self._own_blocks(step.belief.covariance))
+            own = (step.belief.mean, _own_blocks(step.belief.covariance))
             return carry, (own, step.innovation, step.threshold, step.reopened)
 
         valid = jnp.asarray(observations.motion.valid)
         steps = (regressors, deltas, valid, jnp.concatenate([dt[:1], dt]))
         state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
-        estimate = jax.lax.map(lambda x: self._physical(*x), own, batch_size=64)
+        estimate = jax.lax.map(lambda x: _physical(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
 
     def calibrate_bias(self, state: State, observations: Observation) -> State:
@@ -183,25 +169,36 @@ class Estimator(eqx.Module):
 
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
-        return self._physical(belief.mean, self._own_blocks(belief.covariance))
-
-    def _own_blocks(self, covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:
-        n = len(self.bodies)
-        return covariance.reshape(n, 10, n, 10)[np.arange(n), :, np.arange(n), :]
-
-    def _physical(self, mean: Float[Array, " n"], blocks: Float[Array, "bodies 10 10"]) -> Estimate:
-        x = mean.reshape(-1, 10)
-        pi, g = self.chart.to_pi(x), self.chart.jacobian(x)
-        covariance = g @ blocks @ jnp.swapaxes(g, -1, -2)
-        com = inertia.centre_of_mass(pi)
-        # c = h/m: ∂c/∂m = −c/m, ∂c/∂h = 1/m.
-        eye = jnp.broadcast_to(jnp.eye(3, dtype=pi.dtype), (len(x), 3, 3))
-        slope = jnp.concatenate([-com[:, :, None], eye], -1) / pi[:, :1, None]
-        com_covariance = slope @ covariance[:, :4, :4] @ jnp.swapaxes(slope, -1, -2)
-        return Estimate(pi, _root_diagonal(covariance), com, _root_diagonal(com_covariance))
+        return physical_units(self.chart, belief.mean, belief.covariance)
 
     def _pi(self, x: Float[Array, " n"]) -> Float[Array, "bodies 10"]:
         return self.chart.to_pi(x.reshape(-1, 10))
+
+
+def physical_units(
+    chart: charts.Chart, mean: Float[Array, " n"], covariance: Float[Array, "n n"]
+) -> Estimate:
+    """A Gaussian in a chart's coordinates (10 for each body) in physical units."""
+    return _physical(chart, mean, _own_blocks(covariance))
+
+
+def _own_blocks(covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:
+    n = len(covariance) // 10
+    return covariance.reshape(n, 10, n, 10)[np.arange(n), :, np.arange(n), :]
+
+
+def _physical(
+    chart: charts.Chart, mean: Float[Array, " n"], blocks: Float[Array, "bodies 10 10"]
+) -> Estimate:
+    x = mean.reshape(-1, 10)
+    pi, g = chart.to_pi(x), chart.jacobian(x)
+    covariance = g @ blocks @ jnp.swapaxes(g, -1, -2)
+    com = inertia.centre_of_mass(pi)
+    # c = h/m: ∂c/∂m = −c/m, ∂c/∂h = 1/m.
+    eye = jnp.broadcast_to(jnp.eye(3, dtype=pi.dtype), (len(x), 3, 3))
+    slope = jnp.concatenate([-com[:, :, None], eye], -1) / pi[:, :1, None]
+    com_covariance = slope @ covariance[:, :4, :4] @ jnp.swapaxes(slope, -1, -2)
+    return Estimate(pi, _root_diagonal(covariance), com, _root_diagonal(com_covariance))
 
 
 def make_estimator(
@@ -209,8 +206,8 @@ def make_estimator(
     bodies: Sequence[int | str],
     *,
     sigma_tau: Float[Array, " nv"] | Sequence[float] | float,
-    prior: Load | None = None,
-    drift: Load | None = None,
+    prior: Uncertainty | None = None,
+    drift: Uncertainty | None = None,
     chart: charts.Chart | None = None,
     noise: kalman.Noise | None = None,
     gate: kalman.Gate | None = None,
@@ -223,7 +220,7 @@ def make_estimator(
 
     `sigma_tau` is the noise of each row [N m, N] (overridden by `noise`); `prior` how far the bodies may be from the
     model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second (default: the
-    prior's mass in 3 s). Both are loads in physical units, so that every chart gets the same statement.
+    prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), or noise that is not
     positive.
     """
@@ -232,7 +229,6 @@ def make_estimator(
         raise ValueError("no body to estimate; name at least one")
     total = jnp.sum(robot.pi[:, 0])
     prior = Load(0.1 * total) if prior is None else prior
-    drift = Load(prior.mass / np.sqrt(3.0), prior.reach) if drift is None else drift
     chart = charts.LogCholesky() if chart is None else chart
     nominal = robot.pi[np.array(chosen)]
     mean = chart.from_pi(nominal)
@@ -250,12 +246,16 @@ def make_estimator(
                 f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive"
             )
         noise = kalman.IndependentNoise(sigma**2)
-    start = kalman.Belief(mean.ravel(), _in_chart(chart, nominal, prior))
+    block_diag = jax.scipy.linalg.block_diag
+    start = kalman.Belief(mean.ravel(), block_diag(*prior.covariance(chart, nominal)))
+    growth = start.covariance / 3.0
+    if drift is not None:
+        growth = block_diag(*drift.covariance(chart, nominal))
     return Estimator(
         robot=robot,
         chart=chart,
         prior=start,
-        process_noise=_in_chart(chart, nominal, drift),
+        process_noise=growth,
         noise=noise,
         gate=kalman.FixedGate() if gate is None else gate,
         form=kalman.SquareRoot() if form is None else form,
@@ -264,26 +264,6 @@ def make_estimator(
         iterations=iterations,
         analytic_jacobian=analytic_jacobian,
     )
-
-
-def _in_chart(
-    chart: charts.Chart, nominal: Float[Array, "bodies 10"], load: Load
-) -> Float[Array, "n n"]:
-    """Covariance of a load's uncertainty in the chart's coordinates, G⁻¹ Σ G⁻ᵀ.
-
-    G is taken at the body carrying the load as a ball around its centre of mass, not at the bare body: a load that
-    dwarfs the body is a moderate change of the two together, while the bare body's tangent would call it e^17.
-    """
-    radius = load.reach / 2
-    ball = inertia.from_com(
-        jnp.broadcast_to(load.mass, nominal.shape[:-1]),
-        inertia.centre_of_mass(nominal),
-        jnp.broadcast_to(0.4 * load.mass * radius**2 * jnp.eye(3), (*nominal.shape[:-1], 3, 3)),
-    )
-    g = chart.jacobian(chart.from_pi(nominal + ball.astype(nominal.dtype)))
-    root = jnp.linalg.solve(g, jnp.broadcast_to(jnp.diag(load.sigma_pi()), g.shape).astype(g.dtype))
-    blocks = root @ jnp.swapaxes(root, -1, -2)
-    return jax.scipy.linalg.block_diag(*blocks)
 
 
 def _root_diagonal(covariance: Float[Array, "b k k"]) -> Float[Array, "b k"]:
