@@ -1,12 +1,13 @@
 """Rows of the batch fit: one equation per joint and sample, compressed so that the solver never sees a sample."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation
@@ -56,24 +57,23 @@ class Rows(eqx.Module):
         return out
 
     def linear_residual(
-        self, gain: Float[np.ndarray, " nv"], free: Bool[np.ndarray, " nv"]
+        self,
+        triangles: Float[np.ndarray, "nv k k"],
+        gain: Float[np.ndarray, " nv"],
+        free: Bool[np.ndarray, " nv"],
     ) -> Float[np.ndarray, "T nv"]:
         """What least squares over each joint's own columns leaves, each joint by itself, in the log's own unit.
 
         Where the gain is free it is one more unknown, and elsewhere as given.
         """
         out = np.zeros_like(self.raw)
-        for j in range(len(gain)):
-            x, y = self.columns[:, j], self.raw[:, j]
-            if free[j]:
-                x = np.concatenate([x, self.base[:, j, None]], axis=1)
-            else:
-                y = y + self.base[:, j] / gain[j]
-            size = np.linalg.norm(x, axis=0)
-            q, r = np.linalg.qr(x[:, size > 0] / size[size > 0])
-            u, s, _ = np.linalg.svd(r)
-            seen = q @ u[:, s > 1e-8 * s.max(initial=0.0)]
-            out[:, j] = y - seen @ (seen.T @ y)
+        for j, r in enumerate(triangles):
+            inverse = 0.0 if free[j] else 1.0 / gain[j]
+            x = r[:, : -1 if free[j] else -2]
+            size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
+            w, *_ = np.linalg.lstsq(x / size, -(r[:, -1] + inverse * r[:, -2]), rcond=1e-8)
+            w = np.append(w / size, [inverse] * (not free[j]))
+            out[:, j] = self.raw[:, j] + self.base[:, j] * w[-1] + self.columns[:, j] @ w[:-1]
         return out
 
 
@@ -89,17 +89,13 @@ def rows_of(
     parts = []
     for k, one in enumerate(observations):
         motion = one.motion
-        silent = eqx.tree_at(lambda o: o.motion.tau, one, np.zeros_like(motion.tau))
-        regressor, base = _residuals(robot, silent, chosen, jnp.asarray(bias))
+        regressor, base, load = _in_blocks(robot, one, chosen, jnp.asarray(bias), carrier)
         v, a = np.asarray(motion.v), np.asarray(one.a)
-        blocks = [np.asarray(regressor).reshape(*v.shape, -1)]
-        if carrier is not None:
-            load = _load_regressor(robot, one, carrier) if k in carrying else 0.0
-            blocks.append(np.broadcast_to(np.asarray(load), (*v.shape, 10)))
-        blocks.append(np.stack([v, np.tanh(v / FRICTION_VELOCITY), a, np.ones_like(v)], axis=-1))
-        columns = np.concatenate(blocks, axis=-1)
+        terms = np.stack([v, np.tanh(v / FRICTION_VELOCITY), a, np.ones_like(v)], axis=-1)
+        load = load if k in carrying else np.zeros_like(load)
+        columns = np.concatenate([regressor.reshape(*v.shape, -1), load, terms], axis=-1)
         finite = np.isfinite(columns).all(axis=-1) & np.isfinite(base) & np.isfinite(motion.tau)
-        parts.append((columns, np.asarray(base), np.asarray(motion.tau), motion.valid & finite))
+        parts.append((columns, base, np.asarray(motion.tau), motion.valid & finite))
     columns, base, raw, valid = (np.concatenate(x) for x in zip(*parts, strict=True))
     return Rows(
         np.where(valid[:, :, None], columns, 0.0),
@@ -109,18 +105,51 @@ def rows_of(
     )
 
 
-_residuals = eqx.filter_jit(torque_residuals)
+_BLOCK = 512
+
+
+def _in_blocks(
+    robot: Robot,
+    observation: Observation,
+    chosen: tuple[int, ...],
+    bias: Float[Array, " nv"],
+    carrier: int | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`_block` over a log, in blocks of one size: compiled once for logs of any length."""
+    motion = observation.motion
+    silent = eqx.tree_at(lambda o: o.motion.tau, observation, np.zeros_like(motion.tau))
+    silent = dataclasses.replace(silent, motion=dataclasses.replace(silent.motion, notes=()))
+    samples = len(motion.time)
+    parts = []
+    for start in range(0, samples, _BLOCK):
+        index = np.minimum(np.arange(start, start + _BLOCK), samples - 1)
+        block = jax.tree.map(lambda x, i=index: np.asarray(x)[i], silent)
+        parts.append(_block(robot, block, chosen, bias, carrier))
+    regressor, base, load = (
+        np.concatenate([np.asarray(p) for p in x])[:samples] for x in zip(*parts, strict=True)
+    )
+    return regressor, base, load
 
 
 @eqx.filter_jit
-def _load_regressor(robot: Robot, observations: Observation, body: int):
+def _block(
+    robot: Robot,
+    observation: Observation,
+    chosen: tuple[int, ...],
+    bias: Float[Array, " nv"],
+    carrier: int | None,
+) -> tuple[Array, Array, Array]:
+    """(regressors of the chosen bodies, what they must explain, the carrier's regressor or no columns)."""
+    regressor, base = torque_residuals(robot, observation, chosen, bias)
+    if carrier is None:
+        return regressor, base, jnp.zeros((*base.shape, 0))
+
     def one(x):
         q, v, a = x
-        return dynamics.torque_regressor(robot, q, v, a, [body])[:, 0]
+        return dynamics.torque_regressor(robot, q, v, a, [carrier])[:, 0]
 
-    motion = observations.motion
-    states = [jnp.asarray(x) for x in (motion.q, motion.v, observations.a)]
-    return jax.lax.map(one, states, batch_size=64)
+    states = [observation.motion.q, observation.motion.v, observation.a]
+    return regressor, base, jax.lax.map(one, states, batch_size=64)
 
 
 def correlation_inflation(

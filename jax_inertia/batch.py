@@ -246,7 +246,11 @@ def _alternate(
     badly out of the fit (less weight, a slower and larger residual, less weight still).
     """
     floor = np.maximum(1e-4 * rows.rms(rows.raw), 1e-9)
-    best = rows.linear_residual(np.asarray(problem.gain_start), np.asarray(problem.gain_sigma) > 0)
+    best = rows.linear_residual(
+        np.asarray(problem.triangles),
+        np.asarray(problem.gain_start),
+        np.asarray(problem.gain_sigma) > 0,
+    )
     first = np.maximum(_effective_noise(rows, best), floor)
     problem = _with_noise(problem, first)
     problem, solution, steps = _solve(robot, problem, jnp.zeros(sum(problem.sizes)))
