@@ -1,0 +1,225 @@
+"""Scores the diagnosis on logs made by `generate.py`: a row per stratum, wrong logs first.
+
+    python benchmarks/gap/evaluate.py DATA --jobs 2 --out DATA/results
+
+DATA holds STRATUM/logs and STRATUM/truth. Only this file reads both truth and diagnosis; the diagnosis itself sees
+a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import multiprocessing
+import time
+import traceback
+import warnings
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+
+
+def run(job: tuple[str, str, str]) -> dict:
+    """Diagnoses one log, then compares with its truth."""
+    data, stratum, name = job
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import jax_inertia
+    from jax_inertia.gap import diagnose
+    from jax_inertia.gap.report import to_report
+    from jax_inertia.log import read_log
+
+    warnings.simplefilter("ignore")
+    folder = Path(data) / stratum / "logs" / name
+    start = time.perf_counter()
+    try:
+        robot = jax_inertia.load_model(folder / "nominal.xml")
+        test = folder / "test.npz"
+        found = diagnose(
+            robot,
+            read_log(folder / "log.npz"),
+            test_log=read_log(test) if test.exists() else None,
+        )
+        report = to_report(found)
+    except Exception:
+        return {"stratum": stratum, "log": name, "error": traceback.format_exc()[-1500:]}
+    seconds = time.perf_counter() - start
+    truth = json.loads((Path(data) / stratum / "truth" / f"{name}.json").read_text())
+    return {"stratum": stratum, "log": name, "seconds": seconds, **compare(truth, report)}
+
+
+def key(effect: dict) -> tuple[str, str]:
+    return effect["family"], effect["location"]["name"]
+
+
+def compare(truth: dict, report: dict) -> dict:
+    """What was right, by the contract's terms."""
+    true = [key(e) for e in truth["effects"]]
+    found = [key(e) for e in report["effects"]]
+    sets = [{key(e), *map(key, e["equivalent"])} for e in report["effects"]]
+    declared = [{key(e), *map(key, e.get("equivalent", []))} for e in truth["effects"]]
+    matched = [bool(d & {f}) for d in declared for f in found[:1]]
+    hits = sum(any(f in d for f in found) for d in declared)
+    shrink = report["shrink"]
+    gap = {
+        where: 1 - _off(s["after"], s["noise"]) / max(_off(s["before"], s["noise"]), 1e-12)
+        for where, s in (("heldout", shrink["heldout"]), ("test", shrink["test_log"]))
+        if s
+    }
+    return {
+        "robot": truth["robot"],
+        "motion": truth["motion"]["log"],
+        "noise": truth["noise_factor"],
+        "true": true,
+        "found": found,
+        "verdict": report["verdict"],
+        "true_verdict": truth["verdict"],
+        "chi2": report["gap"]["chi2"],
+        "floor": report["gap"]["noise_floor"],
+        "right": bool(true) and len(found) == len(true) and hits == len(true),
+        "first_right": any(matched),
+        "family": any(f[0] == t[0] for f in found[:1] for t in true),
+        "place": any(f[1] == t[1] for f in found[:1] for t in true),
+        "in_set": any(t in s for s in sets[:1] for t in true),
+        "hits": hits,
+        "parameters": _parameters(truth, report),
+        "probability": report["effects"][0]["probability"] if found else None,
+        "shrink": gap,
+    }
+
+
+def _off(x: float, noise: float) -> float:
+    return float(np.sqrt(max(x**2 - noise**2, 0.0)))
+
+
+def _parameters(truth: dict, report: dict) -> list[dict]:
+    """Each scalar parameter that both name: relative error, and whether the interval covers."""
+    out = []
+    for t in truth["effects"]:
+        for e in report["effects"]:
+            if key(t) != key(e):
+                continue
+            for name, p in e["parameters"].items():
+                true = t["parameters"].get(name, {}).get("value")
+                if true is None or not np.isscalar(true) or p["value"] is None:
+                    continue
+                out.append(
+                    {
+                        "family": t["family"],
+                        "name": name,
+                        "error": abs(p["value"] - true) / max(abs(true), 1e-12),
+                        "covers": p["ci95"][0] <= true <= p["ci95"][1],
+                    }
+                )
+    return out
+
+
+def wilson(k: int, n: int) -> str:
+    """Share with its Wilson 95 % interval."""
+    if n == 0:
+        return "–"
+    z, p = 1.96, k / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return f"{p:.2f} [{max(centre - half, 0):.2f}, {min(centre + half, 1):.2f}] ({k}/{n})"
+
+
+def table(rows: list[dict]) -> str:
+    """Markdown: the strata, then the wrong logs, then the confusion of families."""
+    strata = defaultdict(list)
+    for r in rows:
+        strata[r["stratum"]].append(r)
+    head = "| stratum | family | place | in set | exactly right | false alarm / unknown | parameters ≤ 10 % | covers |"
+    lines = [head, "|---|---|---|---|---|---|---|---|"]
+    for name, rs in sorted(strata.items()):
+        good = [r for r in rs if "error" not in r]
+        n = len(good)
+        params = [p for r in good for p in r["parameters"]]
+        count = {k: sum(r[k] for r in good) for k in ("family", "place", "in_set", "right")}
+        if name == "none":
+            special = wilson(sum(bool(r["found"]) for r in good), n) + " alarms"
+        elif name == "unknown":
+            special = wilson(sum(r["verdict"] == "unknown" for r in good), n) + " unknown"
+        else:
+            special = wilson(sum(r["verdict"] == "unknown" for r in good), n) + " called unknown"
+        lines.append(
+            f"| {name} | {wilson(count['family'], n)} | {wilson(count['place'], n)} "
+            f"| {wilson(count['in_set'], n)} | {wilson(count['right'], n)} | {special} "
+            f"| {wilson(sum(p['error'] < 0.1 for p in params), len(params))} "
+            f"| {wilson(sum(p['covers'] for p in params), len(params))} |"
+        )
+    wrong = [r for r in rows if "error" in r or not _fine(r)]
+    lines += ["", f"Wrong logs ({len(wrong)} of {len(rows)}):", ""]
+    for r in wrong:
+        if "error" in r:
+            lines.append(f"- {r['stratum']} {r['log']}: {r['error'].splitlines()[-1]}")
+        else:
+            lines.append(
+                f"- {r['stratum']} {r['log']} ({r['robot']}, {r['motion']}, noise ×{r['noise']}): "
+                f"{_words(r['true'])} taken for {_words(r['found'])} ({r['verdict']})"
+            )
+    confusion = Counter(
+        (r["true"][0][0], r["found"][0][0] if r["found"] else r["verdict"])
+        for r in rows
+        if "error" not in r and len(r["true"]) == 1
+    )
+    lines += ["", "| true family | found | count |", "|---|---|---|"]
+    lines += [f"| {t} | {f} | {c} |" for (t, f), c in sorted(confusion.items()) if t != f]
+    shrinks = [
+        r["shrink"] for r in rows if "error" not in r and r["found"] and "test" in r["shrink"]
+    ]
+    near = sum(abs(s["heldout"] - s["test"]) < 0.1 for s in shrinks)
+    seconds = [r["seconds"] for r in rows if "error" not in r]
+    lines += [
+        "",
+        f"Shrink predicted within 0.10 of achieved on the other motion: {wilson(near, len(shrinks))}.",
+        f"Median {np.median(seconds):.1f} s a log with its test log, one core, compilation included.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _fine(r: dict) -> bool:
+    if r["stratum"] == "none":
+        return not r["found"]
+    if r["stratum"] == "unknown":
+        return r["verdict"] == "unknown"
+    return r["right"] or (len(r["true"]) == 1 and len(r["found"]) == 1 and r["in_set"])
+
+
+def _words(effects: list) -> str:
+    return " + ".join(f"{f} at {p}" for f, p in effects) or "nothing"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    out = args.out or args.data / "results"
+    out.mkdir(parents=True, exist_ok=True)
+    truths = sorted(args.data.glob("*/truth/*.json"))
+    jobs = [(str(args.data), t.parents[1].name, t.stem) for t in truths]
+    rows = []
+    with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
+        for k, row in enumerate(pool.imap_unordered(run, jobs)):
+            rows.append(row)
+            print(f"\r{k + 1} of {len(jobs)}", end="", flush=True)
+            (out / "results.json").write_text(json.dumps(rows))
+    rows.sort(key=lambda r: (r["stratum"], r["log"]))
+    text = table(rows)
+    (out / "RESULTS.md").write_text(text)
+    print("\n" + text)
+
+
+if __name__ == "__main__":
+    main()

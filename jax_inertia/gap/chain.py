@@ -1,0 +1,136 @@
+"""From a log to the missing torque, through one chain of filters that everything else shares.
+
+The missing torque of a sample is what the model, moved as the log says, would have needed beyond what was logged:
+
+    y = M a + c − τ_passive − τ − Σ Jᵀλ − b            (minus `measurement.torque_residual`)
+
+An effect of the real robot is a torque e(t; θ) on the same rows, and y = e + noise. Log and model go through the same
+low-pass before the physics (signals) and after it (y and every column e), so no side is ever differentiated or smoothed
+alone. Columns with corners (sign, clip, |τ|) are formed on the fast grid and filtered afterwards.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import signal
+
+from jax_inertia import dynamics
+from jax_inertia.differences import Observation, central_differences
+from jax_inertia.log import Log, TorqueKind
+from jax_inertia.motion import generalised
+from jax_inertia.robot import Robot
+from jax_inertia.signals import low_pass, mask, resample
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Rates and cut-offs of the chain [Hz]."""
+
+    grid: float = 250.0
+    before: float = 40.0
+    after: float = 10.0
+    decimated: float = 50.0
+    margin: float = 0.25
+    """Seconds left out at either end, where a zero-phase filter leans on its padding."""
+
+
+CONTACT = Settings(before=80.0, after=20.0, decimated=100.0)
+
+
+class Prepared(eqx.Module):
+    """A log on the fast grid, with what the model says of it. Rows are generalised coordinates."""
+
+    robot: Robot
+    observation: Observation
+    tau: Float[np.ndarray, "T nv"]
+    inverse: Float[np.ndarray, "T nv"]
+    """What the model needs: M a + c − τ_passive − Σ Jᵀλ [N m]; free of torque noise, so it serves as instrument."""
+    settings: Settings = eqx.field(static=True)
+    rate: float = eqx.field(static=True)
+
+    @property
+    def time(self) -> Float[np.ndarray, "T"]:
+        return np.asarray(self.observation.motion.time)
+
+    @property
+    def missing(self) -> Float[np.ndarray, "T nv"]:
+        """The missing torque on the fast grid."""
+        return self.inverse - self.tau
+
+    def finish(self, x: Float[np.ndarray, "T *c"]) -> Float[np.ndarray, "R *c"]:
+        """The chain's last low-pass, then its slow grid; leading axis time."""
+        sos = signal.butter(3, self.settings.after, fs=self.rate, output="sos")
+        smooth = signal.sosfiltfilt(sos, x, axis=0)
+        return smooth[self.kept]
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Indices of the slow grid in the fast one."""
+        step = max(1, round(self.rate / self.settings.decimated))
+        edge = round(self.settings.margin * self.rate)
+        return np.arange(edge, len(self.time) - edge, step)
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Rows of the slow grid that stand on measurements, (R, nv)."""
+        reach = max(1, round(0.5 * self.rate / self.settings.after))
+        ok = np.asarray(self.observation.motion.valid)
+        bad = signal.fftconvolve(~ok * 1.0, np.ones((2 * reach + 1, 1)), mode="same", axes=0) > 0.5
+        return ~bad[self.kept]
+
+
+def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepared:
+    """Put a log through the chain up to the fast grid.
+
+    Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
+    equation must agree. A commanded torque or a current is held over its period and so acts half a period late.
+    Raises LogError for what `generalised` refuses.
+    """
+    if settings is None:
+        settings = CONTACT if log.contact_wrench is not None or robot.has_free_base else Settings()
+    source = mask(dataclasses.replace(log, qvel=None))
+    data = source.log
+    if data.tau_kind is not TorqueKind.SENSOR:
+        data = dataclasses.replace(data, tau=_centred(data.tau))
+    if data.contact_wrench is not None:
+        data = dataclasses.replace(data, contact_wrench=_centred(data.contact_wrench))
+    source = dataclasses.replace(source, log=data)
+    rate = min(settings.grid, log.rate)
+    smooth = low_pass(resample(source, rate), min(settings.before, 0.4 * rate))
+    observation = central_differences(generalised(smooth, robot))
+    settings = dataclasses.replace(
+        settings,
+        after=min(settings.after, 0.1 * rate),
+        decimated=min(settings.decimated, 0.5 * rate),
+    )
+    inverse = np.asarray(_needed(robot, observation))
+    tau = np.asarray(observation.motion.tau)
+    return Prepared(robot, observation, tau, inverse, settings, rate)
+
+
+@eqx.filter_jit
+def _needed(robot: Robot, observation: Observation) -> jax.Array:
+    """Torque that the model needs for the motion, in chunks that stay in cache."""
+
+    def one(o: Observation):
+        return needed_torque(robot, o.motion.q, o.motion.v, o.a, o)
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, observation), batch_size=64)
+
+
+def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
+    """M a + c − τ_passive − Σ Jᵀλ of one moment."""
+    out = dynamics.inverse_dynamics(robot, q, v, a) - dynamics.passive_torque(robot, q, v)
+    motion = observation.motion
+    if motion.wrench is not None:
+        out = out - dynamics.contact_torque(robot, q, motion.wrench, motion.contact_bodies)
+    return out
+
+
+def _centred(x) -> np.ndarray:
+    x = np.asarray(x, float)
+    return np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1])])

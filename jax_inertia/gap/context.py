@@ -1,0 +1,193 @@
+"""What the families of effects are made of: the motion on the fast grid, and the model's derivatives along it."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import signal
+
+from jax_inertia import dynamics
+from jax_inertia.gap.chain import Prepared, needed_torque
+from jax_inertia.inertia import centre_of_mass
+from jax_inertia.robot import HINGE, SLIDE
+
+
+class Context:
+    """Cached quantities of one prepared log; arrays have time first, on the fast grid."""
+
+    def __init__(self, prepared: Prepared):
+        self.prepared = prepared
+        self.robot = prepared.robot
+        motion = prepared.observation.motion
+        self.time = np.asarray(motion.time) - np.asarray(motion.time)[0]
+        self.q, self.v = np.asarray(motion.q), np.asarray(motion.v)
+        self.a = np.asarray(prepared.observation.a)
+        self.tau, self.inverse = prepared.tau, prepared.inverse
+        self.contacts = motion.contact_bodies
+        self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
+        self.windows: tuple[tuple[float, float], ...] = ()
+        """Stretches [s] that stand out from the rest of the log: where a push may have been."""
+
+    @functools.cached_property
+    def joint_dofs(self) -> dict[str, int]:
+        """Row of each hinge and slide joint, by name."""
+        r = self.robot
+        rows = zip(r.joint_names, r.joint_type, r.joint_dofadr, strict=True)
+        return {name: dof for name, kind, dof in rows if kind in (HINGE, SLIDE)}
+
+    @functools.cached_property
+    def joint_position(self) -> np.ndarray:
+        """Position of each hinge and slide row; zero elsewhere (T, nv)."""
+        out = np.zeros_like(self.v)
+        r = self.robot
+        for kind, qadr, dof in zip(r.joint_type, r.joint_qposadr, r.joint_dofadr, strict=True):
+            if kind in (HINGE, SLIDE):
+                out[:, dof] = self.q[:, qadr]
+        return out
+
+    @functools.cached_property
+    def peak(self) -> np.ndarray:
+        """Peak torque of each row: the 99.5th percentile of what the model needs [N m]."""
+        return np.percentile(np.abs(self.inverse), 99.5, axis=0)
+
+    @functools.cached_property
+    def speed(self) -> np.ndarray:
+        """Peak speed of each row: the 99.5th percentile [rad/s]."""
+        return np.percentile(np.abs(self.v), 99.5, axis=0)
+
+    @functools.cached_property
+    def regressor(self) -> np.ndarray:
+        """Torque regressor of all bodies (T, nv, nb, 10)."""
+        return np.asarray(_regressor(self.robot, self.q, self.v, self.a))
+
+    @functools.cached_property
+    def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """∂/∂q, ∂/∂v, ∂/∂a of the needed torque along each hinge or slide row, (T, nv, nv) each."""
+        return tuple(np.asarray(x) for x in _sensitivity(self.robot, self.prepared.observation))
+
+    @functools.cached_property
+    def tilt(self) -> np.ndarray:
+        """∂(needed torque)/∂(rotation of gravity about world x and y) (T, nv, 2)."""
+        return np.asarray(_tilt(self.robot, self.q))
+
+    @functools.cached_property
+    def force_rows(self) -> np.ndarray:
+        """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3)."""
+        return np.asarray(_force_rows(self.robot, self.q)[0])
+
+    @functools.cached_property
+    def com_velocity(self) -> np.ndarray:
+        """World velocity of each body's centre of mass (T, nb, 3)."""
+        return np.einsum("tbjc,tj->tbc", self.force_rows, self.v)
+
+    @functools.cached_property
+    def contact_rows(self) -> np.ndarray:
+        """Torque of each contact's measured wrench (T, C, nv)."""
+        return np.asarray(_contact_rows(self.robot, self.q, self.wrench, self.contacts))
+
+    @functools.cache  # noqa: B019 (lives as long as its log)
+    def bristle(self, row: int, reach: float) -> np.ndarray:
+        """Friction direction of a joint with presliding (Dahl 1968): dz/dx = (1 − z sign ẋ)/reach, z in [−1, 1] (T,).
+
+        After a reversal the direction turns over a displacement of about `reach` [rad], not at once.
+        """
+        x = self.joint_position[:, row]
+        out = np.empty(len(x))
+        out[0] = z = np.sign(self.v[0, row])
+        moves = np.diff(x)
+        sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
+        for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
+            z = side + (z - side) * stay
+            out[k + 1] = z
+        return out
+
+    @functools.cached_property
+    def at_rest(self) -> np.ndarray:
+        """Where a joint stands still: |v| < 0.012 rad/s for more than 40 ms (T, nv)."""
+        still = np.abs(self.v) < 0.012
+        width = max(1, round(0.04 * self.prepared.rate))
+        # Erode, then dilate: stretches shorter than the width disappear.
+        kernel = np.ones((width, 1))
+        core = signal.convolve(still * 1.0, kernel, mode="same") > width - 0.5
+        return signal.convolve(core * 1.0, kernel, mode="same") > 0.5
+
+
+@eqx.filter_jit
+def _regressor(robot, q, v, a):
+    return jax.lax.map(lambda x: dynamics.torque_regressor(robot, *x), (q, v, a), batch_size=64)
+
+
+@eqx.filter_jit
+def _sensitivity(robot, observation):
+    rows = np.array(
+        [
+            [d, k]
+            for kind, d, k in zip(
+                robot.joint_type, robot.joint_dofadr, robot.joint_qposadr, strict=True
+            )
+            if kind in (HINGE, SLIDE)
+        ]
+    ).reshape(-1, 2)
+    dofs, adrs = rows[:, 0], rows[:, 1]
+
+    def one(o):
+        q, v, a = o.motion.q, o.motion.v, o.a
+        wide = jax.jacfwd(lambda x: needed_torque(robot, q.at[adrs].add(x), v, a, o))(
+            jnp.zeros(len(adrs), q.dtype)
+        )
+        dq = jnp.zeros((robot.nv, robot.nv), q.dtype).at[:, dofs].set(wide)
+        dv = jax.jacfwd(lambda x: needed_torque(robot, q, x, a, o))(v)
+        return dq, dv, dynamics.mass_matrix(robot, q)
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, observation), batch_size=32)
+
+
+@eqx.filter_jit
+def _tilt(robot, q):
+    g = robot.gravity
+    turns = jnp.stack([jnp.cross(jnp.array(e), g) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+
+    def one(q):
+        zero = jnp.zeros(robot.nv, q.dtype)
+
+        def needed(dg):
+            turned = eqx.tree_at(lambda r: r.gravity, robot, g + dg)
+            return dynamics.inverse_dynamics(turned, q, zero, zero)
+
+        return jax.jacfwd(needed)(jnp.zeros(3, q.dtype)) @ turns.T
+
+    return jax.lax.map(one, q, batch_size=64)
+
+
+@eqx.filter_jit
+def _force_rows(robot, q):
+    com = centre_of_mass(robot.pi)
+
+    def one(q):
+        rotation, _ = dynamics.body_poses(robot, q)
+        jacobians = jnp.stack([dynamics.body_jacobian(robot, q, i) for i in range(robot.nb)])
+        lever = jnp.einsum("bij,bj->bi", rotation, com)
+        # Velocity of the CoM: linear + ω × lever.
+        angular = jacobians[:, 3:]
+        linear = jacobians[:, :3] + jnp.cross(
+            jnp.swapaxes(angular, 1, 2), lever[:, None, :]
+        ).swapaxes(1, 2)
+        return jnp.swapaxes(linear, 1, 2), rotation
+
+    return jax.lax.map(one, q, batch_size=64)
+
+
+@eqx.filter_jit
+def _contact_rows(robot, q, wrench, bodies):
+    def one(x):
+        q, w = x
+        return jnp.stack(
+            [
+                dynamics.contact_torque(robot, q, w[i : i + 1], bodies[i : i + 1])
+                for i in range(len(bodies))
+            ]
+        )
+
+    return jax.lax.map(one, (q, wrench), batch_size=64)

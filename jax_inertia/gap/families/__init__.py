@@ -1,0 +1,37 @@
+"""Every family of effects that the diagnosis knows."""
+
+from jax_inertia.gap.families import body, drive, encoder, joint, world
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+
+LIBRARY: tuple[Family, ...] = (
+    joint.ViscousFriction(),
+    joint.CoulombFriction(),
+    joint.AsymmetricCoulomb(),
+    joint.StribeckFriction(),
+    joint.LoadFriction(),
+    joint.FrictionDrift(),
+    joint.Armature(),
+    joint.JointSpring(),
+    joint.Cogging(),
+    drive.TorqueGain(),
+    drive.TorqueBias(),
+    drive.TorqueSaturation(),
+    drive.TimeDelay(),
+    drive.ActuatorLag(),
+    encoder.EncoderOffset(),
+    encoder.EncoderScale(),
+    encoder.JointElasticity(),
+    encoder.Backlash(),
+    world.GravityTilt(),
+    world.ContactForceScale(),
+    body.Payload(),
+    body.ComShift(),
+    body.LinkInertia(),
+    body.ConstantForce(),
+    body.Drag(),
+    body.Push(),
+)
+
+NAMES = tuple(sorted(f.name for f in LIBRARY))
+
+__all__ = ["LIBRARY", "NAMES", "Columns", "Family", "Parameter", "Place"]

@@ -1,0 +1,97 @@
+"""The one interface of all effects.
+
+A family is an equation; a *candidate* is the family at a place. On the fast grid a candidate gives columns A(shape), so
+that the effect's torque is e = A(shape) θ: linear in θ, given a few nonlinear numbers, `shape`. A body's change of
+inertial parameters is nonlinear in another way: e = −Y δπ(θ), which `Family.change` gives.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.context import Context
+
+Shape = tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where an effect acts: kind 'joint', 'body', 'contact' or 'global', and the model's own name."""
+
+    kind: str
+    name: str
+    index: int
+    """Row of a joint, index of a body or contact; −1 for global."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """Columns on the fast grid: of one row (T, k), or of all rows (T, nv, k)."""
+
+    values: np.ndarray
+    row: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One reported number."""
+
+    value: float
+    unit: str
+
+
+class Family(abc.ABC):
+    """An equation that may be missing from the model."""
+
+    name: ClassVar[str]
+    equation: ClassVar[str]
+    kind: ClassVar[str]
+    simpler: ClassVar[tuple[str, ...]] = ()
+    """Families at the same place that this one contains: preferred where they fit nearly as well."""
+    continuous: ClassVar[bool] = True
+    """Whether shapes between grid points mean something."""
+    passing: ClassVar[bool] = False
+    """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
+    size: ClassVar[int | None] = None
+    """Numbers in θ of a family with `change`; None where the effect is linear in θ."""
+
+    def places(self, context: Context) -> list[Place]:
+        """Everywhere the effect can be in this log."""
+        if self.kind == "joint":
+            return [Place("joint", name, row) for name, row in context.joint_dofs.items()]
+        if self.kind == "body":
+            return [Place("body", n, i) for i, n in enumerate(context.robot.body_names)]
+        if self.kind == "contact":
+            return [Place("contact", n, i) for i, n in enumerate(context.contacts)]
+        return [Place("global", "global", -1)]
+
+    def grid(self, context: Context, place: Place) -> tuple[Sequence[float], ...]:
+        """Grid of each nonlinear number; none where the effect is linear."""
+        return ()
+
+    free_shape: ClassVar[int | None] = None
+    """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""
+
+    @abc.abstractmethod
+    def columns(self, context: Context, place: Place, shape: Shape) -> Columns:
+        """A(shape)."""
+
+    @abc.abstractmethod
+    def physical(self, context: Context, place: Place, shape: Shape, theta: np.ndarray) -> bool:
+        """Whether the numbers are ones that a real robot can have."""
+
+    @abc.abstractmethod
+    def parameters(
+        self, context: Context, place: Place, shape: Shape, theta: np.ndarray
+    ) -> dict[str, Parameter]:
+        """What is reported, in the field's own terms."""
+
+    def change(
+        self, context: Context, place: Place, theta: np.ndarray
+    ) -> Float[np.ndarray, "10"] | None:
+        """δπ(θ) for families that change a body, whose `columns` are then −Y; None for all others."""
+        return None

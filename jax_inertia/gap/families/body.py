@@ -1,0 +1,140 @@
+"""Effects on a body: its inertial parameters, forces on it."""
+
+import numpy as np
+
+from jax_inertia.gap.families.base import Columns, Family, Parameter
+
+
+class Inertial(Family):
+    """e = −Y δπ(θ)."""
+
+    kind = "body"
+
+    def columns(self, context, place, shape):
+        return Columns(-context.regressor[:, :, place.index, :])
+
+    def pi(self, context, place) -> np.ndarray:
+        return np.asarray(context.robot.pi[place.index])
+
+
+class Payload(Inertial):
+    name, equation, size = "payload", "π + [m, m c, m (c·c 1 − c cᵀ)]", 4
+
+    def change(self, context, place, theta):
+        m, c = theta[0], theta[1:4]
+        i = m * (c @ c * np.eye(3) - np.outer(c, c))
+        return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] > 0 and np.linalg.norm(theta[1:4]) < 1.0
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "mass": Parameter(theta[0], "kg"),
+            **{f"com_{k}": Parameter(x, "m") for k, x in zip("xyz", theta[1:4], strict=True)},
+        }
+
+
+class ComShift(Inertial):
+    name, equation, size = "com_shift", "centre of mass + δ, mass and inertia about it kept", 3
+    simpler = ()
+
+    def change(self, context, place, theta):
+        pi = self.pi(context, place)
+        m = pi[0]
+        if m <= 0:
+            return np.zeros(10)
+        old, new = pi[1:4] / m, pi[1:4] / m + theta[:3]
+
+        def steiner(c):
+            return m * (c @ c * np.eye(3) - np.outer(c, c))
+
+        i = steiner(new) - steiner(old)
+        h = m * theta[:3]
+        return np.array([0.0, *h, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+
+    def physical(self, context, place, shape, theta):
+        return np.linalg.norm(theta) < 0.3
+
+    def parameters(self, context, place, shape, theta):
+        return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
+
+
+class LinkInertia(Inertial):
+    name, equation, size = (
+        "link_inertia",
+        "rotational inertia about the centre of mass scaled by s",
+        1,
+    )
+
+    def change(self, context, place, theta):
+        pi = self.pi(context, place)
+        m, h = pi[0], pi[1:4]
+        if m <= 0:
+            return np.zeros(10)
+        s = (h @ h * np.eye(3) - np.outer(h, h)) / m
+        own = pi[4:] - np.array([s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
+        return np.concatenate([np.zeros(4), theta[0] * own])
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] > -0.98
+
+    def parameters(self, context, place, shape, theta):
+        return {"inertia_scale": Parameter(1.0 + theta[0], "1")}
+
+
+class ConstantForce(Family):
+    name, equation, kind = "constant_force", "Jᵀ f, f fixed in the world", "body"
+
+    def columns(self, context, place, shape):
+        return Columns(context.force_rows[:, place.index])
+
+    def physical(self, context, place, shape, theta):
+        return np.linalg.norm(theta) < 2000
+
+    def parameters(self, context, place, shape, theta):
+        return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
+
+
+class Drag(Family):
+    name, equation, kind = "drag", "−c |v| v at the centre of mass", "body"
+
+    def columns(self, context, place, shape):
+        v = context.com_velocity[:, place.index]
+        f = -np.linalg.norm(v, axis=1, keepdims=True) * v
+        return Columns(np.einsum("tjc,tc->tj", context.force_rows[:, place.index], f)[:, :, None])
+
+    def physical(self, context, place, shape, theta):
+        return 0 < theta[0] < 200
+
+    def parameters(self, context, place, shape, theta):
+        return {"coefficient": Parameter(theta[0], "N s²/m²")}
+
+
+class Push(Family):
+    name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
+    continuous, passing = False, True
+
+    def grid(self, context, place):
+        return (range(len(context.windows)),)
+
+    def columns(self, context, place, shape):
+        start, stop = context.windows[int(shape[0])]
+        phase = np.clip((context.time - start) / (stop - start), 0, 1)
+        # Two bumps: one for the push itself, one skewed, since nobody pushes symmetrically.
+        bumps = np.stack(
+            [np.sin(np.pi * phase) ** 2, np.sin(np.pi * phase) * np.sin(2 * np.pi * phase)], 1
+        )
+        rows = context.force_rows[:, place.index]
+        return Columns(np.einsum("tjc,tk->tjkc", rows, bumps).reshape(*rows.shape[:2], 6))
+
+    def physical(self, context, place, shape, theta):
+        return np.linalg.norm(theta[:3]) < 2000
+
+    def parameters(self, context, place, shape, theta):
+        start, stop = context.windows[int(shape[0])]
+        return {
+            **{f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta[:3], strict=True)},
+            "start": Parameter(start, "s"),
+            "end": Parameter(stop, "s"),
+        }

@@ -1,0 +1,115 @@
+"""Effects between the logged torque and the joint: gain, bias, limit, delay, lag."""
+
+import numpy as np
+from scipy import signal
+
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+
+
+class TorqueGain(Family):
+    name, equation, kind = "torque_gain", "τ = g τ_logged", "joint"
+
+    def columns(self, context, place, shape):
+        # The needed torque as the instrument: logged torque would correlate with its own noise.
+        return Columns(context.inverse[:, place.index, None], place.index)
+
+    def physical(self, context, place, shape, theta):
+        return abs(1.0 / (1.0 - theta[0]) - 1.0) < 0.4 if theta[0] < 0.6 else False
+
+    def parameters(self, context, place, shape, theta):
+        return {"gain": Parameter(1.0 / (1.0 - theta[0]), "1")}
+
+
+class TorqueBias(Family):
+    name, equation, kind = "torque_bias", "+ b", "joint"
+
+    def columns(self, context, place, shape):
+        return Columns(np.ones((len(context.time), 1)), place.index)
+
+    def physical(self, context, place, shape, theta):
+        return abs(theta[0]) < 0.6 * context.peak[place.index] + 1e-9
+
+    def parameters(self, context, place, shape, theta):
+        return {"bias": Parameter(theta[0], "N m")}
+
+
+class TorqueSaturation(Family):
+    name, equation, kind = "torque_saturation", "τ = clip(τ_logged, ±L)", "joint"
+
+    def grid(self, context, place):
+        # A loop that fights a limit may ask for many times what it gets.
+        top = np.percentile(np.abs(context.tau[:, place.index]), 99.8)
+        return (top * np.concatenate([np.geomspace(0.03, 0.38, 12), np.linspace(0.4, 0.97, 20)]),)
+
+    def columns(self, context, place, shape):
+        tau = context.tau[:, place.index]
+        return Columns((np.clip(tau, -shape[0], shape[0]) - tau)[:, None], place.index)
+
+    def physical(self, context, place, shape, theta):
+        return abs(theta[0] - 1.0) < 0.25
+
+    def parameters(self, context, place, shape, theta):
+        return {"limit": Parameter(shape[0], "N m")}
+
+
+class _Late(Family):
+    """A change of the torque's timing, at one joint or at all of them."""
+
+    def grid(self, context, place):
+        return (np.concatenate([np.arange(1, 11) * 1e-3, np.arange(12, 42, 3) * 1e-3]),)
+
+    def columns(self, context, place, shape):
+        rows = list(context.joint_dofs.values()) if place.kind == "global" else [place.index]
+        tau = context.tau[:, rows]
+        change = self.late(tau, context.time, shape[0]) - tau
+        if place.kind == "joint":
+            return Columns(change, place.index)
+        out = np.zeros((*context.tau.shape, 1))
+        out[:, rows, 0] = change
+        return Columns(out)
+
+    def late(self, tau, time, by):
+        raise NotImplementedError
+
+    def physical(self, context, place, shape, theta):
+        return abs(theta[0] - 1.0) < 0.3
+
+    def places(self, context):
+        joints = [Place("joint", n, d) for n, d in context.joint_dofs.items()]
+        return [Place("global", "global", -1), *joints]
+
+
+class TimeDelay(_Late):
+    name, equation, kind = "time_delay", "τ(t) = τ_logged(t − d)", "global"
+
+    def late(self, tau, time, by):
+        step = time[1] - time[0]
+        # A shift of a band-limited signal: exact as a phase, and fractional delays cost nothing.
+        padded = np.concatenate([tau, tau[::-1]])
+        frequency = np.fft.rfftfreq(len(padded), step)[:, None]
+        shifted = np.fft.irfft(
+            np.fft.rfft(padded, axis=0) * np.exp(-2j * np.pi * frequency * by),
+            len(padded),
+            axis=0,
+        )
+        return shifted[: len(tau)]
+
+    def parameters(self, context, place, shape, theta):
+        return {"delay": Parameter(shape[0], "s")}
+
+
+class ActuatorLag(_Late):
+    name, equation, kind = "actuator_lag", "T τ̇ + τ = τ_logged", "global"
+
+    def late(self, tau, time, by):
+        step = time[1] - time[0]
+        decay = np.exp(-step / by)
+        # First-order hold: exact for a torque that is linear between grid points.
+        r = step / by
+        b1 = (1 - decay) / r - decay
+        b0 = 1 - (1 - decay) / r
+        start = signal.lfilter_zi([b0, b1], [1.0, -decay])
+        return signal.lfilter([b0, b1], [1.0, -decay], tau, axis=0, zi=start[:, None] * tau[0])[0]
+
+    def parameters(self, context, place, shape, theta):
+        return {"time_constant": Parameter(shape[0], "s")}

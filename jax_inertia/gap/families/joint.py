@@ -1,0 +1,210 @@
+"""Effects at a joint's own axis: friction, springs, rotor inertia."""
+
+import numpy as np
+
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+
+# A sharp sign: friction reverses within a few mrad/s, and a softer one passes for viscous friction.
+SIGN_VELOCITY = 0.003
+
+
+def sign(v: np.ndarray) -> np.ndarray:
+    """sign(v) as a slider of the presliding range sees it."""
+    return np.tanh(v / SIGN_VELOCITY)
+
+
+# Presliding displacements on the grid [rad]; zero is the sharp sign.
+PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
+
+
+class Joint(Family):
+    kind = "joint"
+
+
+class DryFriction(Joint):
+    """Friction whose direction turns over a presliding displacement, the last of its nonlinear numbers."""
+
+    def grid(self, context, place):
+        return (PRESLIDING,)
+
+    free_shape = 0
+
+    def direction(self, context: Context, place: Place, shape) -> np.ndarray:
+        """z in [−1, 1] that multiplies the level (T,)."""
+        if shape[-1] <= 0:
+            return sign(context.v[:, place.index])
+        return context.bristle(place.index, float(shape[-1]))
+
+
+class ViscousFriction(Joint):
+    name, equation = "viscous_friction", "−d q̇"
+
+    def columns(self, context, place, shape):
+        return Columns(-context.v[:, place.index, None], place.index)
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] + float(context.robot.damping[place.index]) >= -1e-9
+
+    def parameters(self, context, place, shape, theta):
+        return {"damping": Parameter(theta[0], "N m s/rad")}
+
+
+class CoulombFriction(DryFriction):
+    name, equation = "coulomb_friction", "−F sign(q̇)"
+
+    def columns(self, context, place, shape):
+        return Columns(-self.direction(context, place, shape)[:, None], place.index)
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] + float(context.robot.frictionloss[place.index]) >= -1e-9
+
+    def parameters(self, context, place, shape, theta):
+        return {"coulomb": Parameter(theta[0], "N m")}
+
+
+class AsymmetricCoulomb(DryFriction):
+    name, equation = "asymmetric_coulomb", "−F⁺ (q̇ > 0), +F⁻ (q̇ < 0)"
+    simpler = ("coulomb_friction", "torque_bias")
+
+    def columns(self, context, place, shape):
+        s = self.direction(context, place, shape)
+        return Columns(-np.stack([np.maximum(s, 0), np.minimum(s, 0)], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        return min(theta) + float(context.robot.frictionloss[place.index]) >= -1e-9
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "positive": Parameter(theta[0], "N m"),
+            "negative": Parameter(theta[1], "N m"),
+        }
+
+
+class StribeckFriction(DryFriction):
+    name, equation = "stribeck_friction", "−(Fc + (Fs − Fc) exp(−(q̇/vs)²)) sign(q̇)"
+    simpler = ("coulomb_friction",)
+
+    free_shape = 1
+
+    def grid(self, context, place):
+        return ((0.02, 0.035, 0.06, 0.1, 0.17, 0.3), (0.0, 2e-4, 5e-4, 2e-3))
+
+    def columns(self, context, place, shape):
+        s = self.direction(context, place, shape)
+        slow = np.exp(-((context.v[:, place.index] / shape[0]) ** 2))
+        return Columns(-np.stack([s, s * slow], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] > 0 and 0 < theta[1] < 4 * theta[0]
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "coulomb": Parameter(theta[0], "N m"),
+            "stiction": Parameter(theta[0] + theta[1], "N m"),
+            "stribeck_velocity": Parameter(shape[0], "rad/s"),
+        }
+
+
+class LoadFriction(DryFriction):
+    name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇)"
+    simpler = ("coulomb_friction",)
+
+    def columns(self, context, place, shape):
+        s = self.direction(context, place, shape)
+        load = np.abs(context.inverse[:, place.index])
+        return Columns(-np.stack([s, s * load], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        own = float(context.robot.frictionloss[place.index])
+        return theta[0] + own > -0.02 * context.peak[place.index] and 0.005 < theta[1] < 0.6
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "coulomb": Parameter(theta[0], "N m"),
+            "load_coefficient": Parameter(theta[1], "1"),
+        }
+
+
+class FrictionDrift(Joint):
+    name, equation = "friction_drift", "−(d∞ + d₁ e^{−t/T}) q̇"
+    simpler = ("viscous_friction",)
+
+    def grid(self, context, place):
+        longest = context.time[-1]
+        return ([T for T in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0) if 2 * longest > T],)
+
+    def columns(self, context, place, shape):
+        v = context.v[:, place.index]
+        return Columns(-np.stack([v, v * np.exp(-context.time / shape[0])], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        own = float(context.robot.damping[place.index])
+        return theta[1] > 0 and theta[0] + own > -0.3 * theta[1]
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "damping": Parameter(theta[0] + theta[1], "N m s/rad"),
+            "damping_final": Parameter(theta[0], "N m s/rad"),
+            "time_constant": Parameter(shape[0], "s"),
+        }
+
+
+class Armature(Joint):
+    name, equation = "armature", "−I_a q̈"
+
+    def columns(self, context, place, shape):
+        return Columns(-context.a[:, place.index, None], place.index)
+
+    def physical(self, context, place, shape, theta):
+        own = float(context.robot.armature[place.index])
+        # Exactly minus the model's own would be a motor that is not connected.
+        return theta[0] > -0.95 * own - 1e-9
+
+    def parameters(self, context, place, shape, theta):
+        return {"armature": Parameter(theta[0], "kg m²")}
+
+
+class JointSpring(Joint):
+    name, equation = "joint_spring", "−k (q − q₀)"
+    simpler = ("torque_bias",)
+
+    def columns(self, context, place, shape):
+        q = context.joint_position[:, place.index]
+        return Columns(np.stack([-q, np.ones_like(q)], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        return theta[0] + float(context.robot.stiffness[place.index]) > 0
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "stiffness": Parameter(theta[0], "N m/rad"),
+            "rest_angle": Parameter(theta[1] / theta[0] if theta[0] else 0.0, "rad"),
+        }
+
+
+class Cogging(Joint):
+    name, equation = "cogging", "A sin(N q + φ)"
+
+    def grid(self, context, place):
+        q = context.joint_position[:, place.index]
+        span = max(np.ptp(q), 1e-3)
+        fastest = 0.7 * context.prepared.settings.after * 2 * np.pi
+        speed = max(np.percentile(np.abs(context.v[:, place.index]), 50), 1e-3)
+        highest = min(120.0, fastest / speed)
+        # Two or more periods over the motion (one looks like a spring), a quarter of a period apart.
+        return (np.arange(max(4.0, 4 * np.pi / span), highest, max(0.5, 1.5 / span)),)
+
+    def columns(self, context, place, shape):
+        q = context.joint_position[:, place.index]
+        return Columns(np.stack([np.sin(shape[0] * q), np.cos(shape[0] * q)], 1), place.index)
+
+    def physical(self, context, place, shape, theta):
+        return np.hypot(*theta) < 0.3 * context.peak[place.index]
+
+    def parameters(self, context, place, shape, theta):
+        return {
+            "amplitude": Parameter(float(np.hypot(*theta)), "N m"),
+            "frequency": Parameter(shape[0], "1/rad"),
+            "phase": Parameter(float(np.arctan2(theta[1], theta[0])), "rad"),
+        }

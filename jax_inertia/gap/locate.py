@@ -1,0 +1,71 @@
+"""Where the gap lies: in which rows, in which stretches of time, as which wrench on which body."""
+
+import itertools
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.evidence import Evidence
+
+
+def windows(
+    evidence: Evidence,
+    residual: Float[np.ndarray, " n"],
+    floor: float,
+    *,
+    longest: float = 3.0,
+    shortest: float = 0.06,
+) -> tuple[tuple[float, float], ...]:
+    """Short stretches [s] that hold most of the excess energy of a residual, widened to where it ends.
+
+    A single stretch must hold half of it: backlash that rattles at every reversal is no push.
+    """
+    time = _time(evidence)
+    step = time[1] - time[0]
+    total = (evidence.unflatten(residual) ** 2).sum(axis=1)
+    usual = floor / len(total)
+    excess = total.sum() - floor
+    if excess < 20:
+        return ()
+    width = max(1, round(0.08 / step))
+    smooth = np.convolve(total, np.ones(width) / width, mode="same")
+    found = set()
+    for factor in (3.0, 8.0, 20.0, 60.0, 200.0):
+        for start, stop in _runs(_closed(smooth > factor * usual, round(0.15 / step))):
+            inside = total[start:stop].sum() - usual * (stop - start)
+            if shortest < (stop - start) * step < longest and inside > 0.5 * excess:
+                found.add((time[start] - 0.04, time[min(stop, len(time) - 1)] + 0.04))
+    return tuple(sorted(found))
+
+
+def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[list[float]]:
+    """Stretches [s] that hold most of the excess energy of a whitened residual, if it is not spread over the log."""
+    time = _time(evidence)
+    step = time[1] - time[0]
+    total = (evidence.unflatten(residual) ** 2).sum(axis=1)
+    width = max(1, round(0.2 / step))
+    smooth = np.convolve(total, np.ones(width) / width, mode="same")
+    level = max(3.0 * evidence.used.shape[1], 0.25 * smooth.max())
+    loud = _closed(smooth > level, round(0.3 / step))
+    runs = [(a, b) for a, b in _runs(loud) if (b - a) * step > 0.05]
+    return [[float(time[a]), float(time[min(b, len(time) - 1)])] for a, b in runs]
+
+
+def _time(evidence: Evidence) -> np.ndarray:
+    time = evidence.prepared.time[evidence.prepared.kept]
+    return time - evidence.prepared.time[0]
+
+
+def _closed(mask: np.ndarray, gap: int) -> np.ndarray:
+    """Fill gaps shorter than `gap` samples between loud stretches."""
+    out = mask.copy()
+    for (_, stop), (start, _) in itertools.pairwise(_runs(mask)):
+        if start - stop < gap:
+            out[stop:start] = True
+    return out
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """[start, stop) of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

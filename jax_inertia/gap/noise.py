@@ -1,0 +1,103 @@
+"""What the chain makes of sensor noise, and the whitener that makes one unit of it everywhere.
+
+Replicas of the log with the sensors' noise added once more go through the whole chain; the difference from the log's
+own missing torque is the noise of y. An autoregression per row and the covariance of its innovations then whiten: the
+energy of a whitened sample reads about one where there is nothing but noise. Residual energy above that is the gap.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy import linalg
+
+from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.log import Log
+
+ORDER = 3
+# The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.
+FLOOR = 5e-4
+
+
+class Whitener(eqx.Module):
+    """Autoregression along time and a triangle across rows."""
+
+    coefficients: Float[np.ndarray, "nv order"]
+    triangle: Float[np.ndarray, "nv nv"]
+    """Inverse Cholesky factor of the innovations' covariance."""
+    sigma: Float[np.ndarray, " nv"]
+    """Standard deviation of y's noise, before whitening [N m]."""
+
+    def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
+        """Whiten along the leading axis and across the second; the first samples see zeros before them."""
+        out = np.array(x, float)
+        shape = (1, -1) + (1,) * (x.ndim - 2)
+        for lag in range(1, self.coefficients.shape[1] + 1):
+            out[lag:] -= self.coefficients[:, lag - 1].reshape(shape) * x[:-lag]
+        return np.einsum("ij,rj...->ri...", self.triangle, out)
+
+    def one_row(self, x: Float[np.ndarray, "R k"], row: int) -> Float[np.ndarray, "R nv k"]:
+        """`__call__` for columns that are zero on all rows but one."""
+        out = np.array(x, float)
+        for lag in range(1, self.coefficients.shape[1] + 1):
+            out[lag:] -= self.coefficients[row, lag - 1] * x[:-lag]
+        return self.triangle[None, :, row, None] * out[:, None, :]
+
+
+def whitener(
+    prepared: Prepared, log: Log, *, replicas: int = 6, seed: int = 0
+) -> tuple[Whitener, Float[np.ndarray, "K R nv"]]:
+    """The whitener of a log's missing torque, and the noise replicas it was made from."""
+    rng = np.random.default_rng(seed)
+    own = prepared.finish(prepared.missing)
+    draws = []
+    for _ in range(replicas):
+        noisy = prepare(prepared.robot, _perturbed(log, rng), prepared.settings)
+        draws.append(prepared.finish(noisy.missing) - own)
+    noise = np.array(draws)
+    size = np.sqrt(np.mean(prepared.finish(prepared.inverse) ** 2, axis=0))
+    floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
+    noise = noise + floor * rng.standard_normal(noise.shape)
+    nv = noise.shape[2]
+    coefficients = np.zeros((nv, ORDER))
+    innovation = noise[:, ORDER:].copy()
+    for j in range(nv):
+        lags = [
+            np.mean(noise[:, k:, j] * noise[:, : noise.shape[1] - k, j]) for k in range(ORDER + 1)
+        ]
+        coefficients[j] = linalg.solve_toeplitz(lags[:-1], lags[1:])
+        for lag in range(1, ORDER + 1):
+            innovation[:, :, j] -= coefficients[j, lag - 1] * noise[:, ORDER - lag : -lag, j]
+    flat = innovation.reshape(-1, nv)
+    covariance = flat.T @ flat / len(flat)
+    triangle = linalg.inv(linalg.cholesky(covariance, lower=True))
+    return Whitener(coefficients, triangle, np.sqrt(np.mean(noise**2, axis=(0, 1)))), noise
+
+
+def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:
+    """Standard deviation of one sample of each channel: as stated, or from its third differences.
+
+    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². The median keeps impacts out.
+    """
+    if stated is not None:
+        return np.broadcast_to(np.asarray(stated, float), x.shape[1:])
+    third = np.diff(np.asarray(x, float), n=3, axis=0)
+    finite = np.where(np.isfinite(third), third, np.nan)
+    return np.nanmedian(np.abs(finite), axis=0) / 0.6745 / np.sqrt(20.0)
+
+
+def _perturbed(log: Log, rng: np.random.Generator) -> Log:
+    """The log with its sensors' noise added once more."""
+
+    def more(x, stated=None):
+        x = np.asarray(x, float)
+        flat = x.reshape(len(x), -1)
+        sigma = sensor_noise(flat, stated)
+        return (flat + sigma * rng.standard_normal(flat.shape)).reshape(x.shape)
+
+    changes = {"qpos": more(log.qpos, log.sigma_qpos), "tau": more(log.tau, log.sigma_tau)}
+    for name in ("base_pos", "base_quat", "base_linvel", "base_angvel", "contact_wrench"):
+        if (value := getattr(log, name)) is not None:
+            changes[name] = more(value)
+    return dataclasses.replace(log, **changes)

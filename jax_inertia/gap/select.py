@@ -1,0 +1,377 @@
+"""Which effects: every candidate at every place, forward with joint refits, then backward and swaps.
+
+A candidate's score is the drop of the charged misfit J it brings to those already chosen, against the noise the data
+still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+
+from jax_inertia.gap import locate
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Family, Place, Shape
+
+
+@dataclasses.dataclass
+class Candidate:
+    """A family at a place, and where its numbers stand."""
+
+    family: Family
+    place: Place
+    shape: Shape
+    theta: np.ndarray
+    columns: Float[np.ndarray, "n k"]
+    """∂e/∂θ in the charged metric, at the present numbers."""
+    offset: Float[np.ndarray, " n"]
+    """e − columns θ: zero for linear families."""
+    grid: int
+    gain: float = 0.0
+    """ΔJ over those chosen before."""
+    score: float = -np.inf
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.family.name, self.place.kind, self.place.name
+
+    @property
+    def effect(self) -> Float[np.ndarray, " n"]:
+        """e in the charged metric."""
+        return self.offset + self.columns @ self.theta
+
+    @property
+    def size(self) -> int:
+        """Numbers that were free: θ and the shape, details such as presliding apart."""
+        free = self.family.free_shape
+        return len(self.theta) + (len(self.shape) if free is None else free)
+
+
+class Pool:
+    """All candidates of a log, their columns computed once."""
+
+    def __init__(self, context: Context, evidence: Evidence, library: list[Family]):
+        self.context, self.evidence = context, evidence
+        self.library = library
+        self.entries: list[tuple[Family, Place, list[tuple[Shape, np.ndarray]]]] = []
+        for family in library:
+            self._enter(family)
+
+    def look_again(self, windows: tuple[tuple[float, float], ...]) -> None:
+        """Offer what happens in passing (pushes) over other stretches of time."""
+        if windows == self.context.windows:
+            return
+        self.context.windows = windows
+        self.entries = [e for e in self.entries if not e[0].passing]
+        for family in self.library:
+            if family.passing:
+                self._enter(family)
+
+    def _enter(self, family: Family) -> None:
+        for place in family.places(self.context):
+            blocks = []
+            for shape in itertools.product(*family.grid(self.context, place)):
+                block = self.evidence.column(family.columns(self.context, place, shape))
+                if np.isfinite(block).all() and np.sum(block**2) > 1e-12:
+                    blocks.append((shape, block))
+            if blocks:
+                self.entries.append((family, place, blocks))
+
+    def best(
+        self, residual: Float[np.ndarray, " n"], chosen: Float[np.ndarray, "n s"], noise: float
+    ) -> list[Candidate]:
+        """Every candidate fitted to a residual beside the chosen columns, best score first."""
+        n = self.evidence.rows
+        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
+        target = residual - basis @ (basis.T @ residual)
+        out = []
+        for family, place, blocks in self.entries:
+            top = None
+            for shape, block in blocks:
+                free = block - basis @ (basis.T @ block) if basis.shape[1] else block
+                fitted = self._fit(family, place, shape, block, free, target)
+                if fitted is None:
+                    continue
+                if top is None or fitted.gain > top.gain:
+                    top = fitted
+            if top is None:
+                continue
+            top.grid = len(blocks)
+            price = top.size * np.log(n) + (2 * np.log(top.grid) if top.grid > 1 else 0.0)
+            top.score = top.gain / noise - price
+            out.append(top)
+        return sorted(out, key=lambda c: -c.score)
+
+    def refined(self, candidate: Candidate, residual, chosen, noise) -> Candidate:
+        """The same candidate with its shape between grid points, one number after the other."""
+        family, place = candidate.family, candidate.place
+        grid = family.grid(self.context, place)
+        if not grid or not family.continuous:
+            return candidate
+        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
+        target = residual - basis @ (basis.T @ residual)
+        best = candidate
+        for axis, points in enumerate(grid):
+            points = np.asarray(points, float)
+            if len(points) < 2:
+                continue
+            at = int(np.argmin(np.abs(points - best.shape[axis])))
+            bounds = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
+
+            def cost(x, axis=axis):
+                nonlocal best
+                shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
+                block = self.evidence.column(family.columns(self.context, place, shape))
+                free = block - basis @ (basis.T @ block) if basis.shape[1] else block
+                fitted = self._fit(family, place, shape, block, free, target)
+                if fitted is None:
+                    return 0.0
+                if fitted.gain > best.gain:
+                    more = (fitted.gain - best.gain) / noise
+                    fitted.grid, fitted.score = best.grid, best.score + more
+                    best = fitted
+                return -fitted.gain
+
+            scipy.optimize.minimize_scalar(
+                cost, bounds=bounds, method="bounded", options={"maxiter": 10}
+            )
+        return best
+
+    def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
+        """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
+        family, place = candidate.family, candidate.place
+        columns = family.columns(self.context, place, candidate.shape)
+        block = self.evidence.column(columns)
+        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
+        free = block - basis @ (basis.T @ block) if basis.shape[1] else block
+        target = residual - basis @ (basis.T @ residual) if basis.shape[1] else residual
+        fitted = self._fit(family, place, candidate.shape, block, free, target)
+        if fitted is None:
+            return None
+        fitted.grid, fitted.score = candidate.grid, candidate.score
+        return self.refined(fitted, residual, chosen, 1.0)
+
+    def _fit(self, family, place, shape, block, free, target) -> Candidate | None:
+        """Least squares in θ; Gauss–Newton on the manifold of a body's change."""
+        gram, cross = free.T @ free, free.T @ target
+        if family.size is None:
+            scale = np.sqrt(np.diagonal(gram))
+            if np.any(scale < 1e-9):
+                return None
+            unit = gram / scale[:, None] / scale[None, :]
+            if np.linalg.cond(unit) > 1e10:
+                return None
+            theta = np.linalg.solve(unit, cross / scale) / scale
+            gain = 2 * cross @ theta - theta @ gram @ theta
+            columns, offset = block, np.zeros(len(target))
+        else:
+            theta, gain = self._manifold(family, place, gram, cross)
+            if theta is None:
+                return None
+            tangent = _tangent(lambda t: family.change(self.context, place, t), theta)
+            columns = block @ tangent
+            offset = block @ family.change(self.context, place, theta) - columns @ theta
+        if gain <= 0 or not family.physical(self.context, place, shape, theta):
+            return None
+        return Candidate(family, place, shape, theta, columns, offset, 1, float(gain))
+
+    def _manifold(self, family, place, gram, cross):
+        """min over θ of δπᵀ G δπ − 2 cᵀ δπ with δπ = change(θ), by a few damped Gauss–Newton steps."""
+
+        def change(t):
+            return family.change(self.context, place, t)
+
+        def cost(t):
+            d = change(t)
+            return d @ gram @ d - 2 * cross @ d
+
+        best, best_cost = None, 0.0
+        starts = [np.zeros(family.size)]
+        if family.name == "payload":
+            scale = max(float(self.context.robot.pi[place.index, 0]), 0.1)
+            starts = [np.concatenate([[m * scale], np.zeros(3)]) for m in (0.05, 0.3, 1.0)]
+        elif family.name == "link_inertia":
+            starts = [np.array([0.1])]
+        for theta in starts:
+            damping, value = 1e-6, cost(theta)
+            for _ in range(30):
+                t = _tangent(change, theta)
+                slope = t.T @ (cross - gram @ change(theta))
+                hessian = t.T @ gram @ t
+                scale = np.diagonal(hessian) + 1e-12 * max(np.max(np.diagonal(hessian)), 1e-300)
+                step = np.linalg.lstsq(hessian + damping * np.diag(scale), slope, rcond=None)[0]
+                trial = cost(theta + step)
+                if trial < value:
+                    done = value - trial < 1e-8 * abs(trial)
+                    theta, value, damping = theta + step, trial, damping * 0.3
+                    if done:
+                        break
+                else:
+                    damping = max(damping * 10, 1e-6)
+                    if damping > 1e8:
+                        break
+            if value < best_cost:
+                best, best_cost = theta, value
+        return best, -best_cost
+
+
+def select(
+    pool: Pool, max_effects: int, floor: float
+) -> tuple[list[Candidate], list[Candidate], list[float]]:
+    """(chosen effects, the first step's ranking, misfit J after 0, 1, 2 ... effects).
+
+    `floor` is the J that noise alone would have.
+    """
+    y = pool.evidence.y
+    chosen: list[Candidate] = []
+    misfits = [float(y @ y)]
+    ranking: list[Candidate] = []
+    while len(chosen) < max_effects:
+        pool.look_again(locate.windows(pool.evidence, _remaining(pool, chosen), floor))
+        step = propose(pool, chosen, floor)
+        if not chosen:
+            ranking = step
+        if not step or step[0].score < STOP:
+            break
+        trial = settle(pool, [*chosen, step[0]])
+        if len(trial) > 1:
+            trial = swap(pool, prune(pool, trial, floor), floor)
+            after = misfit(pool, trial)
+            excess, left = misfits[0] - floor, misfits[-1] - floor
+            # Significance is not materiality: beside a large effect, the mismatch of its own equation is significant.
+            material = misfits[-1] - after > MATERIAL * excess and misfits[-1] - after > 0.3 * left
+            if len(trial) <= len(chosen) or not material:
+                break
+        chosen = trial
+        misfits.append(misfit(pool, chosen))
+    return chosen, ranking, misfits
+
+
+# A further effect must explain at least this share of the gap.
+MATERIAL = 0.03
+
+
+def _remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
+    """What the chosen effects leave, in the charged metric."""
+    columns, target = _stacked(pool, chosen)
+    if not columns.shape[1]:
+        return target
+    return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+
+
+# An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
+STOP = 25.0
+
+
+def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+    """Candidates to add, best first, the leading ones refined; simpler families first where they do as well."""
+    columns, target = _stacked(pool, chosen)
+    n = pool.evidence.rows
+    own = {c.key for c in chosen}
+    ranked = [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+    if not ranked:
+        return []
+    before = misfit(pool, chosen)
+    noise = max(1.0, (before - max(c.gain for c in ranked)) / max(floor, 1.0))
+    for c in ranked:
+        price = c.size * np.log(n) + (2 * np.log(c.grid) if c.grid > 1 else 0.0)
+        c.score = c.gain / noise - price
+    ranked.sort(key=lambda c: -c.score)
+    lead = [pool.refined(c, target, columns, noise) for c in ranked[:8]]
+    ranked = sorted([*lead, *ranked[8:]], key=lambda c: -c.score)
+    return _parsimonious(ranked, before, floor)
+
+
+def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[Candidate]:
+    """Move a simpler family ahead of the leader where it explains nearly as much *and* fits nearly as well."""
+    best = ranked[0]
+    for c in ranked[1:]:
+        if c.place != best.place or c.family.name not in best.family.simpler:
+            continue
+        nearly = c.gain > (1 - 0.015) * best.gain
+        fits = before - c.gain < 2 * max(floor, before - best.gain)
+        if nearly and fits and c.score > STOP:
+            return [c, *(x for x in ranked if x is not c)]
+    return ranked
+
+
+def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
+    """Refit all numbers together: each in turn against what the others leave, then all θ at once."""
+    for _ in range(3 if len(chosen) > 1 else 1):
+        for i, c in enumerate(chosen):
+            others = [x for k, x in enumerate(chosen) if k != i]
+            columns, target = _stacked(pool, others)
+            refit = pool.fit_again(c, target, columns)
+            if refit is not None:
+                chosen = [refit if k == i else x for k, x in enumerate(chosen)]
+        columns, target = _stacked(pool, chosen)
+        theta = np.linalg.lstsq(columns, target, rcond=None)[0]
+        start = 0
+        for c in chosen:
+            c.theta = theta[start : start + len(c.theta)]
+            start += len(c.theta)
+    return chosen
+
+
+def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+    """Drop effects that the others have made redundant."""
+    while len(chosen) > 1:
+        full = misfit(pool, chosen)
+        noise = max(1.0, full / max(floor, 1.0))
+        worth = []
+        for i, c in enumerate(chosen):
+            rest = [x for k, x in enumerate(chosen) if k != i]
+            price = c.size * np.log(pool.evidence.rows)
+            worth.append((misfit(pool, rest) - full) / noise - price)
+        weakest = int(np.argmin(worth))
+        if worth[weakest] >= STOP:
+            break
+        chosen = settle(pool, [x for k, x in enumerate(chosen) if k != weakest])
+    return chosen
+
+
+def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+    """Try each chosen effect's place for another: forward steps alone lose the smaller of two."""
+    for _ in range(2):
+        improved = False
+        for i in range(len(chosen)):
+            others = [x for k, x in enumerate(chosen) if k != i]
+            options = propose(pool, others, floor)
+            if not options or options[0].key == chosen[i].key:
+                continue
+            trial = settle(pool, [*others[:i], options[0], *others[i:]])
+            if misfit(pool, trial) < misfit(pool, chosen) - STOP:
+                chosen, improved = trial, True
+        if not improved:
+            break
+    return chosen
+
+
+def misfit(pool: Pool, chosen: list[Candidate]) -> float:
+    """J with all θ free and the shapes as they are."""
+    columns, target = _stacked(pool, chosen)
+    if not columns.shape[1]:
+        return float(target @ target)
+    theta = np.linalg.lstsq(columns, target, rcond=None)[0]
+    return float(np.sum((target - columns @ theta) ** 2))
+
+
+def _stacked(pool: Pool, chosen: list[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    y = pool.evidence.y
+    if not chosen:
+        return np.zeros((len(y), 0)), y
+    columns = np.concatenate([c.columns for c in chosen], axis=1)
+    return columns, y - np.sum([c.offset for c in chosen], axis=0)
+
+
+def _tangent(change, theta: np.ndarray) -> np.ndarray:
+    """∂(change)/∂θ by central differences; `change` is at most cubic, so the step may be large."""
+    out = []
+    for k in range(len(theta)):
+        h = np.zeros(len(theta))
+        h[k] = 1e-4 * max(1.0, abs(theta[k]))
+        out.append((change(theta + h) - change(theta - h)) / (2 * h[k]))
+    return np.stack(out, axis=1)
