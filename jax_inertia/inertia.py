@@ -102,7 +102,7 @@ def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     float32 for bodies of ordinary proportions.
     """
     p = pseudo_inertia(pi)
-    diagonal = jnp.diagonal(p, axis1=-2, axis2=-1)
+    diagonal: Array = jnp.diagonal(p, axis1=-2, axis2=-1)
     ok = jnp.all(diagonal > 0, axis=-1) & jnp.all(jnp.isfinite(pi), axis=-1)
     scale = jax.lax.rsqrt(jnp.where(ok[..., None], diagonal, 1.0))
     scaled = p * scale[..., :, None] * scale[..., None, :]

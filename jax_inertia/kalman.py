@@ -240,10 +240,10 @@ def update(
     z = jnp.where(used, measurement, 0.0)
     used = used.astype(prior.dtype)
 
-    def linearise(x):
+    def linearise(x: Float[Array, " n"]) -> tuple[Array, Array, Array]:
         # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
-        h = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
-        nu = jnp.where(used > 0, z - model(x) - h @ (prior - x), 0.0)
+        h: Array = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
+        nu: Array = jnp.where(used > 0, z - model(x) - h @ (prior - x), 0.0)
         white = noise.whiten(jnp.concatenate([h, nu[:, None]], axis=1), used)
         return nu, white[:, :-1], white[:, -1]
 
@@ -281,7 +281,7 @@ def _positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 def _cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular."""
-    diagonal = jnp.diagonal(p)
+    diagonal: Array = jnp.diagonal(p)
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     unit = p / (scale[:, None] * scale[None, :])
     jitter = 8.0 * jnp.finfo(p.dtype).eps

@@ -10,7 +10,6 @@ jax.config.update("jax_enable_x64", True)
 # Before anything imports the package, so that every annotation in it is checked.
 install_import_hook("jax_inertia", "beartype.beartype")
 
-import jax.numpy as jnp  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402

@@ -8,22 +8,22 @@ from bodies import random_bodies
 
 from jax_inertia import charts, inertia, kalman
 
-FILTERS, STEPS, BODIES, ROWS = 250, 200, 2, 12
-STATES = 10 * BODIES
+FILTERS, STEPS, ROWS = 250, 200, 12
 
 
-def storm(chart: charts.Chart, key: jax.Array, iterations: int):
+def storm(chart: charts.Chart, key: jax.Array, bodies: int, iterations: int):
     """Run all filters; for each update, whether everything about it is in order."""
+    states = 10 * bodies
     rng = np.random.default_rng(0)
-    truth = random_bodies(BODIES, seed=1)
-    nominal = random_bodies(BODIES, seed=2)
+    truth = random_bodies(bodies, seed=1)
+    nominal = random_bodies(bodies, seed=2)
     # Torques of links in motion: accelerations of 10 m/s², angular ones of 5 rad/s².
     column = np.array([10.0] + [10.0] * 3 + [5.0] * 6)
-    regressors = rng.normal(size=(64, ROWS, BODIES, 10)) * column
+    regressors = rng.normal(size=(64, ROWS, bodies, 10)) * column
     regressors, truth, nominal = (jnp.asarray(x, jnp.float32) for x in (regressors, truth, nominal))
     noise = kalman.IndependentNoise(jnp.full(ROWS, 0.25, jnp.float32))
-    start = kalman.Belief(chart.from_pi(nominal).ravel(), jnp.eye(STATES, dtype=jnp.float32))
-    drift = 1e-3 * jnp.eye(STATES, dtype=jnp.float32)
+    start = kalman.Belief(chart.from_pi(nominal).ravel(), jnp.eye(states, dtype=jnp.float32))
+    drift = 1e-3 * jnp.eye(states, dtype=jnp.float32)
 
     def step(belief, key):
         pick, quiet, wild, size, nan, bad = jax.random.split(key, 6)
@@ -37,11 +37,11 @@ def storm(chart: charts.Chart, key: jax.Array, iterations: int):
         z = z.astype(jnp.float32)
 
         def predicted(x):
-            return jnp.einsum("rbp,bp->r", y, chart.to_pi(x.reshape(BODIES, 10)))
+            return jnp.einsum("rbp,bp->r", y, chart.to_pi(x.reshape(bodies, 10)))
 
         def jacobian(x):
-            g = chart.jacobian(x.reshape(BODIES, 10))
-            return jnp.einsum("rbp,bpj->rbj", y, g).reshape(ROWS, STATES)
+            g = chart.jacobian(x.reshape(bodies, 10))
+            return jnp.einsum("rbp,bpj->rbj", y, g).reshape(ROWS, states)
 
         belief, said = kalman.update(
             kalman.predict(belief, drift),
@@ -51,9 +51,9 @@ def storm(chart: charts.Chart, key: jax.Array, iterations: int):
             jacobian=jacobian,
             mask=jnp.all(jnp.isfinite(y), axis=(1, 2)),
             iterations=iterations,
-            project=lambda x: chart.project(x.reshape(BODIES, 10)).ravel(),
+            project=lambda x: chart.project(x.reshape(bodies, 10)).ravel(),
         )
-        pi, p = chart.to_pi(belief.mean.reshape(BODIES, 10)), belief.covariance
+        pi, p = chart.to_pi(belief.mean.reshape(bodies, 10)), belief.covariance
         wide = p.astype(jnp.float64)
         scale = jnp.sqrt(jnp.diagonal(wide))
         return belief, {
@@ -72,12 +72,12 @@ def storm(chart: charts.Chart, key: jax.Array, iterations: int):
 
 
 @pytest.mark.parametrize(
-    ("chart", "iterations"),
-    [(charts.LogCholesky(), 1), (charts.LogCholeskyUUt(), 3)],
+    ("chart", "bodies", "iterations"),
+    [(charts.LogCholesky(), 2, 1), (charts.LogCholeskyUUt(), 1, 3)],
     ids=["UtU", "UUt iterated"],
 )
-def test_every_estimate_is_a_body_and_every_covariance_one(chart, iterations):
-    out = jax.tree.map(np.asarray, storm(chart, jax.random.key(3), iterations))
+def test_every_estimate_is_a_body_and_every_covariance_one(chart, bodies, iterations):
+    out = jax.tree.map(np.asarray, storm(chart, jax.random.key(3), bodies, iterations))
     assert out["physical"].size == 50_000
     for key in ("float32", "finite", "physical", "symmetric", "positive"):
         assert np.all(out[key]), f"{key}: {np.sum(~out[key])} of {out[key].size}"

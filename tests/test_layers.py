@@ -15,10 +15,11 @@ LAYERS: dict[str, str] = {
     "robot": "robot _spec mjcf robots",
     "dynamics": "dynamics",
     "estimation and simulation": """measurement estimate batch _batch_rows _batch_solve consistency
-        handover logfilter simulate demo""",
+        handover logfilter priors simulate""",
     "gap": "gap",
     "control": "control",
-    "command line": "cli __main__",
+    "command line": """_console _estimate_command _estimate_run _estimate_output plots demo cli
+        __main__""",
 }
 RANK = {name: rank for rank, names in enumerate(LAYERS.values()) for name in names.split()}
 # A leaf: nothing else may need a controller.
@@ -51,7 +52,7 @@ def imports_of(name: str, source: str) -> set[str]:
             # `from package.module import thing` names the module, `from package import module` too.
             while rest and rest not in MODULES:
                 rest = rest.rpartition(".")[0]
-            assert rest, f"{name}: imports {full}; inside the package import from its module"
+            assert rest, f"{name}: {full} is not a module; inside the package import from modules"
             found.add(rest)
     return found
 
@@ -62,7 +63,8 @@ def upward(name: str, imported: set[str]) -> list[str]:
     lines = []
     for other in sorted(imported):
         top = other.partition(".")[0]
-        if RANK[top] > RANK[own]:
+        # What has no place yet is for `test_every_module_has_its_place` to report.
+        if RANK.get(top, 0) > RANK[own]:
             lines.append(f"{name} imports {other}, which is in a layer above it")
         if own not in LEAVES.get(top, {own}):
             lines.append(f"{name} imports {other}, which is a leaf")
@@ -103,7 +105,7 @@ def test_the_rules_can_fail():
     assert upward("kalman", imports_of("kalman", "from jax_inertia import robot"))
     assert upward("dynamics", imports_of("x", "def f():\n    from jax_inertia.gap.chain import A"))
     assert not upward("gap.chain", imports_of("x", "import jax_inertia.dynamics"))
-    with pytest.raises(AssertionError, match="import from its module"):
+    with pytest.raises(AssertionError, match="import from modules"):
         imports_of("gap.chain", "from jax_inertia import load_model")
     with pytest.raises(AssertionError, match="relative"):
         imports_of("gap.chain", "from . import context")
