@@ -127,7 +127,9 @@ def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
     out = dynamics.inverse_dynamics(robot, q, v, a) - dynamics.passive_torque(robot, q, v)
     motion = observation.motion
     if motion.wrench is not None:
-        out = out - dynamics.contact_torque(robot, q, motion.wrench, motion.contact_bodies)
+        out = out - dynamics.contact_torque(
+            robot, q, jnp.asarray(motion.wrench), motion.contact_bodies
+        )
     return out
 
 

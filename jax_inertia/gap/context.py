@@ -65,7 +65,8 @@ class Context:
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """∂/∂q, ∂/∂v, ∂/∂a of the needed torque along each hinge or slide row, (T, nv, nv) each."""
-        return tuple(np.asarray(x) for x in _sensitivity(self.robot, self.prepared.observation))
+        dq, dv, da = _sensitivity(self.robot, self.prepared.observation)
+        return np.asarray(dq), np.asarray(dv), np.asarray(da)
 
     @functools.cached_property
     def tilt(self) -> np.ndarray:

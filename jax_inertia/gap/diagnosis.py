@@ -181,7 +181,7 @@ def diagnose(
         findings=findings,
         heldout=heldout,
         test=None if test_log is None else _on_other(robot, test_log, chosen),
-        when=tuple(tuple(w) for w in locate.intervals(evidence, evidence.y)),
+        when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=tuple(log.notes),
     )
@@ -270,9 +270,11 @@ def _intervals(
     if others:
         basis = np.linalg.qr(np.concatenate(others, axis=1))[0]
         own = own - basis @ (basis.T @ own)
-    scale = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    unit = (own / scale).T @ (own / scale)
-    spread = np.linalg.pinv(unit, rcond=1e-10) / scale[:, None] / scale[None, :]
+    scale = np.linalg.norm(own, axis=0)
+    # Numbers that are details of the fit (a presliding length) have no column, and no interval.
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    unit = (own * inverse).T @ (own * inverse)
+    spread = np.linalg.pinv(unit, rcond=1e-10) * inverse[:, None] * inverse[None, :]
     covariance = spread * max(1.0, inflation)
     point = np.concatenate([c.theta, c.shape])
     n = len(c.theta)

@@ -57,7 +57,7 @@ class Evidence:
 
     def _whiten(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         finished = self.prepared.finish(columns.values)
-        full = columns.row is None
-        white = self.whitener(finished) if full else self.whitener.one_row(finished, columns.row)
+        row = columns.row
+        white = self.whitener(finished) if row is None else self.whitener.one_row(finished, row)
         white = white * self.used[:, :, None]
         return white.reshape(-1, white.shape[-1])

@@ -8,32 +8,31 @@ from jax_inertia.gap.families.base import Place
 
 def to_report(found: Diagnosis) -> dict:
     """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN."""
-    return _clean(
-        {
-            "schema": 1,
-            "verdict": str(found.verdict),
-            "confidence": found.confidence,
-            "gap": {
-                "chi2": found.chi2,
-                "noise_floor": found.noise_floor,
-                "per_joint_rms": found.per_joint_rms,
-                "share": found.share,
-            },
-            "effects": [_effect(f) for f in found.findings],
-            "shrink": {
-                "heldout": _shrink(found.heldout),
-                "test_log": None if found.test is None else _shrink(found.test),
-                "rollout": None,
-            },
-            "when": [list(w) for w in found.when],
-            "undetectable_below": [
-                {"family": family, "location": _place(place), "value": p.value, "unit": p.unit}
-                for family, place, p in found.undetectable_below
-            ],
-            "suggested_motion": {},
-            "notes": list(found.notes),
-        }
-    )
+    report = {
+        "schema": 1,
+        "verdict": str(found.verdict),
+        "confidence": found.confidence,
+        "gap": {
+            "chi2": found.chi2,
+            "noise_floor": found.noise_floor,
+            "per_joint_rms": found.per_joint_rms,
+            "share": found.share,
+        },
+        "effects": [_effect(f) for f in found.findings],
+        "shrink": {
+            "heldout": _shrink(found.heldout),
+            "test_log": None if found.test is None else _shrink(found.test),
+            "rollout": None,
+        },
+        "when": [list(w) for w in found.when],
+        "undetectable_below": [
+            {"family": family, "location": _place(place), "value": p.value, "unit": p.unit}
+            for family, place, p in found.undetectable_below
+        ],
+        "suggested_motion": {},
+        "notes": list(found.notes),
+    }
+    return {name: _clean(value) for name, value in report.items()}
 
 
 def _effect(f: Finding) -> dict:

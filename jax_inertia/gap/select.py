@@ -5,7 +5,6 @@ still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 """
 
 import dataclasses
-import itertools
 
 import numpy as np
 import scipy.optimize
@@ -73,7 +72,7 @@ class Pool:
     def _enter(self, family: Family) -> None:
         for place in family.places(self.context):
             blocks = []
-            for shape in itertools.product(*family.grid(self.context, place)):
+            for shape in family.shapes(self.context, place):
                 block = self.evidence.column(family.columns(self.context, place, shape))
                 if np.isfinite(block).all() and np.sum(block**2) > 1e-12:
                     blocks.append((shape, block))
@@ -242,7 +241,9 @@ def select(
             after = misfit(pool, trial)
             excess, left = misfits[0] - floor, misfits[-1] - floor
             # Significance is not materiality: beside a large effect, the mismatch of its own equation is significant.
-            material = misfits[-1] - after > MATERIAL * excess and misfits[-1] - after > 0.3 * left
+            # A second effect that is real takes most of what is left; a mismatch yields to nothing in particular.
+            drop = misfits[-1] - after
+            material = drop > 0.6 * left or (drop > MATERIAL * excess and drop > 0.3 * left)
             if len(trial) <= len(chosen) or not material:
                 break
         chosen = trial

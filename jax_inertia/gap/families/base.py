@@ -7,7 +7,8 @@ inertial parameters is nonlinear in another way: e = −Y δπ(θ), which `Famil
 
 import abc
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -69,9 +70,13 @@ class Family(abc.ABC):
             return [Place("contact", n, i) for i, n in enumerate(context.contacts)]
         return [Place("global", "global", -1)]
 
-    def grid(self, context: Context, place: Place) -> tuple[Sequence[float], ...]:
+    def grid(self, context: Context, place: Place) -> tuple[Sequence[float] | np.ndarray, ...]:
         """Grid of each nonlinear number; none where the effect is linear."""
         return ()
+
+    def shapes(self, context: Context, place: Place) -> Iterable[Shape]:
+        """Where the nonlinear numbers are tried first: everywhere on the grid."""
+        return itertools.product(*self.grid(context, place))
 
     free_shape: ClassVar[int | None] = None
     """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""

@@ -26,7 +26,7 @@ class Payload(Inertial):
         return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
 
     def physical(self, context, place, shape, theta):
-        return theta[0] > 0 and np.linalg.norm(theta[1:4]) < 1.0
+        return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < 1.0)
 
     def parameters(self, context, place, shape, theta):
         return {
@@ -54,7 +54,7 @@ class ComShift(Inertial):
         return np.array([0.0, *h, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
 
     def physical(self, context, place, shape, theta):
-        return np.linalg.norm(theta) < 0.3
+        return bool(np.linalg.norm(theta) < 0.3)
 
     def parameters(self, context, place, shape, theta):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
@@ -77,7 +77,7 @@ class LinkInertia(Inertial):
         return np.concatenate([np.zeros(4), theta[0] * own])
 
     def physical(self, context, place, shape, theta):
-        return theta[0] > -0.98
+        return bool(theta[0] > -0.98)
 
     def parameters(self, context, place, shape, theta):
         return {"inertia_scale": Parameter(1.0 + theta[0], "1")}
@@ -90,7 +90,7 @@ class ConstantForce(Family):
         return Columns(context.force_rows[:, place.index])
 
     def physical(self, context, place, shape, theta):
-        return np.linalg.norm(theta) < 2000
+        return bool(np.linalg.norm(theta) < 2000)
 
     def parameters(self, context, place, shape, theta):
         return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
@@ -105,7 +105,7 @@ class Drag(Family):
         return Columns(np.einsum("tjc,tc->tj", context.force_rows[:, place.index], f)[:, :, None])
 
     def physical(self, context, place, shape, theta):
-        return 0 < theta[0] < 200
+        return bool(0 < theta[0] < 200)
 
     def parameters(self, context, place, shape, theta):
         return {"coefficient": Parameter(theta[0], "N s²/m²")}
@@ -115,11 +115,11 @@ class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
     continuous, passing = False, True
 
-    def grid(self, context, place):
-        return (range(len(context.windows)),)
+    def shapes(self, context, place):
+        return context.windows
 
     def columns(self, context, place, shape):
-        start, stop = context.windows[int(shape[0])]
+        start, stop = shape
         phase = np.clip((context.time - start) / (stop - start), 0, 1)
         # Two bumps: one for the push itself, one skewed, since nobody pushes symmetrically.
         bumps = np.stack(
@@ -129,10 +129,10 @@ class Push(Family):
         return Columns(np.einsum("tjc,tk->tjkc", rows, bumps).reshape(*rows.shape[:2], 6))
 
     def physical(self, context, place, shape, theta):
-        return np.linalg.norm(theta[:3]) < 2000
+        return bool(np.linalg.norm(theta[:3]) < 2000)
 
     def parameters(self, context, place, shape, theta):
-        start, stop = context.windows[int(shape[0])]
+        start, stop = shape
         return {
             **{f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta[:3], strict=True)},
             "start": Parameter(start, "s"),

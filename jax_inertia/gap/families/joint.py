@@ -1,5 +1,7 @@
 """Effects at a joint's own axis: friction, springs, rotor inertia."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jax_inertia.gap.context import Context
@@ -25,7 +27,7 @@ class Joint(Family):
 class DryFriction(Joint):
     """Friction whose direction turns over a presliding displacement, the last of its nonlinear numbers."""
 
-    def grid(self, context, place):
+    def grid(self, context: Context, place: Place) -> tuple[Sequence[float] | np.ndarray, ...]:
         return (PRESLIDING,)
 
     free_shape = 0
