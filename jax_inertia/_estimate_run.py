@@ -1,0 +1,274 @@
+"""What `jax-inertia estimate` computes, from files to numbers."""
+
+import argparse
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jax_inertia import batch, charts, logfilter
+from jax_inertia._console import warn
+from jax_inertia.batch import BatchFit
+from jax_inertia.differences import Observation
+from jax_inertia.dynamics import resolve_bodies
+from jax_inertia.estimate import Load, Trace
+from jax_inertia.inertia import PI_NAMES, is_physical
+from jax_inertia.least_squares import Identifiability, weighted_least_squares
+from jax_inertia.log import Log, LogError, TorqueUnit, read_log
+from jax_inertia.mjcf import load_model
+from jax_inertia.motion import suggestion
+from jax_inertia.preflight import Finding, Severity, preflight
+from jax_inertia.robot import Robot
+
+_DRAWS = 8
+# Bodies of a calibrated robot: what a data sheet gets wrong, not a load.
+_CALIBRATION_MASS, _CALIBRATION_REACH = 0.01, 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What was read, and found sound."""
+
+    robot: Robot
+    log: Log
+    references: tuple[Log, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What was found."""
+
+    bodies: tuple[str, ...]
+    robot: Robot
+    """Calibrated, where that was asked for; the bodies as known beforehand."""
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...]
+    observation: Observation
+    trace: Trace
+    time: Float[np.ndarray, " T"]
+    physical: Bool[np.ndarray, "T bodies"]
+    fit: BatchFit
+    calibration: BatchFit | None
+    calibration_sigma: dict[str, Float[np.ndarray, " bodies"]]
+    """What the calibration leaves open of the load's mass, at the end (online) and over the log (batch) [kg]."""
+    noise: Float[np.ndarray, " nv"]
+    bias: Float[np.ndarray, " nv"]
+    gains: Float[np.ndarray, " nv"]
+    prior: Load
+    gate: float
+    changed: bool
+    identifiability: Identifiability
+    prior_bound: tuple[str, ...]
+    """Parameters that the whole log narrows by less than half: what is said of them is the prior's."""
+    row_names: tuple[str, ...]
+
+
+def read(args: argparse.Namespace) -> Inputs:
+    """Read model and logs, and look at them before anything is computed."""
+    robot = load_model(args.model)
+    for name in args.bodies:
+        if name not in robot.body_names:
+            raise ValueError(
+                f"{args.model} has no moving body {name!r}; {suggestion(name, robot.body_names)}"
+            )
+    resolve_bodies(robot, args.bodies)
+    log, *references = [read_log(path) for path in (args.log, *(args.calibrate or ()))]
+    findings = []
+    for path, one in zip((args.log, *(args.calibrate or ())), (log, *references), strict=True):
+        found = preflight(one, robot)
+        try:
+            found.raise_for_errors()
+        except LogError as error:
+            raise LogError(f"{path}: {error}") from None
+        for finding in found.of(Severity.WARNING):
+            if finding.check != "torque_unit":
+                warn(f"{path}: {finding.message}")
+        findings += found.findings
+    torque = log.tau_unit is TorqueUnit.NEWTON_METRE
+    if not torque and not args.gains and not args.calibrate:
+        raise ValueError(
+            f"{args.log}: tau is in {log.tau_unit_text!r}, not N m; give --gains (N m per unit, one for "
+            "each joint), or --calibrate with logs without load"
+        )
+    if torque and args.gains:
+        raise ValueError(f"{args.log}: tau is in N m; --gains is for currents and counts")
+    for path, one in zip(args.calibrate or (), references, strict=True):
+        if one.tau_unit is not log.tau_unit:
+            raise ValueError(
+                f"{path}: tau is in {one.tau_unit_text!r}, in {args.log} {log.tau_unit_text!r}"
+            )
+    return Inputs(robot, log, tuple(references), tuple(findings))
+
+
+def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], None]) -> Result:
+    """Signals, calibration, batch fit, noise, filter, and what the log can tell at all."""
+    robot, log, notes = inputs.robot, inputs.log, []
+    stage("resampling, low-pass, differences")
+    torque = log.tau_unit is TorqueUnit.NEWTON_METRE
+    gains = logfilter.joint_gains(log, robot, 1.0 if torque else args.gains or 10.0)
+    raw = logfilter.observe(log, robot, rate=args.rate, cutoff=args.cutoff)
+    nominal, bias, calibration = robot, np.zeros(robot.nv), None
+    if inputs.references:
+        stage("calibrating on the logs without load")
+        calibration = _calibrate(args, inputs, gains)
+        robot, gains, bias = calibration.robot, calibration.gains, calibration.bias
+        if not calibration.converged:
+            notes.append("the calibration did not settle; its parameters are the last round's")
+    mass = 0.1 * float(jnp.sum(nominal.pi[:, 0])) if args.prior_mass is None else args.prior_mass
+    prior = Load(mass, args.prior_reach)
+    observation = logfilter.in_newton_metres(raw, gains)
+    if args.bias_window is not None:
+        stage("start-up bias")
+        bias = bias + _start_up_bias(args, robot, observation, bias, prior)
+    stage("batch fit")
+    fit = batch.fit(robot, [raw], args.bodies, prior=prior, gains=gains, bias=bias)
+    if not fit.converged:
+        notes.append("the batch fit did not settle; its values are the last round's")
+    stage("noise")
+    noise, changed = logfilter.residual_noise(
+        robot, observation, args.bodies, prior=prior, whole=fit, bias=bias
+    )
+    if changed:
+        notes.append(
+            "the bodies changed during the log: read the filter's estimates over time; the batch fit, which takes "
+            "them for constant, means nothing here"
+        )
+    noise = noise / np.sqrt(logfilter.stride(raw, args.cutoff))
+    if args.sigma_tau is not None:
+        noise = _given_noise(args.sigma_tau, robot)
+    stage("filter")
+    gate = logfilter.GATE if args.gate is None else args.gate
+    trace = _filter(args, robot, observation, noise, prior, bias)
+    spread = {"online": np.zeros(len(args.bodies)), "batch": np.zeros(len(args.bodies))}
+    if calibration is not None:
+        stage("what the calibration leaves open")
+        spread = _calibration_spread(args, calibration, raw, noise, prior, bias)
+    stage("what the log can tell")
+    seen = _identifiability(robot, observation, args.bodies, bias, fit)
+    ratio = np.asarray(fit.estimate.sigma_pi) / np.asarray(prior.sigma_pi())
+    names = [f"{body}.{name}" for body in args.bodies for name in PI_NAMES]
+    return Result(
+        bodies=tuple(args.bodies),
+        robot=robot,
+        findings=inputs.findings,
+        notes=tuple(notes),
+        observation=observation,
+        trace=trace,
+        time=np.asarray(logfilter.thinned(observation, args.cutoff).motion.time),
+        physical=np.asarray(is_physical(trace.estimate.pi)),
+        fit=fit,
+        calibration=calibration,
+        calibration_sigma=spread,
+        noise=noise,
+        bias=bias,
+        gains=gains,
+        prior=prior,
+        gate=gate,
+        changed=changed,
+        identifiability=seen,
+        prior_bound=tuple(n for n, r in zip(names, ratio.ravel(), strict=True) if r > 0.5),
+        row_names=_row_names(robot),
+    )
+
+
+def _calibrate(args: argparse.Namespace, inputs: Inputs, gains: np.ndarray) -> BatchFit:
+    robot = inputs.robot
+    references = [
+        logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff)
+        for one in inputs.references
+    ]
+    unknown = inputs.log.tau_unit is not TorqueUnit.NEWTON_METRE
+    usual = (0.5 if args.gains else 1.0) if unknown else 0.0
+    return batch.fit(
+        robot,
+        references,
+        prior=Load(_CALIBRATION_MASS * float(jnp.sum(robot.pi[:, 0])), _CALIBRATION_REACH),
+        joint_terms=batch.JOINT_TERMS,
+        gains=gains,
+        gain_sigma=usual if args.gain_sigma is None else args.gain_sigma,
+    )
+
+
+def _start_up_bias(args, robot: Robot, observation: Observation, bias, prior: Load) -> np.ndarray:
+    time = np.asarray(observation.motion.time)
+    rows = time <= time[0] + args.bias_window
+    if rows.all():
+        raise ValueError(
+            f"--bias-window {args.bias_window:g} s covers the whole log ({time[-1] - time[0]:.3g} s); "
+            "it must be the unloaded start of it"
+        )
+    estimator = logfilter.online(robot, args.bodies, np.ones(robot.nv), prior=prior)
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    window = jax.tree.map(lambda x: x[rows], observation)
+    return np.asarray(estimator.calibrate_bias(state, window).bias) - bias
+
+
+def _given_noise(values: list[float], robot: Robot) -> np.ndarray:
+    if len(values) not in (1, robot.nv):
+        raise ValueError(
+            f"{len(values)} values of --sigma-tau for {robot.nv} rows; give one for all, or one each"
+        )
+    return np.broadcast_to(np.asarray(values, float), (robot.nv,)).copy()
+
+
+def _filter(args, robot: Robot, observation: Observation, noise, prior: Load, bias) -> Trace:
+    nominal = robot.pi[np.array(resolve_bodies(robot, args.bodies))]
+    chart = {
+        "linear": charts.Linear,
+        "log-cholesky": charts.LogCholesky,
+        "log-cholesky-uut": charts.LogCholeskyUUt,
+        "relative": lambda: charts.Relative.to(nominal),
+    }[args.chart]()
+    estimator = logfilter.online(
+        robot,
+        args.bodies,
+        noise,
+        prior=prior,
+        chart=chart,
+        gate=logfilter.GATE if args.gate is None else args.gate,
+        reopen_after=logfilter.REOPEN_AFTER if args.reopen_after is None else args.reopen_after,
+        iterations=args.iterations,
+        drift_seconds=args.drift_time,
+    )
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    return logfilter.run(estimator, state, logfilter.thinned(observation, args.cutoff))[1]
+
+
+def _calibration_spread(args, calibration: BatchFit, raw: Observation, noise, prior, bias) -> dict:
+    """Standard deviation of the load's mass over models that the calibration could as well have given."""
+    chosen = list(resolve_bodies(calibration.robot, args.bodies))
+    found = {"online": [], "batch": []}
+    for robot, gains, offset in calibration.draws(_DRAWS):
+        own = bias - calibration.bias + offset
+        observation = logfilter.in_newton_metres(raw, gains)
+        trace = _filter(args, robot, observation, noise, prior, own)
+        fit = batch.fit(robot, [raw], args.bodies, prior=prior, gains=gains, bias=own)
+        before = np.asarray(robot.pi)[chosen, 0]
+        found["online"].append(np.asarray(trace.estimate.pi)[-1, :, 0] - before)
+        found["batch"].append(np.asarray(fit.estimate.pi)[:, 0] - before)
+    return {key: np.std(value, axis=0, ddof=1) for key, value in found.items()}
+
+
+def _identifiability(robot: Robot, observation: Observation, bodies, bias, fit) -> Identifiability:
+    y, delta, valid = logfilter.regressors(robot, observation, bodies, bias)
+    weight = np.where(valid, 1.0 / np.maximum(fit.noise, 1e-9) ** 2, 0.0)
+    names = [f"{body}.{name}" for body in bodies for name in PI_NAMES]
+    rows = y.reshape(-1, y.shape[2])
+    return weighted_least_squares(rows, delta.ravel(), weight.ravel(), names=names).identifiability
+
+
+def _row_names(robot: Robot) -> tuple[str, ...]:
+    """A name for every row of the equations of motion: its joint's, with the component where there are several."""
+    count = np.diff([*robot.joint_dofadr, robot.nv])
+    parts = {
+        1: [""],
+        3: [" x", " y", " z"],
+        6: [f" {k}" for k in ("x", "y", "z", "rx", "ry", "rz")],
+    }
+    names = zip(robot.joint_names, count, strict=True)
+    return tuple(joint + part for joint, n in names for part in parts[int(n)])

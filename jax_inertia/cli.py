@@ -1,0 +1,52 @@
+"""The command `jax-inertia`: parse, call, print.
+
+A command is a module with `add_parser(subparsers)`, which sets `run` (namespace → exit status) as a default of its
+parser. Modules that do the work are imported by `run` alone, so that `--help` is quick.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import NoReturn
+
+from jax_inertia import _estimate_command
+from jax_inertia.demo import command as demo_command
+
+_COMMANDS = (_estimate_command, demo_command)
+
+
+class _Parser(argparse.ArgumentParser):
+    """An `ArgumentParser` whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"jax-inertia: error: {message} (see {self.prog} --help)\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0, 2 for bad input (one line on stderr), 130 for Ctrl-C."""
+    parser = _Parser(
+        prog="jax-inertia",
+        description="Masses, centres of mass and inertias of a robot's bodies from its logs, never unphysical.",
+        epilog="start with: jax-inertia demo",
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('jax-inertia')}")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for command in _COMMANDS:
+        command.add_parser(subparsers)
+    args = parser.parse_args(arguments)
+    from jax_inertia._console import one_line, warnings_as_lines
+
+    try:
+        import jax
+
+        # Logs last minutes and covariances span twelve decades: single precision is for the library's users to choose.
+        jax.config.update("jax_enable_x64", True)
+        with warnings_as_lines():
+            return args.run(args)
+    except KeyboardInterrupt:
+        print("jax-inertia: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except (ValueError, OSError) as error:
+        print(f"jax-inertia: error: {one_line(error)}", file=sys.stderr)
+        return 2

@@ -1,0 +1,1 @@
+"""A demonstration on built-in data; `jax-inertia demo` runs it."""

@@ -1,0 +1,221 @@
+"""From a log to an estimate: the one pipeline that the command line, the demo and the benchmarks share.
+
+    observation = observe(log, robot)                      # resampled, low-passed, differentiated: 100 Hz
+    fit = batch.fit(robot, [observation], ["hand"], prior=prior)
+    noise, changed = residual_noise(robot, observation, ["hand"], prior=prior, whole=fit)
+    estimator = online(robot, ["hand"], noise / stride(observation) ** 0.5, prior=prior)
+    state, trace = run(estimator, estimator.initial(), thinned(observation))
+
+Two rates: differences need samples much denser than the motion, a filter needs samples whose noise is independent.
+So the log is low-passed to `CUTOFF`, differentiated at ten times that, and filtered at twice that, where neighbours
+carry separate news. Fed at the full rate, a χ² gate sees a fifth of the innovation that it is entitled to, and sleeps.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia import charts, kalman
+from jax_inertia._batch_rows import correlation_inflation
+from jax_inertia.batch import BatchFit
+from jax_inertia.differences import Observation, central_differences
+from jax_inertia.dynamics import resolve_bodies
+from jax_inertia.estimate import Estimator, Load, State, Trace, make_estimator
+from jax_inertia.log import Log, LogError
+from jax_inertia.measurement import torque_residuals
+from jax_inertia.motion import generalised
+from jax_inertia.robot import Robot
+from jax_inertia.signals import low_pass, resample
+
+CUTOFF = 10.0
+"""Low-pass of every channel [Hz]: above what a joint's position loop follows, below most gear and structure modes."""
+GATE, REOPEN_AFTER = 0.9999, 0.5
+"""Real residuals have bursts (gears at reversal) of a few tenths of a second; a load stays."""
+_RATE_PER_CUTOFF = 10.0
+_PIECE_SECONDS = 2.0
+# A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
+_CHANGED = 5.0
+# With a gate that reopens, sudden changes are the gate's affair; drift is for the slow rest.
+_DRIFT_SECONDS = 3600.0
+
+
+def observe(
+    log: Log, robot: Robot, *, rate: float | None = None, cutoff: float = CUTOFF
+) -> Observation:
+    """A log as observations on a uniform grid of `rate` [Hz] (default: ten times `cutoff`, at most the log's own).
+
+    Every channel passes one zero-phase low-pass of `cutoff` [Hz]; torques stay in the log's unit. One period of the
+    cutoff is cut off at both ends, where the filter rings. Raises ValueError for rates that do not fit the log, and
+    where too little is left or nothing of it was measured.
+    """
+    rate = min(_RATE_PER_CUTOFF * cutoff, round(log.rate, 6)) if rate is None else rate
+    motion = generalised(low_pass(resample(log, rate), cutoff), robot)
+    edge = int(np.ceil(rate / cutoff))
+    if len(motion.time) < 2 * edge + 22:
+        raise LogError(
+            f"{log.duration:.3g} s of log at {rate:g} Hz are too short for a low-pass of {cutoff:g} Hz; "
+            "raise the cutoff"
+        )
+    observation = jax.tree.map(lambda x: x[edge:-edge], central_differences(motion))
+    if not np.any(observation.motion.valid):
+        raise LogError(
+            "no sample is complete (position, velocity and torque all finite); nothing to fit"
+        )
+    return observation
+
+
+def stride(observation: Observation, cutoff: float = CUTOFF) -> int:
+    """How many samples of the grid one independent sample spans: rate / (2 cutoff), at least one."""
+    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    return max(1, int(0.5 / (period * cutoff) + 1e-6))
+
+
+def thinned(observation: Observation, cutoff: float = CUTOFF) -> Observation:
+    """Every `stride`-th observation: twice the cutoff, the rate that filters run at."""
+    step = stride(observation, cutoff)
+    return jax.tree.map(lambda x: x[::step], observation)
+
+
+def joint_gains(
+    log: Log, robot: Robot, gains: Sequence[float] | Float[np.ndarray, " n"] | float
+) -> Float[np.ndarray, " nv"]:
+    """Drive gains in the log's order of joints (or one for all) as gains of the robot's rows; 1 on all others."""
+    values = np.asarray(gains, float)
+    if values.size not in (1, len(log.joint_names)):
+        raise ValueError(
+            f"{values.size} gains for {len(log.joint_names)} joints; give one for all, or one each for "
+            + ", ".join(log.joint_names)
+        )
+    if not np.all(np.isfinite(values)) or np.any(values == 0):
+        raise ValueError(f"gains are {values}; each must be a number other than zero")
+    out = np.ones(robot.nv)
+    values = np.broadcast_to(values.ravel(), (len(log.joint_names),))
+    for name, gain in zip(log.joint_names, values, strict=True):
+        out[robot.joint_dofadr[robot.joint_index(name)]] = gain
+    return out
+
+
+def in_newton_metres(observation: Observation, gains: Float[np.ndarray, " nv"]) -> Observation:
+    """Observations with torques τ = gain · logged."""
+    return eqx.tree_at(
+        lambda o: o.motion.tau, observation, np.asarray(observation.motion.tau) * gains
+    )
+
+
+# A log is filtered in a tenth of a second; compiling takes ten. Without optimisation it takes two thirds of that.
+_QUICK = {"xla_backend_optimization_level": 0}
+_residuals = eqx.filter_jit(torque_residuals, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def regressors(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    bias: Float[np.ndarray, " nv"] | None = None,
+) -> tuple[Float[np.ndarray, "T nv n"], Float[np.ndarray, "T nv"], np.ndarray]:
+    """(Y^est with n = 10 × bodies, Δτ, which rows to use) of every observation, zero where not to be used."""
+    chosen = resolve_bodies(robot, bodies)
+    bias = np.zeros(robot.nv) if bias is None else bias
+    y, delta = (np.asarray(x) for x in _residuals(robot, observation, chosen, jnp.asarray(bias)))
+    y = y.reshape(*delta.shape, -1)
+    valid = np.asarray(observation.motion.valid) & np.isfinite(delta) & np.isfinite(y).all(-1)
+    return np.where(valid[..., None], y, 0.0), np.where(valid, delta, 0.0), valid
+
+
+def residual_noise(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    *,
+    prior: Load,
+    whole: BatchFit,
+    bias: Float[np.ndarray, " nv"] | None = None,
+) -> tuple[Float[np.ndarray, " nv"], bool]:
+    """Noise of one observation [N m, N], its correlation time taken in, and whether the bodies changed meanwhile.
+
+    `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
+    residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
+    enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead.
+    """
+    y, delta, valid = regressors(robot, observation, bodies, bias)
+    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    length = int(_PIECE_SECONDS / period)
+    nominal = np.asarray(robot.pi)[list(resolve_bodies(robot, bodies))].ravel()
+    left = delta - y @ nominal
+    sigma = np.broadcast_to(np.asarray(prior.sigma_pi()), (len(nominal) // 10, 10)).ravel()
+    starts = range(0, len(delta) - length + 1, length)
+    if len(starts) < 3:
+        return whole.noise, False
+    parts = [slice(k, k + length) for k in starts]
+    fits = [_fit_piece(y[p], left[p], valid[p], sigma, whole.rms_after) for p in parts]
+    rms, noise = (np.nanmedian(x, axis=0) for x in zip(*fits, strict=True))
+    changed = bool(np.any(whole.rms_after > _CHANGED * np.where(rms > 0, rms, np.inf)))
+    use = changed & np.isfinite(noise)
+    return np.where(use, np.minimum(noise, whole.noise), whole.noise), changed
+
+
+def _fit_piece(
+    y: np.ndarray, left: np.ndarray, valid: np.ndarray, sigma: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rms, noise) of each row after a ridge regression of one piece, NaN for rows hardly measured."""
+    noise, after = np.maximum(noise, 1e-9), left
+    count = valid.sum(axis=0)
+    for _ in range(3):
+        rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
+        normal = rows.T @ rows + np.eye(len(sigma))
+        x = np.linalg.solve(normal, rows.T @ (left / noise).ravel())
+        after = np.where(valid, left - y @ (sigma * x), 0.0)
+        noise = np.sqrt(np.sum(after**2, axis=0) / np.maximum(count, 1)).clip(1e-9)
+    rms = np.where(count > len(valid) // 2, noise, np.nan)
+    return rms, rms * correlation_inflation(after, valid)
+
+
+def online(
+    robot: Robot,
+    bodies: Sequence[int | str],
+    noise: Float[np.ndarray, " nv"],
+    *,
+    prior: Load,
+    chart: charts.Chart | None = None,
+    gate: float = GATE,
+    reopen_after: float = REOPEN_AFTER,
+    iterations: int = 5,
+    drift_seconds: float | None = None,
+) -> Estimator:
+    """The filter with what was measured to work on logs: χ² gate that reopens, five iterations, little drift.
+
+    The chart, too, is not the paper's: in U Uᵀ (mass and centre of mass are coordinates of their own) the filter
+    weighs the UR10e's payload, in UᵀU (the mass depends on four) it comes out at 6 kg or 0, whatever its iterations.
+    `noise` is that of one sample as the filter gets it (see `thinned`); `gate` the probability of keeping a good
+    sample, 1 for no gate. The bodies may drift by the prior's mass in `drift_seconds`: an hour with a gate, which is
+    what notices a new load; 3 s without. Raises ValueError as `make_estimator` does.
+    """
+    if not 0 < gate <= 1:
+        raise ValueError(
+            f"gate probability is {gate}; it must lie above 0, and not above 1 (no gate)"
+        )
+    if drift_seconds is None:
+        drift_seconds = _DRIFT_SECONDS if gate < 1 else 3.0
+    return make_estimator(
+        robot,
+        bodies,
+        sigma_tau=jnp.asarray(noise),
+        prior=prior,
+        drift=Load(prior.mass / np.sqrt(drift_seconds), prior.reach),
+        chart=charts.LogCholeskyUUt() if chart is None else chart,
+        gate=kalman.ChiSquaredGate(gate, robot.nv) if gate < 1 else None,
+        reopen_after=reopen_after,
+        iterations=iterations,
+    )
+
+
+_run = eqx.filter_jit(Estimator.run, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def run(estimator: Estimator, state: State, observations: Observation) -> tuple[State, Trace]:
+    """`Estimator.run`, compiled."""
+    return _run(estimator, state, observations)
