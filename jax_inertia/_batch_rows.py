@@ -11,11 +11,9 @@ from jaxtyping import Array, Bool, Float
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation
-from jax_inertia.measurement import torque_residuals
+from jax_inertia.measurement import FRICTION_VELOCITY, torque_residuals
 from jax_inertia.robot import Robot
 
-# Dry friction inside a regressor: soft enough to bear velocity noise, far below working speeds.
-FRICTION_VELOCITY = 0.01
 TERMS = 4
 """Columns of each joint's own terms, the last ones: damping, dry friction, armature, offset."""
 

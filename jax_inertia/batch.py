@@ -120,7 +120,7 @@ def fit(
     """Fit bodies (default: all with mass) and joint terms to one or several logs of the same robot.
 
     `prior` says how far bodies may be from the model; `joint_terms` any of
-    "damping", "frictionloss", "armature", "offset" (one of each per joint, never below zero in total, offset apart).
+    "damping", "frictionloss", "armature", "offset" (one of each per joint; never below zero in total, offset apart).
     Where the logged torque is a current, `gains` are the torques per unit to start from and `gain_sigma` their
     relative uncertainty (0: they are exact); the log's torque must then still be in its own unit. Raises ValueError
     for unknown names or terms.
@@ -196,29 +196,35 @@ def _pose(
             )
     rows = rows_of(robot, observations, chosen, fixed_bias, carrier, carrying)
     scale = np.abs(gain_start) * rows.rms(rows.raw)
-    driven = _driven(robot)
     problem = _batch_solve.Problem(
         triangles=jnp.asarray(rows.triangles()),
         chart=chart,
         bodies=start.mean,
         bodies_root=jnp.linalg.cholesky(start.covariance),
         load_sigma=jnp.asarray(load_sigma),
-        terms_sigma=jnp.asarray(_terms_sigma(rows, scale, driven, joint_terms)),
+        terms_start=jnp.zeros((robot.nv, TERMS)),
+        terms_sigma=jnp.asarray(_terms_sigma(robot, rows, scale, joint_terms)),
         gain_start=jnp.asarray(gain_start),
-        gain_sigma=jnp.asarray(np.where(driven, gain_sigma, 0.0)),
+        gain_sigma=jnp.asarray(np.where(_driven(robot), gain_sigma, 0.0)),
         noise=jnp.ones(robot.nv),
     )
     return rows, problem
 
 
 def _terms_sigma(
-    rows: Rows, scale: np.ndarray, driven: np.ndarray, joint_terms: Sequence[str]
+    robot: Robot, rows: Rows, scale: np.ndarray, joint_terms: Sequence[str]
 ) -> np.ndarray:
-    """Prior σ of each joint term: enough to make up the joint's whole torque; zero where not fitted."""
+    """Prior σ of each joint term: enough to make up the joint's whole torque, or for the model's own to vanish."""
     size = np.stack([rows.rms(rows.columns[:, :, k - TERMS]) for k in range(TERMS)], axis=1)
     sigma = scale[:, None] / np.maximum(size, 1e-9)
+    sigma[:, :3] = np.maximum(sigma[:, :3], _own_terms(robot))
     wanted = np.array([t in joint_terms for t in JOINT_TERMS])
-    return np.where(wanted & driven[:, None] & (size > 0), sigma, 0.0)
+    return np.where(wanted & _driven(robot)[:, None] & (size > 0), sigma, 0.0)
+
+
+def _own_terms(robot: Robot) -> np.ndarray:
+    """The model's own damping, dry friction and armature (nv, 3)."""
+    return np.stack([robot.damping, robot.frictionloss, robot.armature], axis=1)
 
 
 def _driven(robot: Robot) -> np.ndarray:
@@ -264,19 +270,30 @@ def _alternate(
 def _solve(
     robot: Robot, problem: _batch_solve.Problem, z: jax.Array
 ) -> tuple[_batch_solve.Problem, _batch_solve.Solution, int]:
-    """Solve from z, giving up joint terms whose total comes out below zero: (problem, solution, steps)."""
-    own = np.stack([robot.damping, robot.frictionloss, robot.armature], axis=1)
-    steps = 0
+    """Solve from z with no joint term below zero in total: (problem, solution, steps).
+
+    An active set: in each round and of each joint, the term that is furthest below is fixed at zero.
+    """
+    own, steps = _own_terms(robot), 0
     while True:
         solution = _batch_solve.solve(problem, z)
         z, steps = solution.z.mean, steps + int(solution.steps)
-        added = np.asarray(_batch_solve.unpack(problem, z).terms)[:, :3]
-        sigma = np.asarray(problem.terms_sigma)
-        negative = (own + added < -1e-12) & (sigma[:, :3] > 0)
+        sigma = np.array(problem.terms_sigma)
+        total = own + np.asarray(_batch_solve.unpack(problem, z).terms)[:, :3]
+        below = np.where(sigma[:, :3] > 0, total / np.maximum(sigma[:, :3], 1e-300), 0.0)
+        worst, joint = np.argmin(below, axis=1), np.arange(robot.nv)
+        negative = below[joint, worst] < -1e-9
         if not negative.any():
             return problem, solution, steps
-        kept = np.where(np.pad(negative, ((0, 0), (0, 1))), 0.0, sigma)
-        problem = eqx.tree_at(lambda p: p.terms_sigma, problem, jnp.asarray(kept))
+        at = joint[negative], worst[negative]
+        sigma[at] = 0.0
+        start = np.array(problem.terms_start)
+        start[at] = -own[at]
+        problem = eqx.tree_at(
+            lambda p: (p.terms_start, p.terms_sigma),
+            problem,
+            (jnp.asarray(start), jnp.asarray(sigma)),
+        )
 
 
 def _effective_noise(rows: Rows, residual: np.ndarray) -> np.ndarray:
@@ -292,9 +309,9 @@ def _calibrated(
 ) -> Calibrated:
     unknowns = _batch_solve.unpack(problem, z)
     fitted = robot.with_pi(chosen, problem.chart.to_pi(unknowns.x.reshape(-1, 10)))
-    own = jnp.stack([robot.damping, robot.frictionloss, robot.armature], axis=1)
     # The fit itself keeps totals above zero; a draw from its Gaussian may not.
-    damping, friction, armature = jnp.maximum(own + unknowns.terms[:, :3], 0.0).T
+    total = jnp.maximum(jnp.asarray(_own_terms(robot)) + unknowns.terms[:, :3], 0.0)
+    damping, friction, armature = total.T
     fitted = eqx.tree_at(
         lambda r: (r.damping, r.frictionloss, r.armature), fitted, (damping, friction, armature)
     )

@@ -14,6 +14,9 @@ from jax_inertia import dynamics
 from jax_inertia.differences import Observation
 from jax_inertia.robot import Robot
 
+FRICTION_VELOCITY = 0.01
+"""Dry friction is F tanh(v / this) [rad/s]: soft enough to bear velocity noise, far below working speeds."""
+
 
 def torque_residual(
     robot: Robot, observation: Observation, bodies: tuple[int, ...], bias: Float[Array, " nv"]
@@ -25,7 +28,8 @@ def torque_residual(
     motion = observation.motion
     q, v, a = (jnp.asarray(x) for x in (motion.q, motion.v, observation.a))
     regressor, nominal = dynamics.condensed_dynamics(robot, q, v, a, bodies)
-    delta = jnp.asarray(motion.tau) - nominal + dynamics.passive_torque(robot, q, v) - bias
+    passive = dynamics.passive_torque(robot, q, v, friction_velocity=FRICTION_VELOCITY)
+    delta = jnp.asarray(motion.tau) - nominal + passive - bias
     if motion.wrench is not None:
         wrench = jnp.asarray(motion.wrench)
         delta = delta + dynamics.contact_torque(robot, q, wrench, motion.contact_bodies)
