@@ -2,12 +2,14 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from jax_inertia._estimate_run import Result
@@ -98,30 +100,34 @@ def report(args: argparse.Namespace, result: Result) -> dict:
 def show(result: Result, out: Path) -> None:
     """Print what was found."""
     console = Console()
-    table = Table(title="estimates, ± 95 %", title_justify="left")
-    for column in (
-        "body",
-        "model",
-        "online, at the end",
-        "batch",
-        "centre of mass, online",
-        "physical",
-    ):
-        table.add_column(column, justify="left" if column == "body" else "right")
-    for i, name in enumerate(result.bodies):
-        body = _body(result, i)
-        end, batch = body["online"], body["batch"]
-        com = ", ".join(f"{1e3 * x:.0f}" for x in end["com_m"])
-        table.add_row(
-            name,
-            f"{body['model']['mass_kg']:.3f} kg",
-            _interval(end["mass_kg"]),
-            "(changed)" if result.changed else _interval(batch["mass_kg"]),
-            f"{com} mm",
-            f"{end['physical_samples']} of {len(result.time)}",
-        )
+    table = Table(title="at the end of the log, ± 95 %", title_justify="left")
+    table.add_column("")
+    bodies = [_body(result, i) for i in range(len(result.bodies))]
+    for name in result.bodies:
+        table.add_column(name, justify="right")
+
+    def line(label: str, text: Callable[[dict], str]) -> None:
+        table.add_row(escape(label), *(text(body) for body in bodies))
+
+    line("mass, model [kg]", lambda body: f"{body['model']['mass_kg']:.3f}")
+    line("mass, filter [kg]", lambda body: _interval(body["online"]["mass_kg"]))
+    if not result.changed:
+        line("mass, batch fit [kg]", lambda body: _interval(body["batch"]["mass_kg"]))
+    if result.calibration is not None:
+        line("load, filter [kg]", lambda body: _interval(body["online"]["load_kg"]))
+        line("load, batch fit [kg]", lambda body: _interval(body["batch"]["load_kg"]))
+    for k, axis in enumerate("xyz"):
+        line(f"centre of mass, filter, {axis} [mm]", lambda body, k=k: _com(body["online"], k))
+    line(
+        "physical samples",
+        lambda body: f"{body['online']['physical_samples']} of {len(result.time)}",
+    )
     console.print(table)
-    rows = Table(title="residual, rms", title_justify="left")
+    if (load := _load(result)) is not None:
+        console.print(
+            f"Load, fitted together with the calibration: {_interval(load['mass_kg'])} kg"
+        )
+    rows = Table(title=escape("residual, rms [N m, N]"), title_justify="left")
     for column in ("row", "model", "online", "batch"):
         rows.add_column(column, justify="left" if column == "row" else "right")
     innovation = np.asarray(result.trace.innovation.residual)
@@ -145,19 +151,24 @@ def show(result: Result, out: Path) -> None:
     )
 
 
+def _com(estimate: dict, k: int) -> str:
+    return f"{1e3 * estimate['com_m'][k]:.0f} ± {1e3 * estimate['com_ci95_half_width_m'][k]:.0f}"
+
+
 def _interval(value: dict) -> str:
-    return f"{value['value']:.3f} ± {0.5 * (value['ci95'][1] - value['ci95'][0]):.3f} kg"
+    return f"{value['value']:.3f} ± {0.5 * (value['ci95'][1] - value['ci95'][0]):.3f}"
 
 
 def _body(result: Result, i: int) -> dict:
     index = result.robot.body_index(result.bodies[i])
     model = np.asarray(result.robot.pi)[index]
+    unloaded = result.unloaded_mass[i]
     physical = result.physical[:, i]
 
-    def entry(pi, sigma_pi, com, sigma_com, open_sigma):
+    def entry(pi, sigma_pi, com, sigma_com):
         pi, sigma_pi, com, sigma_com = (np.asarray(x) for x in (pi, sigma_pi, com, sigma_com))
-        half = _Z95 * np.hypot(sigma_pi[0], open_sigma)
-        load = pi[0] - model[0]
+        half = _Z95 * np.hypot(sigma_pi[0], result.calibration_sigma)
+        load = pi[0] - unloaded
         return {
             "mass_kg": {"value": pi[0], "ci95": [pi[0] - half, pi[0] + half]},
             "load_kg": {"value": load, "ci95": [load - half, load + half]},
@@ -168,18 +179,18 @@ def _body(result: Result, i: int) -> dict:
             "is_physical": bool(is_physical(jnp.asarray(pi))),
         }
 
-    e, f, spread = result.trace.estimate, result.fit.estimate, result.calibration_sigma
+    e, f = result.trace.estimate, result.fit.estimate
     online = (e.pi[-1, i], e.sigma_pi[-1, i], e.com[-1, i], e.sigma_com[-1, i])
     whole = (f.pi[i], f.sigma_pi[i], f.com[i], f.sigma_com[i])
     return {
         "model": {"mass_kg": model[0], "com_m": model[1:4] / model[0]},
-        "online": entry(*online, spread["online"][i])
+        "online": entry(*online)
         | {
             "at_s": result.time[-1],
             "physical_samples": int(physical.sum()),
             "unphysical_samples": int((~physical).sum()),
         },
-        "batch": entry(*whole, spread["batch"][i]) | {"converged": result.fit.converged},
+        "batch": entry(*whole) | {"converged": result.fit.converged},
     }
 
 
@@ -204,6 +215,18 @@ def _calibration(result: Result) -> dict | None:
         "residual_rms_before": dict(zip(result.row_names, fit.rms_before, strict=True)),
         "residual_rms_after": dict(zip(result.row_names, fit.rms_after, strict=True)),
         "load_sigma_kg": result.calibration_sigma,
+        "load_fitted_with_calibration": _load(result),
+    }
+
+
+def _load(result: Result) -> dict | None:
+    if result.load is None:
+        return None
+    value, half = float(result.load.pi[0, 0]), _Z95 * float(result.load.sigma_pi[0, 0])
+    return {
+        "mass_kg": {"value": value, "ci95": [value - half, value + half]},
+        "com_m": result.load.com[0],
+        "com_ci95_half_width_m": _Z95 * np.asarray(result.load.sigma_com)[0],
     }
 
 

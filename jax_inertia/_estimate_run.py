@@ -15,7 +15,7 @@ from jax_inertia._console import warn
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.estimate import Load, Trace
+from jax_inertia.estimate import Estimate, Load, Trace
 from jax_inertia.inertia import PI_NAMES, is_physical
 from jax_inertia.least_squares import Identifiability, weighted_least_squares
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
@@ -24,7 +24,6 @@ from jax_inertia.motion import suggestion
 from jax_inertia.preflight import Finding, Severity, preflight
 from jax_inertia.robot import Robot
 
-_DRAWS = 8
 # Bodies of a calibrated robot: what a data sheet gets wrong, not a load.
 _CALIBRATION_MASS, _CALIBRATION_REACH = 0.01, 0.1
 
@@ -45,7 +44,7 @@ class Result:
 
     bodies: tuple[str, ...]
     robot: Robot
-    """Calibrated, where that was asked for; the bodies as known beforehand."""
+    """Calibrated where that was asked for, with the bodies asked for as the model has them."""
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
     observation: Observation
@@ -54,8 +53,8 @@ class Result:
     physical: Bool[np.ndarray, "T bodies"]
     fit: BatchFit
     calibration: BatchFit | None
-    calibration_sigma: dict[str, Float[np.ndarray, " bodies"]]
-    """What the calibration leaves open of the load's mass, at the end (online) and over the log (batch) [kg]."""
+    load: Estimate | None
+    """With one body and a calibration: the load, fitted together with all that was calibrated."""
     noise: Float[np.ndarray, " nv"]
     bias: Float[np.ndarray, " nv"]
     gains: Float[np.ndarray, " nv"]
@@ -66,6 +65,20 @@ class Result:
     prior_bound: tuple[str, ...]
     """Parameters that the whole log narrows by less than half: what is said of them is the prior's."""
     row_names: tuple[str, ...]
+
+    @property
+    def unloaded_mass(self) -> Float[np.ndarray, " bodies"]:
+        """What the bodies weigh without load: as calibrated, else as in the model [kg]."""
+        robot = self.robot if self.calibration is None else self.calibration.robot
+        return np.asarray(robot.pi)[list(resolve_bodies(robot, self.bodies)), 0]
+
+    @property
+    def calibration_sigma(self) -> float:
+        """What the calibration leaves open of the load's mass [kg]; zero where it was not asked for."""
+        if self.load is None:
+            return 0.0
+        whole, given = float(self.load.sigma_pi[0, 0]), float(self.fit.estimate.sigma_pi[0, 0])
+        return float(np.sqrt(max(whole**2 - given**2, 0.0)))
 
 
 def read(args: argparse.Namespace) -> Inputs:
@@ -112,14 +125,23 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     torque = log.tau_unit is TorqueUnit.NEWTON_METRE
     gains = logfilter.joint_gains(log, robot, 1.0 if torque else args.gains or 10.0)
     raw = logfilter.observe(log, robot, rate=args.rate, cutoff=args.cutoff)
-    nominal, bias, calibration = robot, np.zeros(robot.nv), None
+    start, bias, calibration, references = gains, np.zeros(robot.nv), None, []
     if inputs.references:
         stage("calibrating on the logs without load")
-        calibration = _calibrate(args, inputs, gains)
-        robot, gains, bias = calibration.robot, calibration.gains, calibration.bias
+        references = [
+            logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff)
+            for one in inputs.references
+        ]
+        calibration = _calibrate(args, inputs, references, gains)
+        # The bodies asked for start at the model's own: calibrated ones may be as thin as rods, where charts end.
+        chosen = resolve_bodies(robot, args.bodies)
+        robot = calibration.robot.with_pi(chosen, robot.pi[np.array(chosen)])
+        gains, bias = calibration.gains, calibration.bias
         if not calibration.converged:
             notes.append("the calibration did not settle; its parameters are the last round's")
-    mass = 0.1 * float(jnp.sum(nominal.pi[:, 0])) if args.prior_mass is None else args.prior_mass
+    mass = (
+        0.1 * float(jnp.sum(inputs.robot.pi[:, 0])) if args.prior_mass is None else args.prior_mass
+    )
     prior = Load(mass, args.prior_reach)
     observation = logfilter.in_newton_metres(raw, gains)
     if args.bias_window is not None:
@@ -144,10 +166,12 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     stage("filter")
     gate = logfilter.GATE if args.gate is None else args.gate
     trace = _filter(args, robot, observation, noise, prior, bias)
-    spread = {"online": np.zeros(len(args.bodies)), "batch": np.zeros(len(args.bodies))}
-    if calibration is not None:
-        stage("what the calibration leaves open")
-        spread = _calibration_spread(args, calibration, raw, noise, prior, bias)
+    load = None
+    if references and len(args.bodies) == 1:
+        stage("load and calibration in one fit")
+        load = _load_with_calibration(args, inputs, references, raw, start, prior)
+    elif references:
+        notes.append("intervals take the calibration for exact; with one body they do not")
     stage("what the log can tell")
     seen = _identifiability(robot, observation, args.bodies, bias, fit)
     ratio = np.asarray(fit.estimate.sigma_pi) / np.asarray(prior.sigma_pi())
@@ -163,7 +187,7 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
         physical=np.asarray(is_physical(trace.estimate.pi)),
         fit=fit,
         calibration=calibration,
-        calibration_sigma=spread,
+        load=None if load is None else load.load,
         noise=noise,
         bias=bias,
         gains=gains,
@@ -176,21 +200,24 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     )
 
 
-def _calibrate(args: argparse.Namespace, inputs: Inputs, gains: np.ndarray) -> BatchFit:
+def _calibrate(
+    args,
+    inputs: Inputs,
+    observations: list[Observation],
+    gains,
+    carried: batch.Carried | None = None,
+) -> BatchFit:
     robot = inputs.robot
-    references = [
-        logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff)
-        for one in inputs.references
-    ]
     unknown = inputs.log.tau_unit is not TorqueUnit.NEWTON_METRE
     usual = (0.5 if args.gains else 1.0) if unknown else 0.0
     return batch.fit(
         robot,
-        references,
+        observations,
         prior=Load(_CALIBRATION_MASS * float(jnp.sum(robot.pi[:, 0])), _CALIBRATION_REACH),
         joint_terms=batch.JOINT_TERMS,
         gains=gains,
         gain_sigma=usual if args.gain_sigma is None else args.gain_sigma,
+        carried=carried,
     )
 
 
@@ -239,19 +266,12 @@ def _filter(args, robot: Robot, observation: Observation, noise, prior: Load, bi
     return logfilter.run(estimator, state, logfilter.thinned(observation, args.cutoff))[1]
 
 
-def _calibration_spread(args, calibration: BatchFit, raw: Observation, noise, prior, bias) -> dict:
-    """Standard deviation of the load's mass over models that the calibration could as well have given."""
-    chosen = list(resolve_bodies(calibration.robot, args.bodies))
-    found = {"online": [], "batch": []}
-    for robot, gains, offset in calibration.draws(_DRAWS):
-        own = bias - calibration.bias + offset
-        observation = logfilter.in_newton_metres(raw, gains)
-        trace = _filter(args, robot, observation, noise, prior, own)
-        fit = batch.fit(robot, [raw], args.bodies, prior=prior, gains=gains, bias=own)
-        before = np.asarray(robot.pi)[chosen, 0]
-        found["online"].append(np.asarray(trace.estimate.pi)[-1, :, 0] - before)
-        found["batch"].append(np.asarray(fit.estimate.pi)[:, 0] - before)
-    return {key: np.std(value, axis=0, ddof=1) for key, value in found.items()}
+def _load_with_calibration(
+    args, inputs: Inputs, references: list[Observation], raw: Observation, gains, prior: Load
+) -> BatchFit:
+    """The load fitted in one problem with all that the calibration fits: its interval knows what that leaves open."""
+    carried = batch.Carried(args.bodies[0], (len(references),), prior)
+    return _calibrate(args, inputs, [*references, raw], gains, carried)
 
 
 def _identifiability(robot: Robot, observation: Observation, bodies, bias, fit) -> Identifiability:

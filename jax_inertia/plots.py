@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from jax_inertia._estimate_run import Result
 from jax_inertia.estimate import Trace
@@ -27,8 +28,8 @@ _AXES = ((BLUE, "-", "x"), (VERMILION, "--", "y"), (GREEN, "-.", "z"))
 def estimate_figure(result: Result) -> Figure:
     """Mass, centre of mass and inertia with ±2 σ of every body, physical check, NIS with gate, residuals."""
     bodies, e, time = len(result.bodies), result.trace.estimate, result.time
-    figure = Figure(figsize=(max(9.0, 4.6 * bodies), 11.5), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[3.1, 1.9]))
+    figure = Figure(figsize=(max(9.5, 4.6 * bodies), 12.0), layout="constrained")
+    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[3.4, 1.6]))
     grid = top.subplots(
         4, bodies, squeeze=False, sharex=True, gridspec_kw={"height_ratios": [4, 4, 4, 0.7]}
     )
@@ -37,7 +38,7 @@ def estimate_figure(result: Result) -> Figure:
     for i, name in enumerate(result.bodies):
         model = np.asarray(result.robot.pi)[result.robot.body_index(name)]
         mass, centre, inertia, strip = grid[:, i]
-        mass.set_title(name)
+        mass.set_title(name, fontweight="bold")
         _mass(mass, result, i, model[0])
         for k, (colour, line, axis) in enumerate(_AXES):
             band(centre, time, 1e3 * com[:, i, k], 1e3 * com_sigma[:, i, k], colour, line, axis)
@@ -50,13 +51,13 @@ def estimate_figure(result: Result) -> Figure:
         centre.set_ylabel("centre of mass [mm]" if i == 0 else "")
         inertia.set_ylabel("inertia about the\nbody's origin [kg m²]" if i == 0 else "")
         for axes in (centre, inertia):
-            axes.legend(ncols=3, fontsize=8, loc="upper right")
+            legend_above(axes, 3)
         physical_strip(strip, time, [result.physical[:, i]], [""])
         strip.set_ylabel("physical" if i == 0 else "", rotation=0, ha="right", va="center")
         strip.set_xlabel("time [s]")
-    left, right = bottom.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1]})
+    left, right = bottom.subplots(1, 2, gridspec_kw={"width_ratios": [1.4, 1]})
     nis_axes(left, time, result.trace)
-    _residual_bars(right, result)
+    _residual_marks(right, result)
     return figure
 
 
@@ -119,7 +120,7 @@ def nis_axes(axes: Axes, time: Float[np.ndarray, " T"], trace: Trace) -> None:
         axes.semilogy(time, threshold, color="black", lw=1, label="gate")
     axes.semilogy(time, np.maximum(rows, floor), color=GREY, ls="--", lw=1, label="expected mean")
     axes.set(xlabel="time [s]", ylabel="NIS of a sample [–]")
-    axes.legend(fontsize=8, ncols=2)
+    legend_above(axes, 5)
 
 
 def _mass(axes: Axes, result: Result, i: int, model: float) -> None:
@@ -131,28 +132,42 @@ def _mass(axes: Axes, result: Result, i: int, model: float) -> None:
         whole = float(result.fit.estimate.pi[i, 0])
         axes.axhline(whole, color=ORANGE, ls="--", lw=1.4, label="batch, whole log")
     axes.set_ylabel("mass [kg]" if i == 0 else "")
-    axes.legend(fontsize=8, loc="upper right")
+    legend_above(axes, 3)
 
 
-def _residual_bars(axes: Axes, result: Result) -> None:
+def _residual_marks(axes: Axes, result: Result) -> None:
     rows = result.row_names
     innovation = np.asarray(result.trace.innovation.residual)
     online = np.sqrt(np.mean(innovation**2, axis=0, where=innovation != 0))
-    bars = [
-        (result.fit.rms_before, GREY, "model", None),
-        (online, SKY, "filter, one sample ahead", "//"),
+    marks = [
+        (result.fit.rms_before, GREY, "s", "model"),
+        (online, VERMILION, "D", "filter, one sample ahead"),
     ]
     if not result.changed:
-        bars.append((result.fit.rms_after, BLUE, "batch fit", None))
-    at, width = np.arange(len(rows)), 0.8 / len(bars)
-    for k, (value, colour, label, hatch) in enumerate(bars):
-        place = at + (k - (len(bars) - 1) / 2) * width
-        axes.barh(place, value, width, color=colour, label=label, hatch=hatch, edgecolor="white")
+        marks.append((result.fit.rms_after, BLUE, "o", "batch fit"))
+    at = np.arange(len(rows))
+    values = np.array([value for value, *_ in marks])
+    axes.hlines(at, values.min(axis=0), values.max(axis=0), color=GREY, lw=0.8)
+    for value, colour, marker, label in marks:
+        axes.plot(value, at, marker, color=colour, label=label, ms=6)
     axes.set_yticks(at, rows, fontsize=8)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    low, high = values[values > 0].min(initial=np.inf), values.max()
+    if low < high:
+        axes.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.grid(axis="x", which="both", color="#dddddd", lw=0.6)
     axes.set_xlabel("residual, rms [N m; N on slides]")
-    axes.legend(fontsize=8)
+    legend_above(axes, 2)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """A legend that hides no data."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, fontsize=8, frameon=False,
+        columnspacing=1.2, handletextpad=0.4,
+    )  # fmt: skip
 
 
 def limits(axes: Axes, value: Float[np.ndarray, "T *k"], sigma: Float[np.ndarray, "T *k"]) -> None:

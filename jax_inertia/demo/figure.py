@@ -30,13 +30,11 @@ def draw(comparison: Comparison, figure: Figure | None = None) -> Figure:
     eigen.axhline(0.0, color="black", lw=1)
     eigen.set_yscale("symlog", linthresh=1e-4)
     eigen.set_ylabel("smallest eigenvalue of\nthe pseudo-inertia [kg m²]")
-    eigen.text(
-        0.005, 0.06, "below zero: no such body exists", transform=eigen.transAxes, fontsize=9
-    )
+    eigen.text(0.42, 0.1, "below zero: no such body exists", transform=eigen.transAxes, fontsize=9)
 
     labels = ["KF", "EKF, UᵀU", "EKF, U Uᵀ"]
     physical_strip(strip, time, [run.physical for run in runs], labels)
-    strip.set_ylabel("physical", rotation=0, ha="right", va="center", labelpad=30)
+    strip.set_title("dark: the estimate is no physical body", fontsize=9, loc="left", pad=3)
     for k, run in enumerate(runs):
         text = f" {run.score.unphysical} not"
         strip.text(time[-1], k, text, va="center", fontsize=9)
