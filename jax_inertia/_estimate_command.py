@@ -55,6 +55,19 @@ def add_parser(subparsers) -> None:
         help="relative uncertainty of the gains to calibrate (default: 1, or 0.5 with --gains)",
     )
 
+    trust_help = (
+        "how well the model is known, for --calibrate: masses in parts, centres of mass in m (default 0.1 0.05). "
+        "Currents have no scale of torque but this, so a load weighed with fitted gains hangs on it"
+    )
+    group.add_argument(
+        "--trust",
+        nargs=2,
+        type=_positive,
+        default=(0.1, 0.05),
+        metavar=("MASS", "COM"),
+        help=trust_help,
+    )
+
     group = parser.add_argument_group("filter")
     add = group.add_argument
     chart_help = (

@@ -15,17 +15,15 @@ from jax_inertia._console import warn
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.estimate import Estimate, Load, Trace
+from jax_inertia.estimate import Estimate, Trace
 from jax_inertia.inertia import PI_NAMES, is_physical
 from jax_inertia.least_squares import Identifiability, weighted_least_squares
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.mjcf import load_model
 from jax_inertia.motion import suggestion
 from jax_inertia.preflight import Finding, Severity, preflight
+from jax_inertia.priors import Load, Tolerance
 from jax_inertia.robot import Robot
-
-# Bodies of a calibrated robot: what a data sheet gets wrong, not a load.
-_CALIBRATION_MASS, _CALIBRATION_REACH = 0.01, 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,6 +130,7 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
             logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff)
             for one in inputs.references
         ]
+        raw, *references = [logfilter.without_slow_rows(one, robot) for one in (raw, *references)]
         calibration = _calibrate(args, inputs, references, gains)
         # The bodies asked for start at the model's own: calibrated ones may be as thin as rods, where charts end.
         chosen = resolve_bodies(robot, args.bodies)
@@ -213,7 +212,7 @@ def _calibrate(
     return batch.fit(
         robot,
         observations,
-        prior=Load(_CALIBRATION_MASS * float(jnp.sum(robot.pi[:, 0])), _CALIBRATION_REACH),
+        prior=Tolerance(*args.trust),
         joint_terms=batch.JOINT_TERMS,
         gains=gains,
         gain_sigma=usual if args.gain_sigma is None else args.gain_sigma,

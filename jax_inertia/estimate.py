@@ -23,6 +23,7 @@ from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.measurement import torque_residual, torque_residuals
 from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
+from jax_inertia.spatial import matmul
 
 
 class State(eqx.Module):
@@ -192,12 +193,12 @@ def _physical(
 ) -> Estimate:
     x = mean.reshape(-1, 10)
     pi, g = chart.to_pi(x), chart.jacobian(x)
-    covariance = g @ blocks @ jnp.swapaxes(g, -1, -2)
+    covariance = matmul(matmul(g, blocks), jnp.swapaxes(g, -1, -2))
     com = inertia.centre_of_mass(pi)
     # c = h/m: ∂c/∂m = −c/m, ∂c/∂h = 1/m.
     eye = jnp.broadcast_to(jnp.eye(3, dtype=pi.dtype), (len(x), 3, 3))
     slope = jnp.concatenate([-com[:, :, None], eye], -1) / pi[:, :1, None]
-    com_covariance = slope @ covariance[:, :4, :4] @ jnp.swapaxes(slope, -1, -2)
+    com_covariance = matmul(matmul(slope, covariance[:, :4, :4]), jnp.swapaxes(slope, -1, -2))
     return Estimate(pi, _root_diagonal(covariance), com, _root_diagonal(com_covariance))
 
 

@@ -24,11 +24,12 @@ from jax_inertia._batch_rows import correlation_inflation
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.estimate import Estimator, Load, State, Trace, make_estimator
+from jax_inertia.estimate import Estimator, State, Trace, make_estimator
 from jax_inertia.log import Log, LogError
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.motion import generalised
-from jax_inertia.robot import Robot
+from jax_inertia.priors import Load
+from jax_inertia.robot import HINGE, Robot
 from jax_inertia.signals import low_pass, resample
 
 CUTOFF = 10.0
@@ -66,6 +67,18 @@ def observe(
             "no sample is complete (position, velocity and torque all finite); nothing to fit"
         )
     return observation
+
+
+def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0.1) -> Observation:
+    """The same with rows of hinges slower than `slowest` [rad/s] masked: dry friction is below its kinetic level there.
+
+    For robots whose friction was fitted; sensors on the link side do not see it.
+    """
+    top = robot.topology
+    hinge = np.array(top.kind)[top.dof_node] == HINGE
+    slow = hinge & (np.abs(np.asarray(observation.motion.v)) < slowest)
+    valid = np.asarray(observation.motion.valid) & ~slow
+    return eqx.tree_at(lambda o: o.motion.valid, observation, valid)
 
 
 def stride(observation: Observation, cutoff: float = CUTOFF) -> int:

@@ -8,13 +8,22 @@ from jaxtyping import Bool, Float
 
 from jax_inertia import batch, charts, logfilter
 from jax_inertia.demo.simulation import Recording, Scenario
-from jax_inertia.estimate import Load, Trace
+from jax_inertia.estimate import Trace
 from jax_inertia.inertia import is_physical, pseudo_inertia
 from jax_inertia.mjcf import load_model
+from jax_inertia.priors import Load
 from jax_inertia.robots.arm import HAND
 
 WITHIN = 0.05
 """A load counts as found while its mass is right to this share."""
+
+
+# A linear update is done after one iteration; more would compute the same.
+FILTERS = (
+    ("KF, linear", charts.Linear(), 1),
+    ("EKF, paper's UᵀU", charts.LogCholesky(), 5),
+    ("EKF, U Uᵀ", charts.LogCholeskyUUt(), 5),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,12 +81,7 @@ def compare(recording: Recording, scenario: Scenario) -> Comparison:
     carried = (time >= scenario.pick_up) & (time < scenario.put_down)
     truth = np.where(carried, scenario.load.mass, 0.0)
     runs = []
-    # A linear update is done after one iteration; more would compute the same.
-    for name, chart, iterations in (
-        ("KF, linear", charts.Linear(), 1),
-        ("EKF, paper's UᵀU", charts.LogCholesky(), 5),
-        ("EKF, U Uᵀ", charts.LogCholeskyUUt(), 5),
-    ):
+    for name, chart, iterations in FILTERS:
         estimator = logfilter.online(
             robot, [HAND], noise, prior=prior, chart=chart, iterations=iterations
         )

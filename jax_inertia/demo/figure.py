@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from jax_inertia.demo.comparison import Comparison
 from jax_inertia.plots import BLUE, GREEN, ORANGE, band, limits, nis_axes, physical_strip
 
-_STYLES = ((ORANGE, "-"), (GREEN, ":"), (BLUE, "-"))
+_STYLES = {"KF, linear": (ORANGE, "-"), "EKF, paper's UᵀU": (GREEN, ":"), "EKF, U Uᵀ": (BLUE, "-")}
 
 
 def draw(comparison: Comparison, figure: Figure | None = None) -> Figure:
@@ -16,7 +16,8 @@ def draw(comparison: Comparison, figure: Figure | None = None) -> Figure:
     mass, eigen, strip, nis = figure.subplots(
         4, 1, sharex=True, gridspec_kw={"height_ratios": [4, 2.4, 1.1, 2.6]}
     )
-    for run, (colour, line) in zip(runs, _STYLES, strict=True):
+    for run in runs:
+        colour, line = _STYLES[run.name]
         band(mass, time, run.load, run.sigma, colour, line, run.name)
         eigen.plot(time, run.smallest, color=colour, ls=line, lw=1.3)
     mass.plot(
@@ -32,8 +33,7 @@ def draw(comparison: Comparison, figure: Figure | None = None) -> Figure:
     eigen.set_ylabel("smallest eigenvalue of\nthe pseudo-inertia [kg m²]")
     eigen.text(0.42, 0.1, "below zero: no such body exists", transform=eigen.transAxes, fontsize=9)
 
-    labels = ["KF", "EKF, UᵀU", "EKF, U Uᵀ"]
-    physical_strip(strip, time, [run.physical for run in runs], labels)
+    physical_strip(strip, time, [run.physical for run in runs], [run.name for run in runs])
     strip.set_title("dark: the estimate is no physical body", fontsize=9, loc="left", pad=3)
     for k, run in enumerate(runs):
         text = f" {run.score.unphysical} not"
