@@ -259,7 +259,7 @@ def make_estimator(
         process_noise=growth,
         noise=noise,
         gate=kalman.FixedGate() if gate is None else gate,
-        form=kalman.SquareRoot() if form is None else form,
+        form=kalman.default_form(robot.pi.dtype) if form is None else form,
         reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),
         bodies=chosen,
         iterations=iterations,

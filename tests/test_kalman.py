@@ -8,8 +8,8 @@ import scipy.stats
 
 from jax_inertia import kalman
 
-FORMS = [kalman.Standard(), kalman.SquareRoot()]
-forms = pytest.mark.parametrize("form", FORMS, ids=["standard", "square_root"])
+FORMS = [kalman.Standard(), kalman.SquareRoot(), kalman.Information()]
+forms = pytest.mark.parametrize("form", FORMS, ids=["standard", "square_root", "information"])
 noises = pytest.mark.parametrize("correlated", [False, True], ids=["independent", "correlated"])
 N, M = 6, 9
 
