@@ -107,13 +107,13 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         after=min(settings.after, 0.1 * rate),
         decimated=min(settings.decimated, 0.5 * rate),
     )
-    inverse = np.asarray(_needed(robot, observation))
+    inverse = np.asarray(needed_torques(robot, observation))
     tau = np.asarray(observation.motion.tau)
     return Prepared(robot, observation, tau, inverse, settings, rate)
 
 
 @eqx.filter_jit
-def _needed(robot: Robot, observation: Observation) -> jax.Array:
+def needed_torques(robot: Robot, observation: Observation) -> jax.Array:
     """Torque that the model needs for the motion, in chunks that stay in cache."""
 
     def one(o: Observation):

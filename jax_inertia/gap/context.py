@@ -9,9 +9,12 @@ import numpy as np
 from scipy import signal
 
 from jax_inertia import dynamics
-from jax_inertia.gap.chain import Prepared, needed_torque
+from jax_inertia.gap.chain import Prepared, needed_torque, needed_torques
+from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
-from jax_inertia.robot import HINGE, SLIDE
+from jax_inertia.robot import HINGE, SLIDE, Robot
+
+Coupling = tuple[float, float, float]
 
 
 class Context:
@@ -29,6 +32,7 @@ class Context:
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
+        self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
 
     @functools.cached_property
     def joint_dofs(self) -> dict[str, int]:
@@ -64,9 +68,27 @@ class Context:
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """∂/∂q, ∂/∂v, ∂/∂a of the needed torque along each hinge or slide row, (T, nv, nv) each."""
-        dq, dv, da = _sensitivity(self.robot, self.prepared.observation)
+        """∂/∂q, ∂/∂v, ∂/∂a of the needed torque along each hinge or slide row, (T, nv, nv) each.
+
+        Dry friction apart: it depends on the side of a velocity, whose error does not change it.
+        """
+        dq, dv, da = _sensitivity(self._frictionless, self.prepared.observation)
         return np.asarray(dq), np.asarray(dv), np.asarray(da)
+
+    @functools.cached_property
+    def link_torque(self) -> np.ndarray:
+        """What each joint's link alone needs (T, nv): the rotor's inertia, damping and dry friction apart.
+
+        A model has one of each per joint; those of a geared joint sit on the motor.
+        """
+        needed = np.asarray(needed_torques(self._frictionless, self.prepared.observation))
+        rotor = np.asarray(self.robot.armature) * self.a + np.asarray(self.robot.damping) * self.v
+        return needed - rotor
+
+    @functools.cached_property
+    def _frictionless(self) -> Robot:
+        robot = self.robot
+        return eqx.tree_at(lambda r: r.frictionloss, robot, jnp.zeros_like(robot.frictionloss))
 
     @functools.cached_property
     def tilt(self) -> np.ndarray:
@@ -103,6 +125,27 @@ class Context:
             z = side + (z - side) * stay
             out[k + 1] = z
         return out
+
+    def separation(self, row: int, coupling: Coupling) -> np.ndarray:
+        """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
+        if (row, coupling) not in self._separations:
+            self.separate(row, [coupling])
+        return self._separations[row, coupling]
+
+    def separate(self, row: int, couplings: list[Coupling]) -> None:
+        """`separation` of many couplings at once; every later call finds them."""
+        dq, dv, da = self.sensitivity
+        inertia = np.maximum(da[:, row, row] - float(self.robot.armature[row]), 1e-9)
+        damping = dv[:, row, row] - float(self.robot.damping[row])
+        paths = separation(
+            self.time,
+            self.link_torque[:, row],
+            inertia,
+            damping,
+            dq[:, row, row],
+            np.array(couplings),
+        )
+        self._separations |= {(row, c): x for c, x in zip(couplings, paths, strict=True)}
 
     @functools.cached_property
     def at_rest(self) -> np.ndarray:

@@ -4,10 +4,13 @@ Each is a small error δ(t) = q_logged − q of one joint. The needed torque was
 its derivative along δ: y = ∂ID/∂q δ + ∂ID/∂v δ̇ + ∂ID/∂a δ̈, on every row that the joint carries.
 """
 
+import itertools
+from collections.abc import Iterable
+
 import numpy as np
 
-from jax_inertia.gap.families.base import Columns, Family, Parameter
-from jax_inertia.gap.families.joint import sign
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
 
 
 def derivative(x: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -65,42 +68,62 @@ class EncoderScale(Encoder):
         return {"scale": Parameter(theta[0] / (1 - theta[0]), "1")}
 
 
-def transmitted(context, row: int) -> np.ndarray:
-    """Torque through the gear (T,): what the model needs less what the rotor's side takes for itself.
+class TwoMass(Encoder):
+    """Motor and link apart: the path is `context.separation`, and θ, one where the equation holds, only checks it."""
 
-    A model has one inertia, damping and friction per joint; those of a geared joint sit on the motor.
-    """
-    r = context.robot
-    own = float(r.armature[row]) * context.a[:, row] + float(r.damping[row]) * context.v[:, row]
-    own = own + float(r.frictionloss[row]) * sign(context.v[:, row])
-    return context.inverse[:, row] - own
-
-
-class JointElasticity(Encoder):
-    name, equation = "joint_elasticity", "q_motor = q + τ/K"
     motor_side = True
+
+    def couplings(self, context: Context, place: Place) -> Iterable[tuple[float, float, float]]:
+        """(K, ζ, b) of every grid point."""
+        return [self.coupling(shape) for shape in itertools.product(*self.grid(context, place))]
+
+    def coupling(self, shape: Shape) -> tuple[float, float, float]:
+        raise NotImplementedError
+
+    def shapes(self, context, place):
+        context.separate(place.index, list(self.couplings(context, place)))
+        return super().shapes(context, place)
 
     def path(self, context, place, shape):
-        return transmitted(context, place.index)
+        return context.separation(place.index, self.coupling(shape))
+
+    def stiffnesses(self, context: Context, place: Place, n: int) -> np.ndarray:
+        """From 0.1 rad at the joint's peak torque, softer than any drive, to 0.0003 rad."""
+        peak = np.percentile(np.abs(context.link_torque[:, place.index]), 99.5) + 1e-6
+        return peak / np.geomspace(0.1, 3e-4, n)
 
     def physical(self, context, place, shape, theta):
-        return 0 < theta[0] * context.peak[place.index] < 0.2
+        return abs(theta[0] - 1.0) < 0.3
+
+
+class JointElasticity(TwoMass):
+    name, equation = "joint_elasticity", "q_motor = q + δ, K δ + D δ̇ transmitted"
+    free_shape = 1
+
+    def grid(self, context, place):
+        return (self.stiffnesses(context, place, 28), (0.01, 0.03, 0.08, 0.25))
+
+    def coupling(self, shape):
+        return shape[0], shape[1], 0.0
 
     def parameters(self, context, place, shape, theta):
-        return {"stiffness": Parameter(1.0 / theta[0] if theta[0] else np.inf, "N m/rad")}
+        return {"stiffness": Parameter(shape[0], "N m/rad")}
 
 
-class Backlash(Encoder):
-    name, equation = "backlash", "q_motor = q + b/2 sign(τ)"
-    motor_side = True
+class Backlash(TwoMass):
+    name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
+    free_shape = 2
 
-    def path(self, context, place, shape):
-        tau = transmitted(context, place.index)
-        return 0.5 * np.tanh(tau / (0.02 * context.peak[place.index] + 1e-12))
+    def grid(self, context, place):
+        gaps = np.geomspace(0.0008, 0.05, 10)
+        return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25))
 
-    def physical(self, context, place, shape, theta):
-        return 0 < theta[0] < 0.1
+    def coupling(self, shape):
+        return shape[1], shape[2], shape[0]
 
     def parameters(self, context, place, shape, theta):
-        return {"dead_zone": Parameter(theta[0], "rad")}
+        return {
+            "dead_zone": Parameter(shape[0], "rad"),
+            "stiffness": Parameter(shape[1], "N m/rad"),
+        }
