@@ -19,22 +19,13 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Parameter, Place
+from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.select import STOP, Candidate, Pool, misfit, select
 from jax_inertia.gap.verdict import Verdict, judge, probabilities, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
-
-
-@dataclasses.dataclass(frozen=True)
-class Interval:
-    """A number with its 95 % interval and unit."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,11 +141,12 @@ def diagnose(
     odds = probabilities(ranking, misfits, floor)
     progress("checking on held-out stretches")
     heldout = _held_out(prepared, context, pool, chosen, replicas)
+    numbers = intervals(pool, chosen, misfits[-1] / max(floor, 1.0))
     findings = tuple(
         Finding(
             family=c.family.name,
             place=c.place,
-            parameters=_intervals(pool, c, chosen, misfits[-1] / max(floor, 1.0)),
+            parameters=numbers[i],
             explained=_explained(pool, chosen, i, floor),
             probability=odds.get(c.key, 0.5) if i == 0 else 0.5,
             equivalent=tuple(
@@ -256,64 +248,6 @@ def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> flo
     y = pool.evidence.y
     gap = max(float(y @ y) - floor, 1e-300)
     return float(np.clip((misfit(pool, rest) - misfit(pool, chosen)) / gap, 0.0, 1.0))
-
-
-def _intervals(
-    pool: Pool, c: Candidate, chosen: list[Candidate], inflation: float
-) -> dict[str, Interval]:
-    """95 % intervals by the delta method, shapes included, inflated by what is left unexplained."""
-    slopes = [c.columns]
-    for axis in range(len(c.shape)):
-        slopes.append(_shape_slope(pool, c, axis)[:, None])
-    others = [x.columns for x in chosen if x is not c]
-    own = np.concatenate(slopes, axis=1)
-    if others:
-        basis = np.linalg.qr(np.concatenate(others, axis=1))[0]
-        own = own - basis @ (basis.T @ own)
-    scale = np.linalg.norm(own, axis=0)
-    # Numbers that are details of the fit (a presliding length) have no column, and no interval.
-    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    unit = (own * inverse).T @ (own * inverse)
-    spread = np.linalg.pinv(unit, rcond=1e-10) * inverse[:, None] * inverse[None, :]
-    covariance = spread * max(1.0, inflation)
-    point = np.concatenate([c.theta, c.shape])
-    n = len(c.theta)
-
-    def values(x: np.ndarray) -> dict[str, Parameter]:
-        return c.family.parameters(pool.context, c.place, tuple(x[n:]), x[:n])
-
-    base = values(point)
-    sigma = np.sqrt(np.diagonal(covariance))
-    jacobian = {name: np.zeros(len(point)) for name in base}
-    for k in range(len(point)):
-        h = np.zeros(len(point))
-        h[k] = 1e-3 * max(sigma[k], 1e-9 * max(abs(point[k]), 1e-9))
-        if c.family.passing and k >= n:
-            continue
-        up, down = values(point + h), values(point - h)
-        for name in base:
-            jacobian[name][k] = (up[name].value - down[name].value) / (2 * h[k])
-    out = {}
-    for name, parameter in base.items():
-        half = 1.96 * float(np.sqrt(max(jacobian[name] @ covariance @ jacobian[name], 0.0)))
-        value = float(parameter.value)
-        out[name] = Interval(value, value - half, value + half, parameter.unit)
-    return out
-
-
-def _shape_slope(pool: Pool, c: Candidate, axis: int) -> np.ndarray:
-    """∂e/∂shape in the charged metric; zero for details and for shapes that are not numbers."""
-    free = c.family.free_shape
-    counts = axis < (len(c.shape) if free is None else free)
-    if not counts or not c.family.continuous:
-        return np.zeros(len(pool.evidence.y))
-    h = 1e-3 * max(abs(c.shape[axis]), 1e-6)
-
-    def effect(x: float) -> np.ndarray:
-        shape = (*c.shape[:axis], x, *c.shape[axis + 1 :])
-        return pool.evidence.column(c.family.columns(pool.context, c.place, shape)) @ c.theta
-
-    return (effect(c.shape[axis] + h) - effect(c.shape[axis] - h)) / (2 * h)
 
 
 def _tie_kind(pool: Pool, a: Candidate, b: Candidate) -> str:

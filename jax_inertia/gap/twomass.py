@@ -34,9 +34,9 @@ def separation(
     Trapezoidal rule with the branch (touching or not) fixed at each step's start; teeth never pull.
     """
     substeps = max(1, math.ceil((time[1] - time[0]) / STEP))
-    signals = np.stack([needed, inertia, damping, stiffness])
-    signals, coupling = jnp.asarray(signals), jnp.asarray(coupling)
-    return np.asarray(_separation(signals, coupling, float(time[1] - time[0]), substeps))
+    signals = jnp.asarray(np.stack([needed, inertia, damping, stiffness]))
+    period = float(time[1] - time[0])
+    return np.asarray(_separation(signals, jnp.asarray(coupling), period, substeps))
 
 
 @eqx.filter_jit

@@ -6,6 +6,7 @@
 import enum
 
 import numpy as np
+import scipy.special
 
 from jax_inertia.gap.select import Candidate
 
@@ -28,6 +29,7 @@ class Verdict(enum.StrEnum):
 
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
+TEMPER = 0.003
 EXPLAINS = 0.90
 LEAVES = 3.0
 
@@ -61,14 +63,18 @@ def probabilities(
 ) -> dict[tuple[str, str, str], float]:
     """Posterior odds among all candidates at the first step.
 
-    Tempered by one per cent of the best gain: a model's equations are never exact, and a likelihood that takes them
+    Tempered by a share of the best gain: a model's equations are never exact, and a likelihood that takes them
     for exact is sure of whatever comes first.
     """
     if not ranking:
         return {}
+    first = ranking[0]
+    # A richer family that contains the best at its place is no rival of it.
+    rivals = [
+        c for c in ranking if c.place != first.place or first.family.name not in c.family.simpler
+    ]
     noise = max(1.0, misfits[-1] / max(floor, 1.0))
-    temper = max(1.0, 0.003 * ranking[0].gain / noise)
-    top = max(c.score for c in ranking)
-    weights = np.array([np.exp(0.5 * max(c.score - top, -1400.0) / temper) for c in ranking])
-    weights /= weights.sum()
-    return {c.key: float(w) for c, w in zip(ranking, weights, strict=True)}
+    temper = max(1.0, TEMPER * first.gain / noise)
+    scores = np.array([c.score for c in rivals])
+    weights = scipy.special.softmax(0.5 * (scores - scores.max()) / temper)
+    return {c.key: float(w) for c, w in zip(rivals, weights, strict=True)}
