@@ -1,0 +1,116 @@
+"""95 % intervals of what was found: the noise's own, widened by what the effects leave unexplained.
+
+All numbers of all effects, nonlinear ones included, are linearised together about the fit. The noise alone gives
+Σ = (AᵀA)⁻¹; where the equations are not quite the robot's, what is left is correlated over time, so the spread of the
+fit over the log with one stretch after the other left out (the delete-a-group jackknife of Kott 2001) is taken where
+it is wider.
+"""
+
+import dataclasses
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from jax_inertia.gap.families.base import Parameter
+from jax_inertia.gap.select import Candidate, Pool
+
+GROUPS = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """A number with its 95 % interval and unit."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dict[str, Interval]]:
+    """Of each chosen effect, in order; `inflation` is what is left of the misfit over what noise would leave."""
+    blocks = [
+        np.concatenate([c.columns, *(_shape_slope(pool, c, k) for k in range(len(c.shape)))], 1)
+        for c in chosen
+    ]
+    if not blocks:
+        return []
+    a = np.concatenate(blocks, axis=1)
+    residual = pool.evidence.y - sum(c.effect for c in chosen)
+    covariance, spread = _noise(a), _jackknife(pool, a, residual)
+    out, start = [], 0
+    for c, block in zip(chosen, blocks, strict=True):
+        part = slice(start, start + block.shape[1])
+        start = part.stop
+        own, moved = covariance[part, part] * max(1.0, inflation), spread[part, part]
+        out.append(_reported(pool, c, own, moved))
+    return out
+
+
+def _noise(a: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
+    """(AᵀA)⁻¹; zero for numbers that are details of the fit (a presliding length) and have no column."""
+    scale = np.linalg.norm(a, axis=0)
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    unit = (a * inverse).T @ (a * inverse)
+    return np.linalg.pinv(unit, rcond=1e-10) * inverse[:, None] * inverse[None, :]
+
+
+def _jackknife(
+    pool: Pool, a: Float[np.ndarray, "n k"], residual: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of the fit from its values with each tenth of the log left out in turn."""
+    n, rows = len(residual), pool.evidence.used.shape[1]
+    group = np.repeat(np.arange(n // rows) * GROUPS // (n // rows), rows)
+    fits = []
+    for g in range(GROUPS):
+        kept = group != g
+        fits.append(_noise(a[kept]) @ (a[kept].T @ residual[kept]))
+    away = np.array(fits) - np.mean(fits, axis=0)
+    return (GROUPS - 1) / GROUPS * away.T @ away
+
+
+def _reported(
+    pool: Pool, c: Candidate, noise: np.ndarray, spread: np.ndarray
+) -> dict[str, Interval]:
+    """From θ and shape to the numbers reported, by the delta method."""
+    point, n = np.concatenate([c.theta, c.shape]), len(c.theta)
+
+    def values(x: np.ndarray) -> dict[str, Parameter]:
+        return c.family.parameters(pool.context, c.place, tuple(x[n:]), x[:n])
+
+    base = values(point)
+    jacobian = {name: np.zeros(len(point)) for name in base}
+    for k in range(len(point)):
+        if c.family.passing and k >= n:
+            continue
+        h = np.zeros(len(point))
+        h[k] = 1e-4 * max(abs(point[k]), np.sqrt(noise[k, k]), 1e-9)
+        up, down = values(point + h), values(point - h)
+        for name in base:
+            jacobian[name][k] = (up[name].value - down[name].value) / (2 * h[k])
+    wide = float(scipy.stats.t.ppf(0.975, GROUPS - 1))
+    out = {}
+    for name, parameter in base.items():
+        slope = jacobian[name]
+        sizes = [np.sqrt(max(slope @ s @ slope, 0.0)) for s in (noise, spread)]
+        half = float(max(1.96 * sizes[0], wide * sizes[1]))
+        value = float(parameter.value)
+        out[name] = Interval(value, value - half, value + half, parameter.unit)
+    return out
+
+
+def _shape_slope(pool: Pool, c: Candidate, axis: int) -> Float[np.ndarray, "n 1"]:
+    """∂e/∂shape in the charged metric; zero for details and for shapes that are not numbers."""
+    free = c.family.free_shape
+    counts = axis < (len(c.shape) if free is None else free)
+    if not counts or not c.family.continuous:
+        return np.zeros((len(pool.evidence.y), 1))
+    h = 1e-3 * max(abs(c.shape[axis]), 1e-6)
+
+    def effect(x: float) -> np.ndarray:
+        shape = (*c.shape[:axis], x, *c.shape[axis + 1 :])
+        return pool.evidence.column(c.family.columns(pool.context, c.place, shape)) @ c.theta
+
+    slope = (effect(c.shape[axis] + h) - effect(c.shape[axis] - h)) / (2 * h)
+    return slope[:, None]
