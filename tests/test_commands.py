@@ -1,0 +1,242 @@
+"""The commands `demo` and `estimate`: what they write, what they find, and what they say of bad input."""
+
+import csv
+import json
+import struct
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from excitation import compiled, loaded, motion_of, torques
+from models import MODELS
+
+import jax_inertia as ji
+from jax_inertia.cli import main
+from jax_inertia.inertia import PI_NAMES, is_physical
+from jax_inertia.log import Log, TorqueKind, read_log, write_log
+from jax_inertia.mjcf import body_pi
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def png_size(path) -> tuple[int, int]:
+    data = path.read_bytes()
+    assert data[:8] == PNG
+    return struct.unpack(">II", data[16:24])
+
+
+# --- demo --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """(exit status, folder)."""
+    out = tmp_path_factory.mktemp("demo") / "story"
+    return main(["demo", "--out", str(out)]), out
+
+
+def test_demo_tells_its_story_in_three_files(demo):
+    status, out = demo
+    assert status == 0
+    assert sorted(p.name for p in out.iterdir()) == ["demo.png", "log.npz", "model.xml"]
+    width, height = png_size(out / "demo.png")
+    assert width > 800
+    assert height > 800
+    log = read_log(out / "log.npz")
+    assert log.rate == pytest.approx(500.0)
+    assert ji.load_model(out / "model.xml").joint_names == log.joint_names
+
+
+def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys):
+    """1.9 kg from 4 s to 10 s on a hand of 1.1 kg."""
+    _, data = demo
+    out = tmp_path / "estimates"
+    command = ["estimate", str(data / "log.npz"), "--model", str(data / "model.xml")]
+    assert main([*command, "--bodies", "hand", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "mass, filter [kg]" in printed
+    assert "bodies changed" in printed
+    names = ["estimate.png", "estimates.csv", "estimates.npz", "report.json"]
+    assert sorted(p.name for p in out.iterdir()) == names
+
+    arrays = np.load(out / "estimates.npz")
+    time, mass, sigma = arrays["time"], arrays["pi"][:, 0, 0], arrays["sigma_pi"][:, 0, 0]
+    held = (time > 5.5) & (time < 9.9)
+    np.testing.assert_allclose(mass[held], 3.0, atol=0.1)
+    np.testing.assert_allclose(mass[time > 11.5], 1.1, atol=0.1)
+    assert np.sqrt(np.mean(((mass - 3.0) / sigma)[held] ** 2)) < 3
+    assert arrays["is_physical"].all()
+    assert np.all(is_physical(jnp.asarray(arrays["pi"])))
+    assert arrays["reopened"].sum() in (2, 3)
+
+    with open(out / "estimates.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(time)
+    np.testing.assert_allclose([float(r["hand.mass"]) for r in rows], mass, rtol=1e-6)
+    report = json.loads((out / "report.json").read_text())
+    assert report["bodies_changed"]
+    assert report["bodies"]["hand"]["online"]["mass_kg"]["value"] == pytest.approx(mass[-1])
+    assert len(report["filter"]["reopened_at_s"]) == arrays["reopened"].sum()
+    assert png_size(out / "estimate.png")[0] > 800
+
+
+# --- estimate ----------------------------------------------------------------------------------------------------
+
+SAMPLES, RATE, GAIN = 1500, 250.0, 8.0
+
+
+def log_of(model, seed: int, **changes) -> Log:
+    """Six seconds of a three-joint robot, noisy."""
+    time, q, v, a = motion_of(model, SAMPLES, seed, RATE)
+    tau = torques(model, q, v, a) + 0.1 * np.random.default_rng(seed).normal(size=v.shape)
+    names = ("first", "second", "third")
+    fields = {"time": time, "joint_names": names, "qpos": q, "qvel": v, "tau": tau}
+    return Log(**{**fields, "tau_kind": TorqueKind.SENSOR, **changes})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, its log with and without a load of 2.4 kg, and the loaded log as currents."""
+    out = tmp_path_factory.mktemp("logs")
+    (out / "model.xml").write_text(MODELS["universal"])
+    bare = compiled("universal")
+    write_log(log_of(bare, 1), out / "free.npz")
+    full = log_of(loaded(bare, "tip"), 0)
+    write_log(full, out / "loaded.npz")
+    amperes = log_of(
+        loaded(bare, "tip"), 0, tau=full.tau / GAIN, tau_unit_text="A", tau_kind=TorqueKind.CURRENT
+    )
+    write_log(amperes, out / "amperes.npz")
+    return out
+
+
+def estimate(folder, log="loaded.npz", *options) -> int:
+    arguments = [str(folder / log), "--model", str(folder / "model.xml"), "--bodies", "tip"]
+    return main(["estimate", *arguments, *options])
+
+
+@pytest.mark.parametrize("log", ["loaded.npz", "amperes.npz"])
+def test_a_constant_load_by_filter_and_batch_fit(folder, tmp_path, log):
+    """In newton metres, and as currents with their gains."""
+    gains = ["--gains", *[str(GAIN)] * 3] if log == "amperes.npz" else []
+    assert estimate(folder, log, "--out", str(tmp_path), *gains) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    model = loaded(compiled("universal"), "tip")
+    truth = body_pi(model, model.body("tip").id)
+    body = report["bodies"]["tip"]
+    assert body["model"]["mass_kg"] == pytest.approx(0.8)
+    assert body["online"]["mass_kg"]["value"] == pytest.approx(truth[0], abs=0.2)
+    low, high = body["batch"]["mass_kg"]["ci95"]
+    assert low < truth[0] < high
+    assert high - low < 0.4
+    np.testing.assert_allclose(body["batch"]["com_m"], truth[1:4] / truth[0], atol=0.02)
+    assert body["batch"]["is_physical"]
+    assert list(body["batch"]["pi"]) == list(PI_NAMES)
+    assert not report["bodies_changed"]
+    seen = report["identifiability"]
+    assert seen["rank"] == len(seen["combinations"]) <= seen["parameters"] == 10
+    for row in report["residual_rms"].values():
+        assert row["batch"] < 0.2 < row["model"]
+
+
+# --- bad input ---------------------------------------------------------------------------------------------------
+
+
+def refused(capsys, arguments, *words) -> str:
+    """The one line on stderr of a command that ends with status 2."""
+    try:
+        status = main([str(a) for a in arguments])
+    except SystemExit as end:
+        status = end.code
+    out, err = capsys.readouterr()
+    assert status == 2, err
+    assert out == ""
+    warned = "jax-inertia: warning:"
+    lines = [x for x in err.splitlines() if x.strip() and not x.startswith(warned)]
+    assert len(lines) == 1, err
+    assert lines[0].startswith("jax-inertia: error: ")
+    for word in words:
+        assert word in lines[0]
+    return lines[0]
+
+
+def raw_log(folder, target, **changes):
+    """loaded.npz with arrays replaced, past all checks of `write_log`."""
+    with np.load(folder / "loaded.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(target, **{**arrays, **changes})
+    return target
+
+
+def test_bad_logs_get_one_line_and_status_2(folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    rest = ["--model", folder / "model.xml", "--bodies", "tip", "--out", out]
+    with np.load(folder / "loaded.npz") as file:
+        tau, time = file["tau"], file["time"]
+    missing = tmp_path / "no.npz"
+    refused(capsys, ["estimate", missing, *rest], "no.npz", "no such file")
+    nan = raw_log(folder, tmp_path / "nan.npz", tau=np.full_like(tau, np.nan))
+    refused(capsys, ["estimate", nan, *rest], "nan.npz", "tau")
+    time[700] = np.nan
+    stamps = raw_log(folder, tmp_path / "stamps.npz", time=time)
+    refused(capsys, ["estimate", stamps, *rest], "stamps.npz", "time")
+    wrong = raw_log(folder, tmp_path / "names.npz", joint_names=np.array(["first", "2nd", "third"]))
+    refused(capsys, ["estimate", wrong, *rest], "2nd", "second")
+    shape = raw_log(folder, tmp_path / "shape.npz", tau=tau[:, :2])
+    refused(capsys, ["estimate", shape, *rest], "shape.npz", "tau")
+    whole = (folder / "loaded.npz").read_bytes()
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(whole[: len(whole) // 2])
+    refused(capsys, ["estimate", cut, *rest], "cut.npz")
+    spoilt = tmp_path / "spoilt.npz"
+    spoilt.write_bytes(whole[:2000] + bytes(200) + whole[2200:])
+    refused(capsys, ["estimate", spoilt, *rest], "spoilt.npz")
+    pickled = raw_log(folder, tmp_path / "pickled.npz", tau=np.array([{}], dtype=object))
+    refused(capsys, ["estimate", pickled, *rest], "pickle")
+    assert not out.exists()
+
+
+def test_bad_models_bodies_and_settings_get_one_line_and_status_2(folder, tmp_path, capsys):
+    out = ["--out", tmp_path / "out"]
+    log, model = folder / "loaded.npz", ["--model", folder / "model.xml"]
+    one = ["estimate", log, *model, *out, "--bodies"]
+    refused(capsys, [*one, "tipp"], "tipp", "tip")
+    refused(capsys, [*one, "tip", "tip"], "tip")
+    weightless = tmp_path / "weightless.xml"
+    weightless.write_text(MODELS["universal"].replace('mass="0.8"', 'mass="0"'))
+    refused(capsys, ["estimate", log, "--model", weightless, *out, "--bodies", "tip"], "tip")
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody></mujoco>")
+    refused(capsys, ["estimate", log, "--model", broken, *out, "--bodies", "tip"], "broken.xml")
+    refused(
+        capsys, ["estimate", log, "--model", tmp_path / "no.xml", *out, "--bodies", "tip"], "no.xml"
+    )
+    refused(capsys, [*one, "tip", "--gains", "3"], "N m")
+    amperes = ["estimate", folder / "amperes.npz", *model, *out, "--bodies", "tip"]
+    refused(capsys, amperes, "--gains", "--calibrate")
+    refused(capsys, [*amperes, "--gains", "1", "2"], "2 gains for 3 joints")
+    refused(capsys, [*one, "tip", "--calibrate", folder / "amperes.npz"], "amperes.npz")
+    refused(capsys, [*one, "tip", "--gate", "1.5"], "--gate", "1.5")
+    refused(capsys, [*one, "tip", "--chart", "polar"], "--chart", "polar")
+    refused(capsys, [*one, "tip", "--cutoff", "-3"], "--cutoff")
+    file = tmp_path / "file"
+    file.write_text("")
+    refused(capsys, ["estimate", log, *model, "--bodies", "tip", "--out", file], "--out")
+    refused(capsys, ["demo", "--out", file], "--out")
+    refused(capsys, ["demo", "--seed", "x"], "--seed")
+    refused(capsys, ["guess"], "guess", "--help")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_few_missing_samples_are_masked_with_a_warning(folder, tmp_path, capsys):
+    with np.load(folder / "loaded.npz") as file:
+        tau = file["tau"]
+    tau[100:140, 1] = np.nan
+    holes = raw_log(folder, tmp_path / "holes.npz", tau=tau)
+    arguments = ["estimate", holes, "--model", folder / "model.xml", "--bodies", "tip"]
+    assert main([str(a) for a in [*arguments, "--out", tmp_path / "out"]]) == 0
+    assert "warning" in capsys.readouterr().err
+    mass = json.loads((tmp_path / "out" / "report.json").read_text())["bodies"]["tip"]["batch"][
+        "mass_kg"
+    ]
+    assert mass["value"] == pytest.approx(3.2, abs=0.2)
