@@ -114,7 +114,7 @@ def test_intervals_cover_the_truth():
         z_com.append((fit.estimate.com[0] - truth[1:4] / truth[0]) / fit.estimate.sigma_com[0])
         width.append(fit.estimate.sigma_pi[0, 0])
     z, z_com = np.abs(z), np.abs(z_com)
-    # Of 24 a right account covers 22.8; fewer than 19 once in 5000.
+    # Of 24 a right account covers 22.8; fewer than 19 once in 1000.
     assert np.sum(z[:, 0] < 1.96) >= 19
     assert np.mean(z < 1.96) > 0.88
     assert np.mean(z_com < 1.96) > 0.85
