@@ -1,8 +1,11 @@
 """The commands `demo` and `estimate`: what they write, what they find, and what they say of bad input."""
 
 import csv
+import importlib
 import json
+import re
 import struct
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +15,7 @@ from models import MODELS
 
 import jax_inertia as ji
 from jax_inertia.cli import main
+from jax_inertia.estimate import Estimator
 from jax_inertia.inertia import PI_NAMES, is_physical
 from jax_inertia.log import Log, TorqueKind, read_log, write_log
 from jax_inertia.mjcf import body_pi
@@ -240,3 +244,32 @@ def test_a_few_missing_samples_are_masked_with_a_warning(folder, tmp_path, capsy
         "mass_kg"
     ]
     assert mass["value"] == pytest.approx(3.2, abs=0.2)
+
+
+# --- README ------------------------------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_readme_s_example_runs_as_it_stands(capsys):
+    example = README.split("```python\n")[1].split("```")[0]
+    names = {}
+    exec(compile(example, "README.md", "exec"), names)
+    low, high = 2.9, 3.1
+    assert low < float(capsys.readouterr().out.split()[0]) < high
+    mass = np.asarray(names["trace"].estimate.pi[:, 0, 0])
+    assert np.all((low < mass[10:]) & (mass[10:] < high))
+
+
+def test_what_the_readme_names_is_there():
+    files = set(re.findall(r"(?:benchmarks|jax_inertia|tests)/[\w/]+\.\w+", README))
+    assert "benchmarks/figures/demo.png" in files
+    assert [name for name in sorted(files) if not (ROOT / name).is_file()] == []
+    assert (ROOT / "benchmarks/figures/demo.png").stat().st_size < 150_000
+    # Functions of the table, by their names in the package.
+    table = README.split("## Paper to code")[1].split("## ")[0]
+    for module, name in re.findall(r"`(\w+)\.(\w+)", table):
+        if module != "Estimator":
+            assert hasattr(importlib.import_module(f"jax_inertia.{module}"), name), (module, name)
+    assert hasattr(Estimator, "calibrate_bias")
