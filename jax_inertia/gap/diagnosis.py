@@ -23,6 +23,7 @@ from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.select import STOP, Candidate, Pool, misfit, select
+from jax_inertia.gap.trace import Trace, collect
 from jax_inertia.gap.verdict import Verdict, judge, probabilities, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -83,6 +84,7 @@ class Diagnosis:
     when: tuple[tuple[float, float], ...]
     undetectable_below: tuple[tuple[str, Place, Parameter], ...]
     notes: tuple[str, ...]
+    trace: Trace
 
     def __repr__(self) -> str:
         head = f"{self.verdict} (confidence {self.confidence:.2f})"
@@ -176,6 +178,12 @@ def diagnose(
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=tuple(log.notes),
+        trace=collect(
+            pool,
+            tuple(prepared.finish(_effect(context, c)) for c in chosen),
+            tuple(_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))),
+            replicas,
+        ),
     )
 
 
@@ -197,11 +205,18 @@ def _rms(x: np.ndarray, rest: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x[~rest] ** 2)))
 
 
-def _held_out(prepared, context, pool, chosen, replicas, folds: int = 5) -> Shrink:
+def _held_out(prepared, context, pool, chosen, replicas) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
     rest = context.at_rest[prepared.kept]
     y = prepared.finish(prepared.missing)
     noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
+    after = _left(prepared, context, pool, chosen)
+    return Shrink(_rms(y, rest), _rms(after, rest), noise)
+
+
+def _left(prepared, context, pool, chosen, folds: int = 5) -> np.ndarray:
+    """Missing torque that remains (R, nv), each fold predicted from the others."""
+    y = prepared.finish(prepared.missing)
     after = y.copy()
     if chosen:
         flat = np.repeat(np.arange(len(y)) * folds // len(y), y.shape[1])
@@ -216,7 +231,7 @@ def _held_out(prepared, context, pool, chosen, replicas, folds: int = 5) -> Shri
             rows = np.arange(len(y)) * folds // len(y) == fold
             for part, s in zip(full, scale, strict=True):
                 after[rows] -= s * part[rows]
-    return Shrink(_rms(y, rest), _rms(after, rest), noise)
+    return after
 
 
 def _share_of(theta: np.ndarray, own: np.ndarray, chosen: list[Candidate]) -> list[float]:

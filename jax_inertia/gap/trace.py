@@ -1,0 +1,151 @@
+"""The arrays behind a diagnosis, on the chain's slow grid: what figures, bootstraps and places are computed from."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jax_inertia.gap.select import Pool
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyForce:
+    """The missing torque projected back to one body as a world force at its centre of mass."""
+
+    body: str
+    share: float
+    """Of the gap's energy, what a force that is constant over half a second explains; 0 for no more than chance."""
+    peak: float
+    """Largest force of any half second [N]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """Signals of a diagnosis: R samples, nv rows; time [s] counts from the log's first sample."""
+
+    time: Float[np.ndarray, " R"]
+    rows: tuple[str, ...]
+    """The joint's name for hinges and slides, `base[k]` for the others."""
+    q: Float[np.ndarray, "R nv"]
+    v: Float[np.ndarray, "R nv"]
+    tau: Float[np.ndarray, "R nv"]
+    rest: Bool[np.ndarray, "R nv"]
+    """Where friction at rest makes the torque arbitrary."""
+    missing: Float[np.ndarray, "R nv"]
+    """Missing torque y [N m]."""
+    effects: tuple[Float[np.ndarray, "R nv"], ...]
+    """Torque of each finding, fitted to the whole log [N m]."""
+    left: tuple[Float[np.ndarray, "R nv"], ...]
+    """y after one, two ... findings, each stretch predicted from the others [N m]."""
+    noise: Float[np.ndarray, " nv"]
+    """Standard deviation of y's noise [N m]."""
+    energy: Float[np.ndarray, "R nv"]
+    """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
+    forces: tuple[BodyForce, ...]
+    """The most telling body first."""
+
+
+def collect(
+    pool: Pool,
+    effects: tuple[np.ndarray, ...],
+    left: tuple[np.ndarray, ...],
+    replicas: Float[np.ndarray, "K R nv"],
+) -> Trace:
+    """Gather the signals of one run; `effects` and `left` are finished torques as in `Trace`."""
+    context, evidence = pool.context, pool.evidence
+    prepared = context.prepared
+    names = {dof: name for name, dof in context.joint_dofs.items()}
+    missing = prepared.finish(prepared.missing)
+    noise = np.sqrt(np.mean(np.asarray(replicas) ** 2, axis=(0, 1)))
+    return Trace(
+        time=context.time[prepared.kept],
+        rows=tuple(names.get(j, f"base[{j}]") for j in range(context.robot.nv)),
+        q=prepared.finish(context.joint_position),
+        v=prepared.finish(context.v),
+        tau=prepared.finish(context.tau),
+        rest=context.at_rest[prepared.kept],
+        missing=missing,
+        effects=effects,
+        left=left,
+        noise=noise,
+        energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
+        forces=_forces(pool, missing / noise, noise),
+    )
+
+
+def _forces(pool: Pool, y: np.ndarray, noise: np.ndarray, window: float = 0.5) -> tuple:
+    """Least squares of y/σ over each window by Jᵀ f/σ, f constant; energies above the noise's own."""
+    context = pool.context
+    prepared = context.prepared
+    time = context.time[prepared.kept]
+    label = ((time - time[0]) / window).astype(int)
+    excess = max(float(np.sum(y**2) - y.size), 1e-300)
+    out = []
+    for index, body in enumerate(context.robot.body_names):
+        rows = prepared.finish(context.force_rows[:, index]) / noise[None, :, None]
+        explained, peak, count = 0.0, 0.0, 0
+        for k in range(label[-1] + 1):
+            a, b = rows[label == k].reshape(-1, 3), y[label == k].ravel()
+            if len(b) < 12:
+                continue
+            force, *_ = np.linalg.lstsq(a, b, rcond=1e-6)
+            explained += float(b @ (a @ force))
+            peak, count = max(peak, float(np.linalg.norm(force))), count + 1
+        # Three free numbers a window take three units of noise with them.
+        share = (explained - 3 * count) / excess
+        out.append(BodyForce(body, float(np.clip(share, 0.0, 1.0)), peak))
+    return tuple(sorted(out, key=lambda f: -f.share))
+
+
+@dataclasses.dataclass(frozen=True)
+class Region:
+    """Where in a signal of one row the gap's energy lies."""
+
+    row: str
+    signal: str
+    """'q', 'v' or 'tau'."""
+    edges: Float[np.ndarray, " B+1"]
+    """Quintiles of the signal over the log."""
+    share: Float[np.ndarray, " B"]
+    """Of the row's energy above noise, by quintile: 0.2 each where the signal does not matter."""
+
+
+def regions(trace: Trace) -> tuple[Region, ...]:
+    """The loudest row's excess energy against its own q, v and τ, by quintiles."""
+    loud = int(np.argmax(trace.energy.sum(axis=0)))
+    excess = np.maximum((trace.missing[:, loud] / trace.noise[loud]) ** 2 - 1.0, 0.0)
+    out = []
+    for signal in ("q", "v", "tau"):
+        x = getattr(trace, signal)[:, loud]
+        edges = np.quantile(x, np.linspace(0, 1, 6))
+        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, 4)
+        energy = np.bincount(place, weights=excess, minlength=5)
+        share = energy / max(energy.sum(), 1e-300)
+        out.append(Region(trace.rows[loud], signal, edges, share))
+    return tuple(out)
+
+
+def shrink_interval(
+    trace: Trace, *, block: float = 0.5, draws: int = 1000, seed: int = 0
+) -> tuple[float, float] | None:
+    """95 % interval of the held-out shrink 1 − after/before, noise off both, by a bootstrap over blocks of time.
+
+    Blocks [s] keep what is correlated together (Künsch 1989). None without findings.
+    """
+    if not trace.left:
+        return None
+    moving = ~trace.rest
+    label = ((trace.time - trace.time[0]) / block).astype(int)
+
+    def sums(x: np.ndarray) -> np.ndarray:
+        return np.bincount(label, weights=np.sum(np.where(moving, x, 0.0), axis=1))
+
+    before, after = sums(trace.missing**2), sums(trace.left[-1] ** 2)
+    noise = sums(np.broadcast_to(trace.noise**2, trace.missing.shape))
+    rng = np.random.default_rng(seed)
+    pick = rng.integers(0, len(before), (draws, len(before)))
+    gap = np.maximum((before - noise)[pick].sum(axis=1), 1e-300)
+    rest = np.maximum((after - noise)[pick].sum(axis=1), 0.0)
+    share = 1.0 - np.sqrt(rest / gap)
+    low, high = np.quantile(share, [0.025, 0.975])
+    return float(low), float(high)
