@@ -53,7 +53,7 @@ def whitener(
     own = prepared.finish(prepared.missing)
     draws = []
     for _ in range(replicas):
-        noisy = prepare(prepared.robot, _perturbed(log, rng), prepared.settings)
+        noisy = prepare(prepared.robot, perturbed(log, rng), prepared.settings)
         draws.append(prepared.finish(noisy.missing) - own)
     noise = np.array(draws)
     size = np.sqrt(np.mean(prepared.finish(prepared.inverse) ** 2, axis=0))
@@ -87,7 +87,7 @@ def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Floa
     return np.nanmedian(np.abs(finite), axis=0) / 0.6745 / np.sqrt(20.0)
 
 
-def _perturbed(log: Log, rng: np.random.Generator) -> Log:
+def perturbed(log: Log, rng: np.random.Generator) -> Log:
     """The log with its sensors' noise added once more."""
 
     def more(x, stated=None):

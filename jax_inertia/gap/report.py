@@ -1,13 +1,28 @@
 """The contract's report.json."""
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink
 from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.rollout import Rollouts
+from jax_inertia.gap.suggest import Suggestion, suggestions
+from jax_inertia.gap.trace import regions, shrink_interval
+from jax_inertia.preflight import Finding as Quality
 
 
-def to_report(found: Diagnosis) -> dict:
-    """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN."""
+def to_report(
+    found: Diagnosis, *, rollouts: Rollouts | None = None, quality: Sequence[Quality] = ()
+) -> dict:
+    """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN.
+
+    Beyond the contract: `where` (rows, bodies, regions of state), `data_quality`, `notes`.
+    """
+    heldout = _shrink(found.heldout)
+    if (interval := shrink_interval(found.trace)) is not None:
+        heldout["ci95"] = list(interval)
     report = {
         "schema": 1,
         "verdict": str(found.verdict),
@@ -20,16 +35,20 @@ def to_report(found: Diagnosis) -> dict:
         },
         "effects": [_effect(f) for f in found.findings],
         "shrink": {
-            "heldout": _shrink(found.heldout),
+            "heldout": heldout,
             "test_log": None if found.test is None else _shrink(found.test),
-            "rollout": None,
+            "rollout": None if rollouts is None else _rollout(rollouts),
         },
         "when": [list(w) for w in found.when],
         "undetectable_below": [
             {"family": family, "location": _place(place), "value": p.value, "unit": p.unit}
             for family, place, p in found.undetectable_below
         ],
-        "suggested_motion": {},
+        "suggested_motion": _motion(suggestions(found)),
+        "where": _where(found),
+        "data_quality": [
+            {"severity": str(f.severity), "check": f.check, "message": f.message} for f in quality
+        ],
         "notes": list(found.notes),
     }
     return {name: _clean(value) for name, value in report.items()}
@@ -55,6 +74,49 @@ def _shrink(s: Shrink) -> dict:
     return {"before": s.before, "after": s.after, "noise": s.noise, "unit": "N m"}
 
 
+def _rollout(r: Rollouts) -> dict:
+    return {
+        "horizon_s": r.horizon,
+        "before": r.before,
+        "after": r.after,
+        "floor": r.floor,
+        "unit": "rad",
+        "windows": len(r.starts),
+        "notes": list(r.notes),
+    }
+
+
+def _motion(wanted: tuple[Suggestion, ...]) -> dict:
+    """The first suggestion, with all others beside it; empty where nothing ties."""
+    if not wanted:
+        return {}
+    every = [
+        {
+            "between": list(s.between),
+            "joint": s.where,
+            "kind": s.kind,
+            "text": s.text,
+            "numbers": s.numbers,
+        }
+        for s in wanted
+    ]
+    return {**every[0], "others": every[1:]}
+
+
+def _where(found: Diagnosis) -> dict:
+    base = sum(share for row, share in found.share.items() if row.startswith("base["))
+    return {
+        "rows": {"base": base, "joints": sum(found.share.values()) - base},
+        "bodies": [
+            {"body": f.body, "share": f.share, "peak_force_N": f.peak} for f in found.trace.forces
+        ],
+        "regions": [
+            {"row": r.row, "signal": r.signal, "edges": r.edges.tolist(), "share": r.share.tolist()}
+            for r in regions(found.trace)
+        ],
+    }
+
+
 def _place(place: Place) -> dict:
     return {"kind": place.kind, "name": place.name}
 
@@ -65,7 +127,7 @@ def _clean(x):
         return {k: _clean(v) for k, v in x.items()}
     if isinstance(x, list):
         return [_clean(v) for v in x]
-    if isinstance(x, float) or hasattr(x, "dtype"):
+    if isinstance(x, float | np.generic):
         value = float(x)
         return value if math.isfinite(value) else None
     return x

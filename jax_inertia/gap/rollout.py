@@ -1,0 +1,298 @@
+"""Open-loop rollouts in MuJoCo C: how far simulation and log part within a quarter of a second.
+
+From states of the log, driven by the logged torque and nothing else, the nominal model (before), the corrected one
+(after), and the corrected one against itself from states and torques with the sensors' noise once more (floor).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.callbacks import Callback, law
+from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.gap.correct import DEFLECTION, Correction
+from jax_inertia.gap.effect import Effect
+from jax_inertia.gap.noise import perturbed
+from jax_inertia.log import Log, TorqueKind
+from jax_inertia.robot import Robot
+
+_STEP = 5e-4
+_MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
+_STILL = 0.05  # no joint faster than this, and friction at rest decides what happens [rad/s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Rollouts:
+    """Errors of W windows and n joints, at S times from each window's start."""
+
+    horizon: float
+    joints: tuple[str, ...]
+    starts: Float[np.ndarray, " W"]
+    time: Float[np.ndarray, " S"]
+    nominal: Float[np.ndarray, "W S n"]
+    corrected: Float[np.ndarray, "W S n"]
+    noise: Float[np.ndarray, "W S n"]
+    notes: tuple[str, ...]
+
+    @property
+    def before(self) -> float:
+        """Root mean square over windows and joints at the horizon [rad; m on slides]."""
+        return _last(self.nominal)
+
+    @property
+    def after(self) -> float:
+        """As `before`, with the effects added."""
+        return _last(self.corrected)
+
+    @property
+    def floor(self) -> float:
+        """What the noise of the sensors leaves."""
+        return _last(self.noise)
+
+
+def rollouts(
+    nominal: mujoco.MjSpec,
+    correction: Correction,
+    robot: Robot,
+    log: Log,
+    *,
+    horizon: float = 0.25,
+    windows: int = 24,
+    seed: int = 0,
+) -> Rollouts | None:
+    """Roll both models out from evenly spaced moments of the log; None where nothing moves, or where contacts are
+    not measured.
+    """
+    if robot.has_free_base and log.contact_wrench is None:
+        return None
+    effects = (*correction.in_model, *correction.by_callback)
+    prepared = prepare(robot, log)
+    noisy_log = perturbed(log, np.random.default_rng(seed))
+    noisy = prepare(robot, noisy_log)
+    passing = [e.values["start"] for e in effects if e.family == "push"]
+    starts = _starts(prepared, horizon, windows, passing)
+    if not len(starts):
+        return None
+    period = 1.0 / log.rate
+    step = period / max(1, round(period / _STEP))
+    samples = np.linspace(0.0, horizon, 26)
+    before = _Plant(nominal, robot, (), step)
+    after = _Plant(correction.spec, robot, effects, step)
+    clean, shaken = _Torque(log, robot), _Torque(noisy_log, robot)
+    joints = [k for k, adr in enumerate(before.adr) if adr >= 0]
+    paths: list[list[np.ndarray]] = [[], [], []]
+    for k in starts:
+        measured = _positions(prepared, before, k, samples)
+        own = after.run(prepared, k, samples, clean)
+        paths[0].append(before.run(prepared, k, samples, clean) - measured)
+        paths[1].append(own - measured)
+        drift = _positions(noisy, before, k, samples) - measured
+        paths[2].append(after.run(noisy, k, samples, shaken) - own - drift)
+    nominal_, corrected_, noise = (np.nan_to_num(np.array(p), nan=np.pi) for p in paths)
+    return Rollouts(
+        horizon,
+        tuple(before.names[k] for k in joints),
+        prepared.time[starts] - prepared.time[0],
+        samples,
+        nominal_[:, :, joints],
+        corrected_[:, :, joints],
+        noise[:, :, joints],
+        correction.notes,
+    )
+
+
+def _last(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error[:, -1] ** 2)))
+
+
+def _starts(
+    prepared: Prepared, horizon: float, windows: int, passing: Sequence[float]
+) -> np.ndarray:
+    """Indices on the fast grid whose windows are measured throughout and in motion.
+
+    Where something happens in passing, windows are to see it: half of them lie about it.
+    """
+    time = prepared.time
+    edge = prepared.settings.margin
+    first, last = time[0] + edge, time[-1] - edge - horizon
+    wanted = [np.linspace(first, last, windows // (2 if passing else 1))]
+    for start in passing:
+        near = np.linspace(start - horizon, start, windows // (2 * len(passing)))
+        wanted.append(np.clip(time[0] + near, first, last))
+    starts = np.searchsorted(time, np.sort(np.concatenate(wanted)))
+    length = round(horizon * prepared.rate)
+    valid = np.asarray(prepared.observation.motion.valid)
+    moving = np.abs(np.asarray(prepared.observation.motion.v)).max(axis=1)
+    good = [k for k in starts if valid[k : k + length].all() and moving[k] > _STILL]
+    return np.array(good, int)
+
+
+def _positions(prepared: Prepared, plant: "_Plant", k: int, samples: np.ndarray) -> np.ndarray:
+    """Joint positions of the log on the plant's rows (S, nv); zero on rows without a position of their own."""
+    at = prepared.time[k] + samples
+    q = np.asarray(prepared.observation.motion.q)
+    out = np.zeros((len(samples), len(plant.adr)))
+    for row, adr in enumerate(plant.adr):
+        if adr >= 0:
+            out[:, row] = np.interp(at, prepared.time, q[:, adr])
+    return out
+
+
+class _Torque:
+    """Torque of the log on the model's rows, and measured wrenches, at any time."""
+
+    def __init__(self, log: Log, robot: Robot):
+        self.time = np.asarray(log.time, float)
+        rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+        tau = np.nan_to_num(np.asarray(log.tau, float))
+        self.tau = np.zeros((len(tau), robot.nv))
+        self.tau[:, [rows[name] for name in log.joint_names]] = tau
+        self.held = log.tau_kind is not TorqueKind.SENSOR
+        self.wrench = None if log.contact_wrench is None else np.asarray(log.contact_wrench, float)
+        self.bodies = log.contact_bodies
+
+    def index(self, t: np.ndarray) -> np.ndarray:
+        return np.clip(np.searchsorted(self.time, t + 1e-9) - 1, 0, len(self.time) - 2)
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        k = self.index(t)
+        if self.held:
+            return self.tau[k]
+        share = ((t - self.time[k]) / (self.time[k + 1] - self.time[k]))[:, None]
+        return (1 - share) * self.tau[k] + share * self.tau[k + 1]
+
+
+class _Plant:
+    """One model, ready to be run from a state of the log."""
+
+    def __init__(self, spec: mujoco.MjSpec, robot: Robot, effects: Sequence[Effect], step: float):
+        spec = spec.copy()
+        spec.option.timestep = step
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        off = mujoco.mjtDisableBit
+        spec.option.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_ACTUATION)
+        for key in list(spec.keys):
+            spec.delete(key)
+        self.model = model = spec.compile()
+        self.effects = tuple(effects)
+        self.law = law(model, self.effects)
+        self.data = mujoco.MjData(model)
+        joints = [_joint_id(model, name, k) for k, name in enumerate(robot.joint_names)]
+        model.jnt_limited[joints] = False
+        # Rows and positions of the nominal model in this one, which may have hinges between.
+        self.rows = np.concatenate(
+            [model.jnt_dofadr[j] + np.arange(_dofs(model, j)) for j in joints]
+        )
+        self.places = np.concatenate(
+            [model.jnt_qposadr[j] + np.arange(_size(model, j)) for j in joints]
+        )
+        self.adr = np.full(robot.nv, -1)
+        self.names = [""] * robot.nv
+        for name, j, dof, adr in zip(
+            robot.joint_names, joints, robot.joint_dofadr, robot.joint_qposadr, strict=True
+        ):
+            if _dofs(model, j) == 1:
+                self.adr[dof], self.names[dof] = adr, name
+        self.scale = np.ones(robot.nv)
+        self.contact_scale = {
+            e.name: e.values["scale"] for e in self.effects if e.family == "contact_force_scale"
+        }
+        for e in self.effects:
+            if e.family == "encoder_scale":
+                self.scale[self.names.index(e.name)] = 1.0 + e.values["scale"]
+        self.friction = model.dof_frictionloss.copy()
+
+    def run(
+        self, prepared: Prepared, k: int, samples: np.ndarray, torque: _Torque
+    ) -> Float[np.ndarray, "S nv"]:
+        """Positions at the samples, as the log's encoders would show them; zero on other rows."""
+        model, data = self.model, self.data
+        start, step = float(prepared.time[k]), model.opt.timestep
+        origin = float(prepared.time[0])
+        self._begin(prepared, k)
+        model.dof_frictionloss[:] = self.friction
+        act = Callback(self.law)
+        for u in self._on_rows(torque(start - np.arange(round(_MEMORY / step), 0, -1) * step)):
+            act.arrives(u)
+        out = np.zeros((len(samples), len(self.adr)))
+        own = self.adr >= 0
+        marks = {round(t / step): s for s, t in enumerate(samples.tolist())}
+        steps = max(marks)
+        # The torque of the middle of each step.
+        middle = start + (np.arange(steps) + 0.5) * step
+        applied, held = self._on_rows(torque(middle)), torque.index(middle)
+        seen, scale = self.places[self.adr[own]], self.scale[own]
+        for n in range(steps + 1):
+            if n in marks:
+                out[marks[n], own] = data.qpos[seen] * scale
+            if n == steps:
+                break
+            data.time = start - origin + n * step
+            data.qfrc_applied[:] = applied[n]
+            act(model, data)
+            if torque.wrench is not None:
+                self._push(torque.bodies, torque.wrench[held[n]])
+            mujoco.mj_step(model, data)
+        return out
+
+    def _on_rows(self, tau: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(tau), self.model.nv))
+        out[:, self.rows] = tau
+        return out
+
+    def _push(self, bodies: Sequence[str], wrenches: np.ndarray) -> None:
+        """Measured wrenches, about each body's frame origin."""
+        model, data = self.model, self.data
+        for name, w in zip(bodies, wrenches, strict=True):
+            body = model.body(name).id
+            w = w / self.contact_scale.get(name, 1.0)
+            mujoco.mj_applyFT(model, data, w[:3], w[3:], data.xpos[body], body, data.qfrc_applied)
+
+    def _begin(self, prepared: Prepared, k: int) -> None:
+        """The log's state, and between motor and link what the link's own torque asks for."""
+        model, data = self.model, self.data
+        motion = prepared.observation.motion
+        mujoco.mj_resetData(model, data)
+        q, v = np.array(np.asarray(motion.q)[k]), np.array(np.asarray(motion.v)[k])
+        own = self.adr >= 0
+        q[self.adr[own]] /= self.scale[own]
+        v[own] /= self.scale[own]
+        data.qpos[self.places], data.qvel[self.rows] = q, v
+        for e in self.effects:
+            if e.family in ("joint_elasticity", "backlash"):
+                self._wind(prepared, k, e)
+        mujoco.mj_forward(model, data)
+
+    def _wind(self, prepared: Prepared, k: int, effect: Effect) -> None:
+        hinge = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, effect.name + DEFLECTION)
+        if hinge < 0:
+            return
+        row = self.names.index(effect.name)
+        robot = prepared.robot
+        rotor = float(robot.armature[row]) * np.asarray(prepared.observation.a)[:, row]
+        rotor = (
+            rotor + float(robot.damping[row]) * np.asarray(prepared.observation.motion.v)[:, row]
+        )
+        link = prepared.inverse[:, row] - rotor
+        twist = -link / effect.values["stiffness"]
+        play = -0.5 * np.sign(link) * effect.values.get("dead_zone", 0.0)
+        self.data.qpos[self.model.jnt_qposadr[hinge]] = twist[k] + play[k]
+        rate = np.gradient(twist, prepared.time)[k]
+        self.data.qvel[self.model.jnt_dofadr[hinge]] = rate
+
+
+def _joint_id(model: mujoco.MjModel, name: str, k: int) -> int:
+    """By name; joints without one keep their number, since hinges are only added behind named ones."""
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    return found if found >= 0 else k
+
+
+def _dofs(model: mujoco.MjModel, j: int) -> int:
+    return {0: 6, 1: 3}.get(int(model.jnt_type[j]), 1)
+
+
+def _size(model: mujoco.MjModel, j: int) -> int:
+    return {0: 7, 1: 4}.get(int(model.jnt_type[j]), 1)
