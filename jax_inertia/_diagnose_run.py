@@ -1,0 +1,193 @@
+"""What `jax-inertia diagnose` computes, writes and prints."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from jax_inertia._console import warn
+from jax_inertia.gap.correct import Correction, corrected
+from jax_inertia.gap.diagnosis import Diagnosis, Finding, diagnose
+from jax_inertia.gap.effect import effects_of
+from jax_inertia.gap.families import NAMES
+from jax_inertia.gap.html import Page, page
+from jax_inertia.gap.report import to_report
+from jax_inertia.gap.rollout import Rollouts, rollouts
+from jax_inertia.gap.units import in_newton_metres
+from jax_inertia.log import Log, LogError, read_log
+from jax_inertia.mjcf import ModelError, load_model, load_spec
+from jax_inertia.preflight import Finding as Quality
+from jax_inertia.preflight import Severity, preflight
+from jax_inertia.robot import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What was read, and found sound."""
+
+    model: Path
+    path: Path
+    robot: Robot
+    log: Log
+    test_log: Log | None
+    quality: tuple[Quality, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What was found, and what becomes of it."""
+
+    found: Diagnosis
+    nominal: mujoco.MjSpec
+    correction: Correction
+    rollouts: Rollouts | None
+    report: dict
+
+
+def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) -> Inputs:
+    """Read model and logs, and look at them before anything is computed; ValueError with one line."""
+    if unknown := sorted(set(exclude) - set(NAMES)):
+        raise ValueError(
+            f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
+        )
+    robot = load_model(model)
+    logs, quality = [], []
+    for path in (log, *([] if test_log is None else [test_log])):
+        one = read_log(path)
+        found = preflight(one, robot)
+        try:
+            found.raise_for_errors()
+        except LogError as error:
+            raise LogError(f"{path}: {error}") from None
+        for finding in found.findings:
+            if finding.check == "no_motion" and finding.severity is Severity.WARNING:
+                raise LogError(f"{path}: {finding.message}")
+        try:
+            one, gains = in_newton_metres(one, robot)
+        except ValueError as error:
+            raise LogError(f"{path}: {error}") from None
+        logs.append(one)
+        quality += [*found.findings, *gains]
+    for finding in quality:
+        if finding.severity is Severity.WARNING:
+            warn(finding.message)
+    return Inputs(model, log, robot, logs[0], logs[1] if len(logs) > 1 else None, tuple(quality))
+
+
+def diagnosis(
+    inputs: Inputs, exclude: Sequence[str], max_effects: int, stage: Callable[[str], None]
+) -> Result:
+    """Diagnose, correct the model, and roll both models out."""
+    found = diagnose(
+        inputs.robot,
+        inputs.log,
+        test_log=inputs.test_log,
+        exclude=exclude,
+        max_effects=max_effects,
+        progress=stage,
+    )
+    stage("rolling models out in MuJoCo")
+    nominal, wanted = load_spec(inputs.model), load_spec(inputs.model)
+    correction = corrected(wanted, effects_of(found))
+    rolled = rollouts(nominal, correction, inputs.robot, inputs.log)
+    report = to_report(found, rollouts=rolled, quality=inputs.quality)
+    return Result(found, nominal, correction, rolled, report)
+
+
+def write(folder: Path, inputs: Inputs, result: Result) -> None:
+    """report.json, report.html and corrected.xml."""
+    text = json.dumps(result.report, indent=1, allow_nan=False)
+    (folder / "report.json").write_text(text + "\n")
+    (folder / "corrected.xml").write_text(_loadable(result.correction.spec, inputs.model))
+    content = Page(
+        inputs.path.name,
+        inputs.model.name,
+        inputs.log,
+        result.found,
+        result.correction,
+        result.rollouts,
+        result.report,
+    )
+    (folder / "report.html").write_text(page(content))
+
+
+def _loadable(spec: mujoco.MjSpec, model: Path) -> str:
+    """XML that loads from anywhere on this machine: files by absolute folder, else without meshes."""
+    root = (Path(spec.modelfiledir) if spec.modelfiledir else model.parent).resolve()
+    if spec.meshes or spec.hfields:
+        spec.meshdir = str(root / spec.meshdir)
+    if spec.textures:
+        spec.texturedir = str(root / spec.texturedir)
+    text = spec.to_xml()
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise ModelError(
+            f"{model}: MuJoCo cannot load what it wrote of this model: {' '.join(str(error).split())}"
+        ) from None
+    return text
+
+
+def show(result: Result, out: Path, *, as_json: bool) -> None:
+    """Print what was found."""
+    if as_json:
+        print(json.dumps(result.report, indent=1, allow_nan=False))
+        return
+    console = Console()
+    table(console, result.found)
+    for kind, text in shrink_lines(result):
+        console.print(f"{kind:>22}: {text}", highlight=False, soft_wrap=True)
+    if wanted := result.report["suggested_motion"]:
+        console.print(f"to tell ties apart: {escape(wanted['text'])}", soft_wrap=True)
+    console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True, highlight=False)
+
+
+def table(console: Console, found: Diagnosis) -> None:
+    """Verdict and effects."""
+    rows = Table(
+        title=f"{str(found.verdict).replace('_', ' ')} (confidence {found.confidence:.2f})",
+        title_justify="left",
+    )
+    for name in ("effect", "where", "size, 95 % interval", "explains", "or"):
+        rows.add_column(name)
+    for f in found.findings:
+        rows.add_row(
+            f.family,
+            escape(f.place.name),
+            escape(sizes(f)),
+            f"{100 * f.explained:.0f} %",
+            escape(", ".join(f"{t.family} at {t.place.name} ({t.kind})" for t in f.equivalent)),
+        )
+    if found.findings:
+        console.print(rows)
+    else:
+        console.print(rows.title)
+
+
+def sizes(f: Finding) -> str:
+    """Every parameter with its interval, one a line."""
+    return "\n".join(
+        f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
+        for name, p in f.parameters.items()
+    )
+
+
+def shrink_lines(result: Result) -> list[tuple[str, str]]:
+    """How far the gap shrinks, in up to three ways."""
+    found, rolled = result.found, result.rollouts
+    out = []
+    for name, s in (("held-out residual", found.heldout), ("other motion", found.test)):
+        if s is not None:
+            text = f"{s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.2g})"
+            out.append((name, text))
+    if rolled is not None:
+        degrees = [np.rad2deg(x) for x in (rolled.before, rolled.after, rolled.floor)]
+        text = "{:.3g} → {:.3g} deg (floor {:.2g})".format(*degrees)
+        out.append((f"{rolled.horizon:g} s rollouts", text))
+    return out

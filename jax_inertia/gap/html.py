@@ -1,0 +1,178 @@
+"""report.html: one file that an engineer reads in a minute. Nothing in it is fetched, nothing in it runs."""
+
+import dataclasses
+from importlib.metadata import version
+from itertools import groupby
+
+import jinja2
+import numpy as np
+
+from jax_inertia.gap import figures
+from jax_inertia.gap.correct import Correction
+from jax_inertia.gap.diagnosis import Diagnosis, Shrink
+from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.rollout import Rollouts
+from jax_inertia.gap.verdict import Verdict
+from jax_inertia.log import Log
+
+_EQUATIONS = {family.name: family.equation for family in LIBRARY}
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """What the report is about."""
+
+    log_name: str
+    model_name: str
+    log: Log
+    found: Diagnosis
+    correction: Correction
+    rollouts: Rollouts | None
+    report: dict
+
+
+def page(about: Page) -> str:
+    """The report as HTML; every name in it is escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("jax_inertia.gap"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"plain": _plain, "number": _number, "percent": _percent}
+    found, rolled = about.found, about.rollouts
+    row = figures.affected(found)
+    return environment.get_template("report.html").render(
+        about=about,
+        found=found,
+        report=about.report,
+        version=version("jax-inertia"),
+        headline=headline(found),
+        cards=_cards(about),
+        equations=_EQUATIONS,
+        row=found.trace.rows[row],
+        heat=figures.heat(found),
+        residual=figures.residual(found, row),
+        waterfall=figures.waterfall(found),
+        fan=None if rolled is None else figures.fan(rolled),
+        undetectable=_undetectable(found),
+        shares=sorted(found.share.items(), key=lambda x: -x[1])[:6],
+        when=_when(found),
+    )
+
+
+def headline(found: Diagnosis) -> str:
+    """The verdict in one or two sentences."""
+    if found.verdict is Verdict.NO_GAP:
+        return "No gap: model and robot agree within the sensors' noise and what a good model may be off by."
+    where = max(found.share, key=lambda name: found.share[name])
+    if not found.findings:
+        return f"Something is missing, mostly at {where}, but no effect in the library explains it."
+    names = [f"{_plain(f.family)} at {f.place.name}" for f in found.findings]
+    every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+    share = found.heldout.share
+    shrink = (
+        f"With {'it' if len(names) == 1 else 'them'}, the missing torque shrinks by {share:.0%}"
+    )
+    shrink += (
+        " on held-out data."
+        if found.test is None
+        else f", by {found.test.share:.0%} on another motion."
+    )
+    if found.verdict is Verdict.EXPLAINED:
+        return f"The model lacks {every}. {shrink}"
+    if found.verdict is Verdict.PARTLY:
+        return f"The model lacks {every}, and something more that was not found. {shrink}"
+    return (
+        f"Something is missing, mostly at {where}. The nearest known effect is {every}, but it does not explain "
+        "the data: do not trust it."
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Card:
+    """One figure at the top of the page."""
+
+    title: str
+    value: str
+    detail: str
+
+
+def _cards(about: Page) -> list[_Card]:
+    found, rolled = about.found, about.rollouts
+    out = [
+        _Card(
+            "gap",
+            f"{_number(np.sqrt(max(found.chi2, 0.0)))} × noise",
+            "missing torque, whitened; a model within its tolerance leaves a few",
+        )
+    ]
+    for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
+        if s is not None and found.findings:
+            out.append(_Card(title, f"−{s.share:.0%}", _detail(s)))
+        elif s is not None:
+            detail = f"rms; noise {_number(s.noise)} N m"
+            out.append(_Card(title, f"{_number(s.before)} N m", detail))
+    if rolled is not None:
+        before, after, floor = (
+            _number(np.rad2deg(x)) for x in (rolled.before, rolled.after, rolled.floor)
+        )
+        title = f"{rolled.horizon:g} s rollouts"
+        if found.findings:
+            detail = f"before → after; {floor}° is the sensors' noise"
+            out.append(_Card(title, f"{before}° → {after}°", detail))
+        else:
+            out.append(_Card(title, f"{before}°", f"{floor}° is the sensors' noise"))
+    return out
+
+
+def _detail(s: Shrink) -> str:
+    return f"{_number(s.before)} → {_number(s.after)} N m; noise {_number(s.noise)}"
+
+
+def _when(found: Diagnosis) -> str:
+    if not found.when:
+        return "spread over the whole log"
+    spans = [f"{a:.1f}–{b:.1f} s" for a, b in found.when[:4]]
+    more = f" and {len(found.when) - 4} more stretches" if len(found.when) > 4 else ""
+    return ", ".join(spans) + more
+
+
+@dataclasses.dataclass(frozen=True)
+class _Unseen:
+    """What of one family could have hidden in this log."""
+
+    family: str
+    low: str
+    high: str
+    worst: str
+    places: list[tuple[str, str]]
+
+
+def _undetectable(found: Diagnosis) -> list[_Unseen]:
+    out = []
+    for family, group in groupby(found.undetectable_below, key=lambda x: x[0]):
+        every = sorted(group, key=lambda x: abs(x[2].value))
+        unit = every[0][2].unit
+        unit = "" if unit == "1" else f" {unit}"
+        sizes = [(place.name, f"{_number(abs(p.value))}{unit}") for _, place, p in every]
+        out.append(_Unseen(family, sizes[0][1], sizes[-1][1], sizes[-1][0], sizes))
+    return out
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _percent(x: float) -> str:
+    return f"{x:.0%}"
+
+
+def _number(x: float) -> str:
+    """Three digits that mean something, without an exponent where one can do without."""
+    if x is None or not np.isfinite(x):
+        return "–"
+    if x == 0 or 1e-3 <= abs(x) < 1e4:
+        return f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}"
+    return f"{x:.2g}"
