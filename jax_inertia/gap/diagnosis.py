@@ -139,7 +139,9 @@ def diagnose(
     pool = Pool(context, evidence, [f for f in LIBRARY if f.name not in exclude])
     progress("choosing effects")
     chosen, ranking, misfits = select(pool, max_effects, floor)
-    verdict = judge(misfits, floor, evidence.rows)
+    verdict = judge(
+        misfits, floor, chosen, log.sigma_tau is not None and log.sigma_qpos is not None
+    )
     odds = probabilities(ranking, misfits, floor)
     progress("checking on held-out stretches")
     heldout = _held_out(prepared, context, pool, chosen, replicas)

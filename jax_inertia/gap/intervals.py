@@ -82,8 +82,6 @@ def _reported(
     base = values(point)
     jacobian = {name: np.zeros(len(point)) for name in base}
     for k in range(len(point)):
-        if c.family.passing and k >= n:
-            continue
         h = np.zeros(len(point))
         h[k] = 1e-4 * max(abs(point[k]), np.sqrt(noise[k, k]), 1e-9)
         up, down = values(point + h), values(point - h)
@@ -101,10 +99,10 @@ def _reported(
 
 
 def _shape_slope(pool: Pool, c: Candidate, axis: int) -> Float[np.ndarray, "n 1"]:
-    """∂e/∂shape in the charged metric; zero for details and for shapes that are not numbers."""
+    """∂e/∂shape in the charged metric; zero for details of the fit."""
     free = c.family.free_shape
     counts = axis < (len(c.shape) if free is None else free)
-    if not counts or not c.family.continuous:
+    if not counts:
         return np.zeros((len(pool.evidence.y), 1))
     h = 1e-3 * max(abs(c.shape[axis]), 1e-6)
 

@@ -30,8 +30,11 @@ def windows(
     width = max(1, round(0.08 / step))
     smooth = np.convolve(total, np.ones(width) / width, mode="same")
     found = set()
-    for factor in (3.0, 8.0, 20.0, 60.0, 200.0):
-        for start, stop in _runs(_closed(smooth > factor * usual, round(0.15 / step))):
+    # Above the noise, for what is faint; below the peak, for what is loud and echoes.
+    levels = [k * usual for k in (3.0, 8.0, 20.0, 60.0, 200.0)]
+    levels += [k * float(smooth.max()) for k in (0.03, 0.1, 0.3)]
+    for level in levels:
+        for start, stop in _runs(_closed(smooth > max(level, 3.0 * usual), round(0.15 / step))):
             inside = total[start:stop].sum() - usual * (stop - start)
             if shortest < (stop - start) * step < longest and inside > 0.5 * excess:
                 found.add((time[start] - 0.04, time[min(stop, len(time) - 1)] + 0.04))

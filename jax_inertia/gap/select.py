@@ -99,6 +99,9 @@ class Pool:
             if top is None:
                 continue
             top.grid = len(blocks)
+            if family.passing:
+                # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
+                top.grid = max(2, round((self.context.time[-1] / 0.1) ** 2))
             price = top.size * np.log(n) + (2 * np.log(top.grid) if top.grid > 1 else 0.0)
             top.score = top.gain / noise - price
             out.append(top)
@@ -107,36 +110,37 @@ class Pool:
     def refined(self, candidate: Candidate, residual, chosen, noise) -> Candidate:
         """The same candidate with its shape between grid points, one number after the other."""
         family, place = candidate.family, candidate.place
-        grid = family.grid(self.context, place)
-        if not grid or not family.continuous:
+        if not candidate.shape:
             return candidate
         basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
         target = residual - basis @ (basis.T @ residual)
         best = candidate
-        for axis, points in enumerate(grid):
-            points = np.asarray(points, float)
-            if len(points) < 2:
-                continue
-            at = int(np.argmin(np.abs(points - best.shape[axis])))
-            bounds = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
+        for _ in range(2):
+            before = best.gain
+            for axis in range(len(best.shape)):
+                bounds = family.around(self.context, place, best.shape)[axis]
+                if bounds[1] <= bounds[0]:
+                    continue
 
-            def cost(x, axis=axis):
-                nonlocal best
-                shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
-                block = self.evidence.column(family.columns(self.context, place, shape))
-                free = block - basis @ (basis.T @ block) if basis.shape[1] else block
-                fitted = self._fit(family, place, shape, block, free, target)
-                if fitted is None:
-                    return 0.0
-                if fitted.gain > best.gain:
-                    more = (fitted.gain - best.gain) / noise
-                    fitted.grid, fitted.score = best.grid, best.score + more
-                    best = fitted
-                return -fitted.gain
+                def cost(x, axis=axis):
+                    nonlocal best
+                    shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
+                    block = self.evidence.column(family.columns(self.context, place, shape))
+                    free = block - basis @ (basis.T @ block) if basis.shape[1] else block
+                    fitted = self._fit(family, place, shape, block, free, target)
+                    if fitted is None:
+                        return 0.0
+                    if fitted.gain > best.gain:
+                        more = (fitted.gain - best.gain) / noise
+                        fitted.grid, fitted.score = best.grid, best.score + more
+                        best = fitted
+                    return -fitted.gain
 
-            scipy.optimize.minimize_scalar(
-                cost, bounds=bounds, method="bounded", options={"maxiter": 10}
-            )
+                scipy.optimize.minimize_scalar(
+                    cost, bounds=bounds, method="bounded", options={"maxiter": 10}
+                )
+            if best.gain - before < noise:
+                break
         return best
 
     def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
@@ -157,13 +161,9 @@ class Pool:
         """Least squares in θ; Gauss–Newton on the manifold of a body's change."""
         gram, cross = free.T @ free, free.T @ target
         if family.size is None:
-            scale = np.sqrt(np.diagonal(gram))
-            if np.any(scale < 1e-9):
+            theta = _least_norm(gram, cross)
+            if theta is None:
                 return None
-            unit = gram / scale[:, None] / scale[None, :]
-            if np.linalg.cond(unit) > 1e10:
-                return None
-            theta = np.linalg.solve(unit, cross / scale) / scale
             gain = 2 * cross @ theta - theta @ gram @ theta
             columns, offset = block, np.zeros(len(target))
         else:
@@ -239,20 +239,12 @@ def select(
         if len(trial) > 1:
             trial = swap(pool, prune(pool, trial, floor), floor)
             after = misfit(pool, trial)
-            excess, left = misfits[0] - floor, misfits[-1] - floor
-            # Significance is not materiality: beside a large effect, the mismatch of its own equation is significant.
-            # A second effect that is real takes most of what is left; a mismatch yields to nothing in particular.
-            drop = misfits[-1] - after
-            material = drop > 0.6 * left or (drop > MATERIAL * excess and drop > 0.3 * left)
-            if len(trial) <= len(chosen) or not material:
+            # Significance is not materiality: beside a large effect, the error of its own equation is significant.
+            if len(trial) <= len(chosen) or misfits[-1] - after < allowance(pool, chosen, trial):
                 break
         chosen = trial
         misfits.append(misfit(pool, chosen))
     return chosen, ranking, misfits
-
-
-# A further effect must explain at least this share of the gap.
-MATERIAL = 0.03
 
 
 def _remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
@@ -264,7 +256,36 @@ def _remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
 
 
 # An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
-STOP = 25.0
+STOP = 30.0
+
+
+def allowance(pool: Pool, chosen: list[Candidate], trial: list[Candidate]) -> float:
+    """Misfit that the equations of the `chosen` may leave in the rows where what is new in `trial` acts."""
+    old = {c.key for c in chosen}
+    new = [_row_energy(pool, c) for c in trial if c.key not in old]
+    if not new:
+        return np.inf
+    acts = np.max(new, axis=0) > 0.05 * np.max(new)
+    total = 0.0
+    for c in chosen:
+        energy = _row_energy(pool, c)
+        share = energy[acts].sum() / max(energy.sum(), 1e-300)
+        total += c.family.form_error**2 * share * float(c.effect @ c.effect)
+    return total
+
+
+def _row_energy(pool: Pool, c: Candidate) -> np.ndarray:
+    """Energy of an effect on each row, in units of the row's noise."""
+    context = pool.context
+    columns = c.family.columns(context, c.place, c.shape)
+    change = c.family.change(context, c.place, c.theta)
+    values = columns.values @ (c.theta if change is None else change)
+    out = np.zeros(context.robot.nv)
+    sigma = pool.evidence.whitener.sigma
+    if columns.row is None:
+        return np.mean(values**2, axis=0) / sigma**2
+    out[columns.row] = np.mean(values**2) / sigma[columns.row] ** 2
+    return out
 
 
 def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
@@ -281,8 +302,10 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
         price = c.size * np.log(n) + (2 * np.log(c.grid) if c.grid > 1 else 0.0)
         c.score = c.gain / noise - price
     ranked.sort(key=lambda c: -c.score)
-    lead = [pool.refined(c, target, columns, noise) for c in ranked[:8]]
-    ranked = sorted([*lead, *ranked[8:]], key=lambda c: -c.score)
+    # Between grid points a candidate gains some; one that is far behind does not catch up.
+    near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
+    lead = [pool.refined(c, target, columns, noise) for c in near]
+    ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     return _parsimonious(ranked, before, floor)
 
 
@@ -292,9 +315,8 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
     for c in ranked[1:]:
         if c.place != best.place or c.family.name not in best.family.simpler:
             continue
-        nearly = c.gain > (1 - 0.015) * best.gain
-        fits = before - c.gain < 2 * max(floor, before - best.gain)
-        if nearly and fits and c.score > STOP:
+        noise = max(1.0, (before - best.gain) / max(floor, 1.0))
+        if best.gain - c.gain < max(STOP * noise, 5e-4 * best.gain) and c.score > STOP:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
 
@@ -326,7 +348,8 @@ def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
         for i, c in enumerate(chosen):
             rest = [x for k, x in enumerate(chosen) if k != i]
             price = c.size * np.log(pool.evidence.rows)
-            worth.append((misfit(pool, rest) - full) / noise - price)
+            drop = misfit(pool, rest) - full - allowance(pool, rest, chosen)
+            worth.append(drop / noise - price)
         weakest = int(np.argmin(worth))
         if worth[weakest] >= STOP:
             break
@@ -366,6 +389,21 @@ def _stacked(pool: Pool, chosen: list[Candidate]) -> tuple[np.ndarray, np.ndarra
         return np.zeros((len(y), 0)), y
     columns = np.concatenate([c.columns for c in chosen], axis=1)
     return columns, y - np.sum([c.offset for c in chosen], axis=0)
+
+
+def _least_norm(gram: np.ndarray, cross: np.ndarray) -> np.ndarray | None:
+    """θ of the normal equations; directions that do nothing (a force across a planar arm) stay zero."""
+    scale = np.sqrt(np.diagonal(gram))
+    alive = scale > 1e-6 * max(float(scale.max()), 1e-3)
+    if not alive.any():
+        return None
+    theta = np.zeros(len(cross))
+    unit = gram[np.ix_(alive, alive)] / scale[alive, None] / scale[None, alive]
+    values, vectors = np.linalg.eigh(unit)
+    kept = values > 1e-8 * values[-1]
+    part = vectors[:, kept]
+    theta[alive] = part @ ((part.T @ (cross[alive] / scale[alive])) / values[kept]) / scale[alive]
+    return theta
 
 
 def _tangent(change, theta: np.ndarray) -> np.ndarray:

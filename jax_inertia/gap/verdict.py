@@ -30,23 +30,33 @@ class Verdict(enum.StrEnum):
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
 TEMPER = 0.003
-EXPLAINS = 0.90
-LEAVES = 3.0
+# The noise's own misfit is known to this factor; where the log does not state its noise, a command may have missed
+# its motor by more than the log can show.
+NOISE_ERROR, NOISE_UNSTATED = 1.3, 5.0
+# A cause that leaves more than this (rms) of what it should explain is not the cause.
+DOUBT = 0.2
 
 
-def judge(misfits: list[float], floor: float, rows: int) -> Verdict:
+def judge(misfits: list[float], floor: float, chosen: list[Candidate], stated: bool) -> Verdict:
     """The verdict for misfits after 0, 1, 2 ... effects.
 
-    Explained: nine tenths of the excess are gone, and what is left is below three times the noise or a twentieth.
+    Explained: what is left is within the noise and the errors of the found effects' own equations. Partly: a fifth
+    of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
+    `stated`: whether the log states its sensors' noise.
     """
+    error = NOISE_ERROR if stated else NOISE_UNSTATED
     if len(misfits) == 1:
-        return Verdict.UNKNOWN if misfits[0] > NOISE_ONLY * floor else Verdict.NO_GAP
-    excess = max(misfits[0] - floor, 1e-300)
-    left = max(misfits[-1] - floor, 0.0) / excess
-    small = misfits[-1] < 1.5 * floor
-    if small or (left < 1 - EXPLAINS and (misfits[-1] < LEAVES * floor or left < 0.05)):
+        return (
+            Verdict.UNKNOWN
+            if misfits[0] > NOISE_ONLY * error / NOISE_ERROR * floor
+            else Verdict.NO_GAP
+        )
+    left = misfits[-1] - error * floor
+    allowed = sum(c.family.form_error**2 * float(c.effect @ c.effect) for c in chosen)
+    if left <= max(allowed, 0.2 * floor):
         return Verdict.EXPLAINED
-    return Verdict.PARTLY if left < 0.35 else Verdict.UNKNOWN
+    excess = max(misfits[0] - floor, 1e-300)
+    return Verdict.PARTLY if left < DOUBT**2 * excess else Verdict.UNKNOWN
 
 
 def ties(

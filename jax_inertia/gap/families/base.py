@@ -53,10 +53,11 @@ class Family(abc.ABC):
     kind: ClassVar[str]
     simpler: ClassVar[tuple[str, ...]] = ()
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
-    continuous: ClassVar[bool] = True
-    """Whether shapes between grid points mean something."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
+    form_error: ClassVar[float] = 0.03
+    """How far the equation may be from a real robot's, as a share (rms) of the effect: real teeth rattle, friction
+    creeps. What is left within it is no further effect, and no reason to call the cause unknown."""
     size: ClassVar[int | None] = None
     """Numbers in θ of a family with `change`; None where the effect is linear in θ."""
 
@@ -77,6 +78,15 @@ class Family(abc.ABC):
     def shapes(self, context: Context, place: Place) -> Iterable[Shape]:
         """Where the nonlinear numbers are tried first: everywhere on the grid."""
         return itertools.product(*self.grid(context, place))
+
+    def around(self, context: Context, place: Place, shape: Shape) -> list[tuple[float, float]]:
+        """Where each nonlinear number may move when a candidate is refined: up to the grid points beside it."""
+        out = []
+        for points, x in zip(self.grid(context, place), shape, strict=True):
+            points = np.asarray(points, float)
+            at = int(np.argmin(np.abs(points - x)))
+            out.append((points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]))
+        return out
 
     free_shape: ClassVar[int | None] = None
     """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""

@@ -113,10 +113,19 @@ class Drag(Family):
 
 class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
-    continuous, passing = False, True
+    passing, form_error = True, 0.35
 
     def shapes(self, context, place):
         return context.windows
+
+    def around(self, context, place, shape):
+        # The chain's low-pass smears a push by a tenth of a second.
+        start, stop = shape
+        middle = 0.5 * (start + stop)
+        return [
+            (max(start - 0.1, 0.0), min(start + 0.15, middle - 0.02)),
+            (max(stop - 0.15, middle + 0.02), min(stop + 0.1, context.time[-1])),
+        ]
 
     def columns(self, context, place, shape):
         start, stop = shape

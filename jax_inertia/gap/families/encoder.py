@@ -93,12 +93,12 @@ class TwoMass(Encoder):
         return peak / np.geomspace(0.1, 3e-4, n)
 
     def physical(self, context, place, shape, theta):
-        return abs(theta[0] - 1.0) < 0.3
+        return abs(theta[0] - 1.0) < 0.2
 
 
 class JointElasticity(TwoMass):
     name, equation = "joint_elasticity", "q_motor = q + δ, K δ + D δ̇ transmitted"
-    free_shape = 1
+    free_shape, form_error = 1, 0.2
 
     def grid(self, context, place):
         return (self.stiffnesses(context, place, 28), (0.01, 0.03, 0.08, 0.25))
@@ -113,7 +113,7 @@ class JointElasticity(TwoMass):
 class Backlash(TwoMass):
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    free_shape = 2
+    free_shape, form_error = 2, 0.4
 
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)

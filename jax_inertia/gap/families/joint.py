@@ -31,6 +31,7 @@ class DryFriction(Joint):
         return (PRESLIDING,)
 
     free_shape = 0
+    form_error = 0.1
 
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
@@ -131,6 +132,7 @@ class LoadFriction(DryFriction):
 class FrictionDrift(Joint):
     name, equation = "friction_drift", "−(d∞ + d₁ e^{−t/T}) q̇"
     simpler = ("viscous_friction",)
+    form_error = 0.05
 
     def grid(self, context, place):
         longest = context.time[-1]
@@ -187,6 +189,8 @@ class JointSpring(Joint):
 
 class Cogging(Joint):
     name, equation = "cogging", "A sin(N q + φ)"
+    simpler = ("joint_spring",)
+    form_error = 0.1
 
     def grid(self, context, place):
         q = context.joint_position[:, place.index]
@@ -194,8 +198,8 @@ class Cogging(Joint):
         fastest = 0.7 * context.prepared.settings.after * 2 * np.pi
         speed = max(np.percentile(np.abs(context.v[:, place.index]), 50), 1e-3)
         highest = min(120.0, fastest / speed)
-        # Two or more periods over the motion (one looks like a spring), a quarter of a period apart.
-        return (np.arange(max(4.0, 4 * np.pi / span), highest, max(0.5, 1.5 / span)),)
+        # One or more periods over the motion (half of one is a spring), a quarter of a period apart.
+        return (np.arange(max(4.0, 2 * np.pi / span), highest, max(0.5, 1.5 / span)),)
 
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
