@@ -76,13 +76,12 @@ def equal_bits(one, other) -> bool:
 # --- finding a load ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chart", [PAPER, UUT], ids=["paper", "uut"])
-def test_exact_torques_of_a_seven_joint_arm_give_the_load(chart):
-    """Mass, centre of mass and inertia of 2.4 kg on a flange of 0.7 kg, welded, from torques without noise."""
+def test_exact_torques_of_a_seven_joint_arm_give_the_load():
+    """2.4 kg on a flange of 0.7 kg, welded: mass, centre of mass and inertia, in the paper's chart."""
     bare = compiled("arm7")
     plant = loaded(bare, "flange")
     estimator = estimator_of(
-        ji.load_model(bare), "flange", sigma_tau=1e-3, chart=chart, drift_seconds=300.0
+        ji.load_model(bare), "flange", sigma_tau=1e-3, chart=PAPER, drift_seconds=300.0
     )
     _, trace = run(estimator, estimator.initial(), log_of(plant, SAMPLES))
     wanted = truth(plant, "flange")
@@ -159,20 +158,13 @@ def test_humanoid_s_residual_vanishes_on_and_off_the_ground():
         assert np.max(np.abs(np.asarray(moved - delta))) > 1.0
 
 
-@pytest.mark.parametrize(
-    ("chart", "iterations", "within"),
-    [(charts.Linear(), 1, 1e-4), (UUT, 5, 0.04)],
-    ids=["kf", "ekf"],
-)
-def test_humanoid_s_torso_and_forearm_are_found_while_it_steps(chart, iterations, within):
+def test_humanoid_s_torso_and_forearm_are_found_while_it_steps():
     """3 kg more in the hand and 4 kg more on the torso, from 1.2 s.
 
-    The linear filter finds them to the prior's pull. The extended one, without drift, keeps what the linearisation at
-    its first, far samples told it: 2.6 % of the forearm's mass here.
+    Without drift, the filter keeps what the linearisation at its first, far samples told it: 2.6 % of the forearm here.
     """
     robot, true, log = humanoid_case()
-    options = {"sigma_tau": 0.1, "prior": Load(5.0), "drift": STILL}
-    options |= {"chart": chart, "iterations": iterations}
+    options = {"sigma_tau": 0.1, "prior": Load(5.0), "drift": STILL, "chart": UUT, "iterations": 5}
     estimator = make_estimator(robot, [TORSO, FOREARM], **options)
     _, trace = run(estimator, estimator.initial(), log)
     for k, name in enumerate((TORSO, FOREARM)):
@@ -180,9 +172,9 @@ def test_humanoid_s_torso_and_forearm_are_found_while_it_steps(chart, iterations
         got, sigma = (np.asarray(x[-1, k]) for x in (trace.estimate.pi, trace.estimate.sigma_pi))
         assert wanted[0] - robot.pi[robot.body_index(name), 0] == pytest.approx(4.0 - k)
         assert sigma[0] < 0.05
-        np.testing.assert_allclose(got[0], wanted[0], rtol=within)
-        np.testing.assert_allclose(got[1:4] / got[0], wanted[1:4] / wanted[0], atol=within)
-    assert np.all(inertia.is_physical(trace.estimate.pi[-1]))
+        np.testing.assert_allclose(got[0], wanted[0], rtol=0.04)
+        np.testing.assert_allclose(got[1:4] / got[0], wanted[1:4] / wanted[0], atol=0.01)
+    assert np.all(inertia.is_physical(trace.estimate.pi))
 
 
 # --- what the arguments do ---------------------------------------------------------------------------------------
@@ -323,32 +315,29 @@ def test_a_pick_up_is_locked_out_unless_the_gate_reopens():
 
 
 def test_a_step_of_the_load_is_followed():
-    """From no load to 1.9 kg, and to 3.1 kg after 3 s: 16 seeds of noise, the worst of them.
+    """From no load to 1.9 kg, and to 3.1 kg after 1.5 s: 16 seeds of noise, the worst of them.
 
     The paper's single iteration in its chart does not survive the first of the two steps in most of them.
     """
-    samples = 600
     (light, robot), (heavy, _) = arm(1.9), arm(3.1)
-    before, after = log_of(light, samples), log_of(heavy, samples)
-    late = (np.arange(samples) >= samples // 2)[:, None]
+    before, after = log_of(light, SAMPLES), log_of(heavy, SAMPLES)
+    half = SAMPLES // 2
+    late = (np.arange(SAMPLES) >= half)[:, None]
     clean = np.where(late, after.motion.tau, before.motion.tau)
     noise = np.random.default_rng(3).normal(size=(16, *clean.shape))
     errors = {}
     for name, options in (("paper", {"chart": PAPER, "iterations": 1}), ("default", {})):
         estimator = gated(robot, reopen_after=0.2, **options)
-
-        @eqx.filter_jit(compiler_options=FAST)
-        def masses(tau, estimator=estimator):
-            log = eqx.tree_at(lambda o: o.motion.tau, before, tau)
-            return estimator.run(estimator.initial(), log)[1].estimate.pi[:, 0, 0]
-
-        found = np.asarray(jax.vmap(masses)(clean + 0.1 * noise))
-        errors[name] = [
-            np.abs(found[:, samples // 2 - 1] - truth(light)[0]),
-            np.abs(found[:, -1] - truth(heavy)[0]),
-        ]
-    assert np.max(errors["default"]) < 0.15
-    assert np.sum(~(errors["paper"][1] < 0.5)) > 8
+        found = []
+        for one in noise:
+            log = eqx.tree_at(lambda o: o.motion.tau, before, clean + 0.1 * one)
+            _, trace = run(estimator, estimator.initial(), log)
+            found.append(np.asarray(trace.estimate.pi[:, 0, 0]))
+        errors[name] = np.abs(
+            np.array(found)[:, [half - 1, -1]] - [truth(light)[0], truth(heavy)[0]]
+        )
+    assert np.max(errors["default"]) < 0.25
+    assert np.sum(~(errors["paper"][:, 1] < 0.5)) > 8
 
 
 # --- bias --------------------------------------------------------------------------------------------------------
