@@ -73,7 +73,8 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
         except ValueError as error:
             raise LogError(f"{path}: {error}") from None
         logs.append(one)
-        quality += [*found.findings, *gains]
+        for finding in (*found.findings, *gains):
+            quality.append(finding._replace(message=f"{path.name}: {finding.message}"))
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)

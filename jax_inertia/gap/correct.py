@@ -19,6 +19,8 @@ SOFT = 1e-6
 """Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
 DEFLECTION = "_deflection"
 """Added to a joint's name for the hinge between motor and link."""
+DAMPING_RATIO = 0.06
+"""Of a coupling between motor and link, of the link alone: a log says little of it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +53,9 @@ def corrected(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> Correction:
             notes.append(remark)
     for k, effect in enumerate(effects):
         where = "in the model's attributes" if effect in inside else "by jax_inertia.gap.callbacks"
-        spec.add_text(name=f"gap_effect_{k}", data=f"{effect}; {where}")
+        # MuJoCo writes texts as CDATA, which a name must not end.
+        text = f"{effect}; {where}".replace("]]>", "]] >")
+        spec.add_text(name=f"gap_effect_{k}", data=text)
     spec.compile()
     return Correction(spec, tuple(inside), tuple(outside), tuple(notes))
 
@@ -260,7 +264,7 @@ def _elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
     if hinge is None:
         return False, _CROWDED.format(effect.name)
     hinge.stiffness = _set_first(hinge.stiffness, stiffness)
-    hinge.damping = _set_first(hinge.damping, 2 * _DAMPING_RATIO * np.sqrt(stiffness * link))
+    hinge.damping = _set_first(hinge.damping, 2 * DAMPING_RATIO * np.sqrt(stiffness * link))
     return True, _TWO.format(effect.name)
 
 
@@ -276,13 +280,12 @@ def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
         return False, _CROWDED.format(effect.name)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     hinge.range = np.array([-1.0, 1.0]) * _angle(spec, hinge, half)
-    damping = 2 * _DAMPING_RATIO * np.sqrt(stiffness * link)
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
     hinge.solref_limit = [-stiffness * inverse, -damping * inverse]
     hinge.solimp_limit = [1e-4, 1e-4, 1e-3, 0.5, 2]
     return True, _TWO.format(effect.name)
 
 
-_DAMPING_RATIO = 0.06
 _TWO = (
     "joint {0!r} is its motor's side, where the encoder is; {0}"
     + DEFLECTION

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from jax_inertia.gap.diagnosis import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
@@ -66,6 +66,8 @@ def heat(found: Diagnosis) -> str:
             axes.axvspan(start, stop, fill=False, ec=_BLUE, lw=1.2)
         axes.set_xlabel("time [s]")
         bar = figure.colorbar(image, ax=axes, pad=0.01, aspect=15)
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.set_label("energy / noise", fontsize=8)
         return embedded(figure)
 
@@ -93,17 +95,17 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
             axes = figure.subplots()
             x = getattr(trace, signal)[:, row]
             axes.plot(
-                x, trace.missing[:, row], ".", ms=2.5, color=_GREY, alpha=0.7, label="missing torque",
+                x, trace.missing[:, row], ".", ms=5.0, color="#c3c8cf", label="missing torque",
                 rasterized=True,
             )  # fmt: skip
             if trace.effects:
                 axes.plot(
-                    x, fitted, ".", ms=2.0, color=_ORANGE, label="found effects", rasterized=True
+                    x, fitted, ".", ms=1.6, color=_ORANGE, label="found effects", rasterized=True
                 )
             sigma = 2 * trace.noise[row]
             axes.axhspan(-sigma, sigma, color=_BLUE, alpha=0.15, lw=0, label="± 2 σ of noise")
             axes.set(xlabel=label, ylabel="[N m]")
-            axes.legend(loc="best", fontsize=7.5, markerscale=3)
+            axes.legend(loc="best", fontsize=7.5, markerscale=2)
             out[signal] = embedded(figure)
     return out
 
@@ -119,7 +121,7 @@ def waterfall(found: Diagnosis) -> str:
         figure = Figure((_WIDTH, 1.1 + 0.5 * len(values)), layout="constrained")
         axes = figure.subplots()
         at = np.arange(len(values))
-        axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], height=0.6)
+        axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], zorder=2, height=0.6)
         for k, value in enumerate(values):
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
         noise = found.heldout.noise

@@ -9,7 +9,7 @@ import numpy as np
 
 from jax_inertia.gap import figures
 from jax_inertia.gap.correct import Correction
-from jax_inertia.gap.diagnosis import Diagnosis, Shrink
+from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink
 from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
@@ -40,7 +40,12 @@ def page(about: Page) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {"plain": _plain, "number": _number, "percent": _percent}
+    environment.filters |= {
+        "plain": _plain,
+        "number": _number,
+        "percent": _percent,
+        "chance": _chance,
+    }
     found, rolled = about.found, about.rollouts
     row = figures.affected(found)
     return environment.get_template("report.html").render(
@@ -59,6 +64,11 @@ def page(about: Page) -> str:
         undetectable=_undetectable(found),
         shares=sorted(found.share.items(), key=lambda x: -x[1])[:6],
         when=_when(found),
+        notes=[
+            n
+            for n in found.notes
+            if not any(n in q["message"] for q in about.report["data_quality"])
+        ],
     )
 
 
@@ -69,17 +79,13 @@ def headline(found: Diagnosis) -> str:
     where = max(found.share, key=lambda name: found.share[name])
     if not found.findings:
         return f"Something is missing, mostly at {where}, but no effect in the library explains it."
-    names = [f"{_plain(f.family)} at {f.place.name}" for f in found.findings]
+    names = [_named(f) for f in found.findings]
     every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-    share = found.heldout.share
-    shrink = (
-        f"With {'it' if len(names) == 1 else 'them'}, the missing torque shrinks by {share:.0%}"
-    )
-    shrink += (
-        " on held-out data."
-        if found.test is None
-        else f", by {found.test.share:.0%} on another motion."
-    )
+    them = "it" if len(names) == 1 else "them"
+    shrink = f"With {them}, the missing torque shrinks by {_percent(found.heldout.share)} on held-out data"
+    if found.test is not None:
+        shrink += f" and by {_percent(found.test.share)} on another motion"
+    shrink += "."
     if found.verdict is Verdict.EXPLAINED:
         return f"The model lacks {every}. {shrink}"
     if found.verdict is Verdict.PARTLY:
@@ -99,6 +105,14 @@ class _Card:
     detail: str
 
 
+def _named(f: Finding) -> str:
+    """Effect, place and the first of its numbers."""
+    where = "" if f.place.kind == "global" else f" at {f.place.name}"
+    first = next(iter(f.parameters.values()), None)
+    size = "" if first is None else f" ({_number(first.value)}{_unit(first.unit)})"
+    return f"{_plain(f.family)}{where}{size}"
+
+
 def _cards(about: Page) -> list[_Card]:
     found, rolled = about.found, about.rollouts
     out = [
@@ -110,7 +124,7 @@ def _cards(about: Page) -> list[_Card]:
     ]
     for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
         if s is not None and found.findings:
-            out.append(_Card(title, f"−{s.share:.0%}", _detail(s)))
+            out.append(_Card(title, f"−{_percent(s.share)}", _detail(s)))
         elif s is not None:
             detail = f"rms; noise {_number(s.noise)} N m"
             out.append(_Card(title, f"{_number(s.before)} N m", detail))
@@ -154,8 +168,7 @@ def _undetectable(found: Diagnosis) -> list[_Unseen]:
     out = []
     for family, group in groupby(found.undetectable_below, key=lambda x: x[0]):
         every = sorted(group, key=lambda x: abs(x[2].value))
-        unit = every[0][2].unit
-        unit = "" if unit == "1" else f" {unit}"
+        unit = _unit(every[0][2].unit)
         sizes = [(place.name, f"{_number(abs(p.value))}{unit}") for _, place, p in every]
         out.append(_Unseen(family, sizes[0][1], sizes[-1][1], sizes[-1][0], sizes))
     return out
@@ -165,8 +178,17 @@ def _plain(name: str) -> str:
     return name.replace("_", " ")
 
 
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
 def _percent(x: float) -> str:
-    return f"{x:.0%}"
+    return f"{100 * x:.0f} %"
+
+
+def _chance(x: float) -> str:
+    """A probability; nothing is certain."""
+    return "> 99 %" if x > 0.99 else _percent(x)
 
 
 def _number(x: float) -> str:

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from jax_inertia.gap.callbacks import Callback, law
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.correct import DEFLECTION, Correction
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.correct import DAMPING_RATIO, DEFLECTION, Correction
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.noise import perturbed
 from jax_inertia.log import Log, TorqueKind
@@ -69,9 +70,9 @@ def rollouts(
     if robot.has_free_base and log.contact_wrench is None:
         return None
     effects = (*correction.in_model, *correction.by_callback)
-    prepared = prepare(robot, log)
-    noisy_log = perturbed(log, np.random.default_rng(seed))
-    noisy = prepare(robot, noisy_log)
+    clean = _Recording(robot, log, effects)
+    noisy = _Recording(robot, perturbed(log, np.random.default_rng(seed)), effects)
+    prepared = clean.prepared
     passing = [e.values["start"] for e in effects if e.family == "push"]
     starts = _starts(prepared, horizon, windows, passing)
     if not len(starts):
@@ -81,16 +82,15 @@ def rollouts(
     samples = np.linspace(0.0, horizon, 26)
     before = _Plant(nominal, robot, (), step)
     after = _Plant(correction.spec, robot, effects, step)
-    clean, shaken = _Torque(log, robot), _Torque(noisy_log, robot)
     joints = [k for k, adr in enumerate(before.adr) if adr >= 0]
     paths: list[list[np.ndarray]] = [[], [], []]
     for k in starts:
         measured = _positions(prepared, before, k, samples)
-        own = after.run(prepared, k, samples, clean)
-        paths[0].append(before.run(prepared, k, samples, clean) - measured)
+        own = after.run(clean, k, samples)
+        paths[0].append(before.run(clean, k, samples) - measured)
         paths[1].append(own - measured)
-        drift = _positions(noisy, before, k, samples) - measured
-        paths[2].append(after.run(noisy, k, samples, shaken) - own - drift)
+        drift = _positions(noisy.prepared, before, k, samples) - measured
+        paths[2].append(after.run(noisy, k, samples) - own - drift)
     nominal_, corrected_, noise = (np.nan_to_num(np.array(p), nan=np.pi) for p in paths)
     return Rollouts(
         horizon,
@@ -165,6 +165,22 @@ class _Torque:
         return (1 - share) * self.tau[k] + share * self.tau[k + 1]
 
 
+class _Recording:
+    """A log as the plants need it."""
+
+    def __init__(self, robot: Robot, log: Log, effects: Sequence[Effect]):
+        self.prepared = prepare(robot, log)
+        self.torque = _Torque(log, robot)
+        self.twists: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        """Position and velocity of the hinge between motor and link, by joint."""
+        rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+        for e in effects:
+            if e.family in ("joint_elasticity", "backlash"):
+                coupling = e.values["stiffness"], DAMPING_RATIO, e.values.get("dead_zone", 0.0)
+                ahead = Context(self.prepared).separation(rows[e.name], coupling)
+                self.twists[e.name] = -ahead, -np.gradient(ahead, self.prepared.time)
+
+
 class _Plant:
     """One model, ready to be run from a state of the log."""
 
@@ -206,13 +222,13 @@ class _Plant:
         self.friction = model.dof_frictionloss.copy()
 
     def run(
-        self, prepared: Prepared, k: int, samples: np.ndarray, torque: _Torque
+        self, recording: "_Recording", k: int, samples: np.ndarray
     ) -> Float[np.ndarray, "S nv"]:
         """Positions at the samples, as the log's encoders would show them; zero on other rows."""
-        model, data = self.model, self.data
-        start, step = float(prepared.time[k]), model.opt.timestep
-        origin = float(prepared.time[0])
-        self._begin(prepared, k)
+        model, data, torque = self.model, self.data, recording.torque
+        time, step = recording.prepared.time, model.opt.timestep
+        start, origin = float(time[k]), float(time[0])
+        self._begin(recording, k)
         model.dof_frictionloss[:] = self.friction
         act = Callback(self.law)
         for u in self._on_rows(torque(start - np.arange(round(_MEMORY / step), 0, -1) * step)):
@@ -251,37 +267,22 @@ class _Plant:
             w = w / self.contact_scale.get(name, 1.0)
             mujoco.mj_applyFT(model, data, w[:3], w[3:], data.xpos[body], body, data.qfrc_applied)
 
-    def _begin(self, prepared: Prepared, k: int) -> None:
-        """The log's state, and between motor and link what the link's own torque asks for."""
+    def _begin(self, recording: "_Recording", k: int) -> None:
+        """The log's state, and what lies between motor and link."""
         model, data = self.model, self.data
-        motion = prepared.observation.motion
+        motion = recording.prepared.observation.motion
         mujoco.mj_resetData(model, data)
         q, v = np.array(np.asarray(motion.q)[k]), np.array(np.asarray(motion.v)[k])
         own = self.adr >= 0
         q[self.adr[own]] /= self.scale[own]
         v[own] /= self.scale[own]
         data.qpos[self.places], data.qvel[self.rows] = q, v
-        for e in self.effects:
-            if e.family in ("joint_elasticity", "backlash"):
-                self._wind(prepared, k, e)
+        for name, (twist, rate) in recording.twists.items():
+            hinge = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name + DEFLECTION)
+            if hinge >= 0:
+                data.qpos[model.jnt_qposadr[hinge]] = twist[k]
+                data.qvel[model.jnt_dofadr[hinge]] = rate[k]
         mujoco.mj_forward(model, data)
-
-    def _wind(self, prepared: Prepared, k: int, effect: Effect) -> None:
-        hinge = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, effect.name + DEFLECTION)
-        if hinge < 0:
-            return
-        row = self.names.index(effect.name)
-        robot = prepared.robot
-        rotor = float(robot.armature[row]) * np.asarray(prepared.observation.a)[:, row]
-        rotor = (
-            rotor + float(robot.damping[row]) * np.asarray(prepared.observation.motion.v)[:, row]
-        )
-        link = prepared.inverse[:, row] - rotor
-        twist = -link / effect.values["stiffness"]
-        play = -0.5 * np.sign(link) * effect.values.get("dead_zone", 0.0)
-        self.data.qpos[self.model.jnt_qposadr[hinge]] = twist[k] + play[k]
-        rate = np.gradient(twist, prepared.time)[k]
-        self.data.qvel[self.model.jnt_dofadr[hinge]] = rate
 
 
 def _joint_id(model: mujoco.MjModel, name: str, k: int) -> int:
