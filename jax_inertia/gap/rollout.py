@@ -84,7 +84,7 @@ def rollouts(
     after = _Plant(correction.spec, robot, effects, step)
     joints = [k for k, adr in enumerate(before.adr) if adr >= 0]
     paths: list[list[np.ndarray]] = [[], [], []]
-    for k in starts:
+    for k in starts.tolist():
         measured = _positions(prepared, before, k, samples)
         own = after.run(clean, k, samples)
         paths[0].append(before.run(clean, k, samples) - measured)
