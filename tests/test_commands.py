@@ -39,10 +39,19 @@ def demo(tmp_path_factory):
     return main(["demo", "--out", str(out)]), out
 
 
-def test_demo_tells_its_story_in_three_files(demo):
+def test_demo_tells_its_story_in_files(demo):
     status, out = demo
     assert status == 0
-    assert sorted(p.name for p in out.iterdir()) == ["demo.png", "log.npz", "model.xml"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "corrected.xml",
+        "demo.png",
+        "hidden.npz",
+        "hidden_test.npz",
+        "log.npz",
+        "model.xml",
+        "report.html",
+        "report.json",
+    ]
     width, height = png_size(out / "demo.png")
     assert width > 800
     assert height > 800

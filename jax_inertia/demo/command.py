@@ -5,8 +5,9 @@ from pathlib import Path
 
 _DESCRIPTION = """
 A seven-joint arm, simulated in MuJoCo, moves, picks up a load that its model knows nothing of, and puts it down. A
-Kalman filter on plain parameters and extended Kalman filters on physical ones weigh it as they go. Writes log.npz,
-model.xml and demo.png.
+Kalman filter on plain parameters and extended Kalman filters on physical ones weigh it as they go. Then the same arm
+with a hidden effect, drawn by the seed, is diagnosed. Writes log.npz, model.xml, demo.png, and of the diagnosis
+hidden.npz, hidden_test.npz, report.json, report.html and corrected.xml.
 """
 
 
@@ -30,8 +31,9 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, estimate, draw, print."""
+    from jax_inertia import _diagnose_run
     from jax_inertia._console import output_folder, stages
-    from jax_inertia.demo import comparison, figure, simulation
+    from jax_inertia.demo import comparison, figure, hidden, simulation
     from jax_inertia.log import write_log
 
     scenario = simulation.Scenario(seed=args.seed)
@@ -44,7 +46,17 @@ def run(args: argparse.Namespace) -> int:
         compared = comparison.compare(recording, scenario)
         stage("drawing")
         figure.draw(compared).savefig(folder / "demo.png", dpi=110)
+        stage("simulating the arm with a hidden effect")
+        case = hidden.draw(args.seed)
+        write_log(case.log, folder / "hidden.npz")
+        write_log(case.test_log, folder / "hidden_test.npz")
+        inputs = _diagnose_run.read(
+            folder / "model.xml", folder / "hidden.npz", folder / "hidden_test.npz", []
+        )
+        diagnosed = _diagnose_run.diagnosis(inputs, [], 3, stage)
+        _diagnose_run.write(folder, inputs, diagnosed)
     _print(compared, args.out)
+    _print_diagnosis(case.secret, diagnosed, args.out)
     if args.show:
         _show(compared)
     return 0
@@ -85,6 +97,37 @@ def _print(compared, out: Path) -> None:
     console.print(f"Figure: {out / 'demo.png'}", soft_wrap=True)
     again = f"jax-inertia estimate {out / 'log.npz'} --model {out / 'model.xml'} --bodies hand"
     console.print(f"The same log through the main command:\n  {again}", soft_wrap=True)
+
+
+def _print_diagnosis(secret, diagnosed, out: Path) -> None:
+    from rich.console import Console
+
+    from jax_inertia import _diagnose_run
+
+    console = Console()
+    console.print("\nThe same arm, with one effect that its model lacks:")
+    _diagnose_run.show(diagnosed, out, as_json=False)
+    console.print(f"Hidden was: {secret}. {judged(secret, diagnosed.found)}", soft_wrap=True)
+    again = (
+        f"jax-inertia diagnose {out / 'hidden.npz'} --model {out / 'model.xml'} "
+        f"--test-log {out / 'hidden_test.npz'}"
+    )
+    console.print(f"The same through the main command:\n  {again}", soft_wrap=True)
+
+
+def judged(secret, found) -> str:
+    """Whether a diagnosis found the secret, in a sentence."""
+    for finding in found.findings:
+        if (finding.family, finding.place.name) == (secret.family, secret.place):
+            value = next(iter(finding.parameters.values())).value
+            error = abs(value - secret.size) / abs(secret.size)
+            return f"The diagnosis was right; its number is off by {100 * error:.1f} %."
+        ties = {(t.family, t.place.name) for t in finding.equivalent}
+        if (secret.family, secret.place) in ties:
+            return "The diagnosis has it among what it cannot tell apart in this motion."
+    if any(f.place.name == secret.place for f in found.findings):
+        return "The diagnosis was wrong about the effect, and right about the place."
+    return "The diagnosis was wrong."
 
 
 def _seconds(value: float | None) -> str:

@@ -17,7 +17,7 @@ from jax_inertia.robots.arm import HAND, arm_mjcf
 _CONTROL_PERIOD = 1e-3
 _LOG_EVERY = 2  # control periods: 500 Hz
 _PAUSE = 0.4  # to rest before an event, and from rest after it [s]
-_SIGMA_Q, _SIGMA_V = 2e-5, 2e-3  # encoder of 18 bits, and the drive's velocity from it [rad, rad/s]
+SIGMA_Q, _SIGMA_V = 2e-5, 2e-3  # encoder of 18 bits, and the drive's velocity from it [rad, rad/s]
 _SIGMA_TAU = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.2])  # joint torque sensors [N m]
 _STIFFNESS, _DAMPING = 400.0, 40.0  # of the error dynamics: 1/s², 1/s
 _HOME = np.array([0.0, 0.7, 0.0, 1.2, 0.0, 0.8, 0.0])
@@ -60,10 +60,10 @@ def simulate(scenario: Scenario | None = None) -> Recording:
     scenario = Scenario() if scenario is None else scenario
     xml = arm_mjcf()
     bare = mujoco.MjModel.from_xml_string(xml)
-    holding = _with_load(xml, scenario.load)
+    holding = with_load(xml, scenario.load)
     controller, plant = mujoco.MjData(bare), mujoco.MjData(bare)
-    path = _path(scenario, bare.nv)
-    plant.qpos, plant.qvel = path(0.0)[:2]
+    wanted = path(scenario, bare.nv)
+    plant.qpos, plant.qvel = wanted(0.0)[:2]
     rng = np.random.default_rng([scenario.seed, 1])
     limit = bare.actuator_ctrlrange[:, 1]
     half = round(_CONTROL_PERIOD / bare.opt.timestep) // 2
@@ -72,9 +72,9 @@ def simulate(scenario: Scenario | None = None) -> Recording:
         start = step * _CONTROL_PERIOD
         carries = scenario.pick_up <= start < scenario.put_down
         model = holding if carries else bare
-        q = plant.qpos + _SIGMA_Q * rng.normal(size=bare.nq)
+        q = plant.qpos + SIGMA_Q * rng.normal(size=bare.nq)
         v = plant.qvel + _SIGMA_V * rng.normal(size=bare.nv)
-        plant.ctrl = np.clip(_computed_torque(bare, controller, q, v, *path(start)), -limit, limit)
+        plant.ctrl = np.clip(computed_torque(bare, controller, q, v, *wanted(start)), -limit, limit)
         # The drives sample in the middle of a period, while the torque is held.
         mujoco.mj_step(model, plant, nstep=half)
         if step % _LOG_EVERY == 0:
@@ -86,7 +86,7 @@ def simulate(scenario: Scenario | None = None) -> Recording:
     log = Log(
         time=time,
         joint_names=tuple(bare.joint(j).name for j in range(bare.njnt)),
-        qpos=qpos + _SIGMA_Q * rng.normal(size=qpos.shape),
+        qpos=qpos + SIGMA_Q * rng.normal(size=qpos.shape),
         qvel=qvel + _SIGMA_V * rng.normal(size=qvel.shape),
         tau=tau + _SIGMA_TAU * rng.normal(size=tau.shape),
         tau_kind=TorqueKind.SENSOR,
@@ -96,7 +96,7 @@ def simulate(scenario: Scenario | None = None) -> Recording:
     return Recording(log, xml, pi)
 
 
-def _with_load(xml: str, load: Load) -> mujoco.MjModel:
+def with_load(xml: str, load: Load) -> mujoco.MjModel:
     """The same arm with the box as part of its hand: no body more, so that one state fits both models."""
     bare = mujoco.MjModel.from_xml_string(xml)
     spec = mujoco.MjSpec.from_string(xml)
@@ -108,7 +108,7 @@ def _with_load(xml: str, load: Load) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _computed_torque(model, data, q, v, wanted_q, wanted_v, wanted_a) -> np.ndarray:
+def computed_torque(model, data, q, v, wanted_q, wanted_v, wanted_a) -> np.ndarray:
     """Inverse dynamics of the bare arm with feedback: errors decay as e'' + 40 e' + 400 e = 0."""
     data.qpos, data.qvel = q, v
     data.qacc = wanted_a + _DAMPING * (wanted_v - v) + _STIFFNESS * (wanted_q - q)
@@ -116,7 +116,7 @@ def _computed_torque(model, data, q, v, wanted_q, wanted_v, wanted_a) -> np.ndar
     return data.qfrc_inverse.copy()
 
 
-def _path(scenario: Scenario, joints: int):
+def path(scenario: Scenario, joints: int):
     """(q, v, a) wanted at a time: three sines a joint, run slower to a stop around each event."""
     rng = np.random.default_rng([scenario.seed, 0])
     rate = 2 * np.pi * rng.uniform(0.15, 0.75, size=(3, joints))

@@ -76,7 +76,7 @@ def _local(found: Diagnosis) -> bool:
     """Whether the loud stretches are few and short enough to be worth a frame."""
     length = sum(stop - start for start, stop in found.when)
     span = found.trace.time[-1] - found.trace.time[0]
-    return 0 < len(found.when) <= 6 and length < 0.5 * span
+    return bool(0 < len(found.when) <= 6 and length < 0.5 * span)
 
 
 def residual(found: Diagnosis, row: int) -> dict[str, str]:

@@ -104,7 +104,7 @@ class Region:
     row: str
     signal: str
     """'q', 'v' or 'tau'."""
-    edges: Float[np.ndarray, " B+1"]
+    edges: Float[np.ndarray, " E"]
     """Quintiles of the signal over the log."""
     share: Float[np.ndarray, " B"]
     """Of the row's energy above noise, by quintile: 0.2 each where the signal does not matter."""
