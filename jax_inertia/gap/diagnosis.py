@@ -23,8 +23,9 @@ from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.select import STOP, Candidate, Pool, misfit, select
+from jax_inertia.gap.shrink import Shrink, effect_torque, held_out, try_on, what_is_left
 from jax_inertia.gap.trace import Trace, collect
-from jax_inertia.gap.verdict import Verdict, judge, probabilities, ties
+from jax_inertia.gap.verdict import Verdict, judge, probabilities, second_look, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -50,21 +51,6 @@ class Finding:
     """Share of the gap's excess energy that goes with it, on held-out stretches of the log."""
     probability: float
     equivalent: tuple[Tie, ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class Shrink:
-    """Root mean square of the missing torque over all rows [N m]: before, after, and what no model removes."""
-
-    before: float
-    after: float
-    noise: float
-
-    @property
-    def share(self) -> float:
-        """1 − after/before, both with the noise taken off."""
-        gap = max(self.before**2 - self.noise**2, 1e-300)
-        return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,12 +125,19 @@ def diagnose(
     pool = Pool(context, evidence, [f for f in LIBRARY if f.name not in exclude])
     progress("choosing effects")
     chosen, ranking, misfits = select(pool, max_effects, floor)
-    verdict = judge(
-        misfits, floor, chosen, log.sigma_tau is not None and log.sigma_qpos is not None
-    )
+    verdict = judge(misfits, floor, chosen, _stated(log))
     odds = probabilities(ranking, misfits, floor)
+    trial = None
+    if test_log is not None:
+        progress("trying it on the other motion")
+        trial = try_on(robot, test_log, chosen, tolerance)
+        if chosen and not any(c.family.passing for c in chosen):
+            # A wrong cause may fit one motion; it seldom fits two.
+            verdict = second_look(
+                verdict, trial.before, trial.after, trial.floor, trial.allowed, _stated(test_log)
+            )
     progress("checking on held-out stretches")
-    heldout = _held_out(prepared, context, pool, chosen, replicas)
+    heldout = held_out(prepared, context, pool, chosen, replicas)
     numbers = intervals(pool, chosen, misfits[-1] / max(floor, 1.0))
     findings = tuple(
         Finding(
@@ -176,87 +169,23 @@ def diagnose(
         share=dict(zip(label, (excess / max(excess.sum(), 1e-300)).tolist(), strict=True)),
         findings=findings,
         heldout=heldout,
-        test=None if test_log is None else _on_other(robot, test_log, chosen),
+        test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=tuple(log.notes),
         trace=collect(
             pool,
-            tuple(prepared.finish(_effect(context, c)) for c in chosen),
-            tuple(_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))),
+            tuple(prepared.finish(effect_torque(context, c)) for c in chosen),
+            tuple(
+                what_is_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))
+            ),
             replicas,
         ),
     )
 
 
-def _effect(context: Context, c: Candidate) -> np.ndarray:
-    """A found effect's torque on the fast grid of any log (T, nv)."""
-    columns = c.family.columns(context, c.place, c.shape)
-    change = c.family.change(context, c.place, c.theta)
-    weights = c.theta if change is None else change
-    values = columns.values @ weights
-    if columns.row is None:
-        return values
-    out = np.zeros((len(values), context.robot.nv))
-    out[:, columns.row] = values
-    return out
-
-
-def _rms(x: np.ndarray, rest: np.ndarray) -> float:
-    """Over rows in motion: friction at rest is arbitrary, and no model's to predict."""
-    return float(np.sqrt(np.mean(x[~rest] ** 2)))
-
-
-def _held_out(prepared, context, pool, chosen, replicas) -> Shrink:
-    """Missing torque before and after, each fifth of the log predicted from the other four."""
-    rest = context.at_rest[prepared.kept]
-    y = prepared.finish(prepared.missing)
-    noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
-    after = _left(prepared, context, pool, chosen)
-    return Shrink(_rms(y, rest), _rms(after, rest), noise)
-
-
-def _left(prepared, context, pool, chosen, folds: int = 5) -> np.ndarray:
-    """Missing torque that remains (R, nv), each fold predicted from the others."""
-    y = prepared.finish(prepared.missing)
-    after = y.copy()
-    if chosen:
-        flat = np.repeat(np.arange(len(y)) * folds // len(y), y.shape[1])
-        columns = np.concatenate([c.columns for c in chosen], axis=1)
-        target = pool.evidence.y - np.sum([c.offset for c in chosen], axis=0)
-        full = [prepared.finish(_effect(context, c)) for c in chosen]
-        own = np.concatenate([c.theta for c in chosen])
-        for fold in range(folds):
-            train = flat != fold
-            theta = np.linalg.lstsq(columns[train], target[train], rcond=None)[0]
-            scale = _share_of(theta, own, chosen)
-            rows = np.arange(len(y)) * folds // len(y) == fold
-            for part, s in zip(full, scale, strict=True):
-                after[rows] -= s * part[rows]
-    return after
-
-
-def _share_of(theta: np.ndarray, own: np.ndarray, chosen: list[Candidate]) -> list[float]:
-    """How large each effect comes out of a fold, relative to the whole log's."""
-    out, start = [], 0
-    for c in chosen:
-        part = slice(start, start + len(c.theta))
-        out.append(float(theta[part] @ own[part] / max(own[part] @ own[part], 1e-300)))
-        start += len(c.theta)
-    return out
-
-
-def _on_other(robot: Robot, log: Log, chosen: list[Candidate]) -> Shrink:
-    """The same effects, as they are, on another motion."""
-    prepared = prepare(robot, log)
-    context = Context(prepared)
-    _, replicas = whitener(prepared, log)
-    rest = context.at_rest[prepared.kept]
-    y = prepared.finish(prepared.missing)
-    lasting = [c for c in chosen if not c.family.passing]
-    after = y - sum((prepared.finish(_effect(context, c)) for c in lasting), np.zeros_like(y))
-    noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
-    return Shrink(_rms(y, rest), _rms(after, rest), noise)
+def _stated(log: Log) -> bool:
+    return log.sigma_tau is not None and log.sigma_qpos is not None
 
 
 def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> float:

@@ -233,7 +233,8 @@ def select(
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        if not step or step[0].score < STOP:
+        # Whitening is itself estimated: once a cause is found, structure in a hundredth of the noise is none.
+        if not step or step[0].score < STOP + (0.01 * floor if chosen else 0.0):
             break
         trial = settle(pool, [*chosen, step[0]])
         if len(trial) > 1:
@@ -257,6 +258,14 @@ def _remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
 
 # An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
 STOP = 30.0
+
+
+def _redness(pool: Pool, chosen: list[Candidate], added: Candidate) -> float:
+    """How many samples of what is left count as one: (1 + ρ)/(1 − ρ) of its lag-one correlation ρ."""
+    left = pool.evidence.unflatten(_remaining(pool, [*chosen, added]))
+    rho = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
+    rho = min(max(rho, 0.0), 0.9)
+    return (1 + rho) / (1 - rho)
 
 
 def allowance(pool: Pool, chosen: list[Candidate], trial: list[Candidate]) -> float:
@@ -298,6 +307,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
         return []
     before = misfit(pool, chosen)
     noise = max(1.0, (before - max(c.gain for c in ranked)) / max(floor, 1.0))
+    noise *= _redness(pool, chosen, max(ranked, key=lambda c: c.gain)) if noise > 1.2 else 1.0
     for c in ranked:
         price = c.size * np.log(n) + (2 * np.log(c.grid) if c.grid > 1 else 0.0)
         c.score = c.gain / noise - price

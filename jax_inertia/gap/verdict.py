@@ -32,7 +32,7 @@ NOISE_ONLY = 2.0
 TEMPER = 0.003
 # The noise's own misfit is known to this factor; where the log does not state its noise, a command may have missed
 # its motor by more than the log can show.
-NOISE_ERROR, NOISE_UNSTATED = 1.3, 5.0
+NOISE_ERROR, NOISE_UNSTATED = 1.3, 4.0
 # A cause that leaves more than this (rms) of what it should explain is not the cause.
 DOUBT = 0.2
 
@@ -57,6 +57,22 @@ def judge(misfits: list[float], floor: float, chosen: list[Candidate], stated: b
         return Verdict.EXPLAINED
     excess = max(misfits[0] - floor, 1e-300)
     return Verdict.PARTLY if left < DOUBT**2 * excess else Verdict.UNKNOWN
+
+
+def second_look(
+    verdict: Verdict, before: float, after: float, floor: float, allowed: float, stated: bool
+) -> Verdict:
+    """The verdict after the same effects were tried on another motion, by that motion's misfits.
+
+    What fits there is left as it is; what leaves twice what the first log may leave is doubted.
+    """
+    error = NOISE_ERROR if stated else NOISE_UNSTATED
+    excess, left = before - floor, after - error * floor
+    if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY) or excess < error * floor:
+        return verdict
+    if left > max(4.0 * allowed, (2 * DOUBT) ** 2 * excess):
+        return Verdict.UNKNOWN
+    return Verdict.PARTLY if left > max(2.0 * allowed, DOUBT**2 * excess) else verdict
 
 
 def ties(

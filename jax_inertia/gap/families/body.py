@@ -113,7 +113,7 @@ class Drag(Family):
 
 class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
-    passing, form_error = True, 0.35
+    passing, form_error = True, 0.2
 
     def shapes(self, context, place):
         return context.windows

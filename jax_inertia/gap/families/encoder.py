@@ -113,7 +113,7 @@ class JointElasticity(TwoMass):
 class Backlash(TwoMass):
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    free_shape, form_error = 2, 0.4
+    free_shape, form_error = 2, 0.3
 
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)
