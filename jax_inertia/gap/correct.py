@@ -260,7 +260,7 @@ def _actuators(spec: mujoco.MjSpec, effect: Effect) -> list:
 
 def _elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
     stiffness = effect.values["stiffness"]
-    hinge, link, _ = _between(spec, model, effect)
+    hinge, link = _between(spec, model, effect)
     if hinge is None:
         return False, _CROWDED.format(effect.name)
     hinge.stiffness = _set_first(hinge.stiffness, stiffness)
@@ -275,9 +275,11 @@ def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
     inverse inertia A that the limit meets (Computation, *Constraint model*).
     """
     stiffness, half = effect.values["stiffness"], 0.5 * effect.values["dead_zone"]
-    hinge, link, inverse = _between(spec, model, effect)
+    hinge, link = _between(spec, model, effect)
     if hinge is None:
         return False, _CROWDED.format(effect.name)
+    whole = spec.compile()
+    inverse = whole.dof_invweight0[whole.joint(hinge.name).dofadr[0]]
     hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     hinge.range = np.array([-1.0, 1.0]) * _angle(spec, hinge, half)
     damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
@@ -298,11 +300,11 @@ _CROWDED = (
 
 
 def _between(spec: mujoco.MjSpec, model: mujoco.MjModel, effect: Effect):
-    """A second hinge in line with the joint, the link's inertia about it, and 1/inertia between motor and link."""
+    """A second hinge in line with the joint, and the link's inertia about it; (None, 0) where there is no room."""
     joint = _joint(spec, effect)
     body = joint.parent
     if body.joints[-1].name != joint.name:
-        return None, 0.0, 0.0
+        return None, 0.0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     dof = model.joint(effect.name).dofadr[0]
@@ -323,7 +325,7 @@ def _between(spec: mujoco.MjSpec, model: mujoco.MjModel, effect: Effect):
     hinge.armature, hinge.frictionloss, hinge.ref, hinge.springref = 0.0, 0.0, 0.0, 0.0
     hinge.damping, hinge.stiffness = np.zeros(3), np.zeros(3)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-    return hinge, link, 1.0 / link + 1.0 / joint.armature
+    return hinge, link
 
 
 _EDITS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel, Effect], tuple[bool, str]]] = {
