@@ -111,9 +111,9 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
 
 
 def waterfall(found: Diagnosis) -> str:
-    """Held-out missing torque after each effect, down to the noise."""
-    trace = found.trace
-    values = [rms(trace.missing, trace), *(rms(x, trace) for x in trace.left)]
+    """Held-out missing torque after each effect, down to the noise, over the rows that hold the gap."""
+    trace, rows = found.trace, holding(found)
+    values = [_rms(x, trace, rows) for x in (trace.missing, *trace.left)]
     names = ["as modelled"] + [
         f"+ {f.family.replace('_', ' ')}\n{short(f.place.name)}" for f in found.findings
     ]
@@ -124,7 +124,7 @@ def waterfall(found: Diagnosis) -> str:
         axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], zorder=2, height=0.6)
         for k, value in enumerate(values):
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
-        noise = found.heldout.noise
+        noise = _rms(np.broadcast_to(trace.noise, trace.missing.shape), trace, rows)
         axes.axvline(noise, color=_BLUE, ls="--", lw=1.3)
         axes.text(noise, -0.55, f" noise {noise:.2g}", color=_BLUE, fontsize=8.5, va="bottom")
         axes.set_yticks(at, names)
@@ -132,7 +132,7 @@ def waterfall(found: Diagnosis) -> str:
         axes.set_xlim(0, 1.18 * max(*values, noise))
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.grid(axis="y", visible=False)
-        axes.set_xlabel("missing torque, rms over rows in motion [N m]")
+        axes.set_xlabel("missing torque, rms [N m]")
         return embedded(figure)
 
 
@@ -170,9 +170,17 @@ def affected(found: Diagnosis) -> int:
     return int(np.argmax(found.trace.energy.sum(axis=0)))
 
 
-def rms(x: np.ndarray, trace: Trace) -> float:
-    """Over rows in motion."""
-    return float(np.sqrt(np.mean(x[~trace.rest] ** 2)))
+def holding(found: Diagnosis) -> list[int]:
+    """Rows that hold the gap, the loudest first: each at least a fiftieth of it."""
+    shares = [found.share[name] for name in found.trace.rows]
+    order = sorted(range(len(shares)), key=lambda k: -shares[k])
+    return [k for k in order if shares[k] >= 0.02] or order[:1]
+
+
+def _rms(x: np.ndarray, trace: Trace, rows: list[int]) -> float:
+    """Over samples in motion."""
+    moving = ~trace.rest[:, rows]
+    return float(np.sqrt(np.mean(x[:, rows][moving] ** 2))) if moving.any() else 0.0
 
 
 def short(name: str, most: int = 22) -> str:

@@ -57,6 +57,8 @@ def page(about: Page) -> str:
         cards=_cards(about),
         equations=_EQUATIONS,
         row=found.trace.rows[row],
+        holding=_holding(found),
+        trusted=found.verdict is not Verdict.UNKNOWN,
         heat=figures.heat(found),
         residual=figures.residual(found, row),
         waterfall=figures.waterfall(found),
@@ -90,9 +92,14 @@ def headline(found: Diagnosis) -> str:
         return f"The model lacks {every}. {shrink}"
     if found.verdict is Verdict.PARTLY:
         return f"The model lacks {every}, and something more that was not found. {shrink}"
+    nearest = (
+        f"effect is {every}, but it does"
+        if len(names) == 1
+        else f"effects are {every}, but they do"
+    )
     return (
-        f"Something is missing, mostly at {where}. The nearest known effect is {every}, but it does not explain "
-        "the data: do not trust it."
+        f"Something is missing, mostly at {where}, that no effect in the library explains. The nearest {nearest} "
+        "not fit the data."
     )
 
 
@@ -143,6 +150,14 @@ def _cards(about: Page) -> list[_Card]:
 
 def _detail(s: Shrink) -> str:
     return f"{_number(s.before)} → {_number(s.after)} N m; noise {_number(s.noise)}"
+
+
+def _holding(found: Diagnosis) -> str:
+    """The rows that the waterfall is about."""
+    names = [found.trace.rows[k] for k in figures.holding(found)]
+    if len(names) == len(found.trace.rows):
+        return "all rows"
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more rows" if len(names) > 5 else "")
 
 
 def _when(found: Diagnosis) -> str:

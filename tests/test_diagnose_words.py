@@ -1,0 +1,129 @@
+"""What a diagnosis says in words: which motion would split a tie, and the headline of every verdict."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jax_inertia.demo.command import judged
+from jax_inertia.demo.hidden import Secret
+from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink, Tie
+from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.html import headline
+from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.suggest import suggestions
+from jax_inertia.gap.trace import Trace, regions, shrink_interval
+from jax_inertia.gap.verdict import Verdict
+
+KNEE, HIP = Place("joint", "knee", 0), Place("joint", "hip", 1)
+LEG = Place("body", "leg", 0)
+
+
+def trace(samples: int = 500) -> Trace:
+    """Friction at the knee over noise, and its removal."""
+    rng = np.random.default_rng(0)
+    time = np.arange(samples) * 0.02
+    v = np.stack([np.sin(3 * time), np.cos(2 * time)], axis=1)
+    noise = 0.01 * rng.normal(size=(samples, 2))
+    effect = np.stack([-0.5 * v[:, 0], np.zeros(samples)], axis=1)
+    return Trace(
+        time=time,
+        rows=("knee", "hip"),
+        q=np.cumsum(v, axis=0) * 0.02,
+        v=v,
+        tau=rng.normal(size=(samples, 2)),
+        rest=np.zeros((samples, 2), bool),
+        missing=effect + noise,
+        effects=(effect,),
+        left=(noise,),
+        noise=np.full(2, 0.01),
+        energy=((effect + noise) / 0.01) ** 2,
+        forces=(),
+    )
+
+
+def found(verdict: Verdict, *findings: Finding) -> Diagnosis:
+    return Diagnosis(
+        verdict=verdict,
+        confidence=0.9,
+        chi2=30.0,
+        noise_floor=1.0,
+        per_joint_rms={"knee": 0.35, "hip": 0.01},
+        share={"knee": 0.9, "hip": 0.1},
+        findings=findings,
+        heldout=Shrink(0.35, 0.01, 0.01),
+        test=None,
+        when=(),
+        undetectable_below=(),
+        notes=(),
+        trace=trace(),
+    )
+
+
+def finding(family: str, place: Place = KNEE, *ties: Tie) -> Finding:
+    return Finding(family, place, {"size": Interval(0.5, 0.4, 0.6, "N m")}, 0.9, 0.8, ties)
+
+
+@pytest.mark.parametrize(
+    ("family", "other", "place", "kind"),
+    [
+        ("coulomb_friction", "stribeck_friction", KNEE, "slow reversals"),
+        ("time_delay", "actuator_lag", KNEE, "fast sweep"),
+        ("payload", "constant_force", LEG, "brisk, in many postures"),
+        ("torque_gain", "torque_saturation", KNEE, "small and large torques"),
+        ("backlash", "encoder_offset", KNEE, "torque reversals"),
+        ("torque_bias", "joint_spring", KNEE, "wide and at many speeds"),
+    ],
+)
+def test_each_tie_gets_the_motion_that_would_split_it(family, other, place, kind):
+    tie = Tie(other, place, "motion_limited")
+    (one,) = suggestions(found(Verdict.EXPLAINED, finding(family, place, tie)))
+    assert one.kind == kind
+    assert one.between == (family, other)
+    assert all(np.isfinite(x) for x in one.numbers.values())
+
+
+def test_two_places_are_moved_one_at_a_time_and_exact_ties_not_at_all():
+    elsewhere = Tie("torque_bias", HIP, "motion_limited")
+    exact = Tie("joint_spring", KNEE, "exact")
+    (one,) = suggestions(found(Verdict.EXPLAINED, finding("torque_bias", KNEE, elsewhere, exact)))
+    assert one.kind == "one place at a time"
+    assert "knee" in one.text
+    assert "hip" in one.text
+    assert suggestions(found(Verdict.EXPLAINED, finding("torque_bias", KNEE, exact))) == ()
+
+
+def test_headlines():
+    one = finding("torque_bias")
+    assert "torque bias at knee (0.5 N m)" in headline(found(Verdict.EXPLAINED, one))
+    assert "something more" in headline(found(Verdict.PARTLY, one))
+    assert "not fit" in headline(found(Verdict.UNKNOWN, one))
+    assert "mostly at knee" in headline(found(Verdict.UNKNOWN))
+    assert headline(found(Verdict.NO_GAP)).startswith("No gap")
+
+
+def test_shrink_interval_holds_the_shrink_and_narrows_with_data():
+    low, high = shrink_interval(trace(500))
+    assert 0.9 < low < high <= 1.0
+    worse = dataclasses.replace(trace(500), left=(0.5 * trace(500).missing,))
+    low, high = shrink_interval(worse)
+    assert low < 0.5 < high or (low, high) == pytest.approx((0.5, 0.5), abs=0.01)
+    assert shrink_interval(dataclasses.replace(trace(), left=())) is None
+
+
+def test_regions_show_what_the_gap_follows():
+    v = {r.signal: r for r in regions(trace())}["v"]
+    assert v.row == "knee"
+    assert v.share.sum() == pytest.approx(1.0)
+    assert v.share[0] + v.share[4] > 0.7 > v.share[2]
+
+
+def test_the_demo_judges_itself_hard():
+    secret = Secret("torque_bias", "knee", 0.4, "N m")
+    assert "right; its number is off by 25.0 %" in judged(
+        secret, found(Verdict.EXPLAINED, finding("torque_bias"))
+    )
+    tied = finding("joint_spring", KNEE, Tie("torque_bias", KNEE, "motion_limited"))
+    assert "cannot tell apart" in judged(secret, found(Verdict.EXPLAINED, tied))
+    assert "right about the place" in judged(secret, found(Verdict.EXPLAINED, finding("armature")))
+    assert judged(secret, found(Verdict.UNKNOWN)) == "The diagnosis was wrong."
