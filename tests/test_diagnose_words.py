@@ -119,11 +119,13 @@ def test_regions_show_what_the_gap_follows():
 
 
 def test_the_demo_judges_itself_hard():
-    secret = Secret("torque_bias", "knee", 0.4, "N m")
-    assert "right; its number is off by 25.0 %" in judged(
-        secret, found(Verdict.EXPLAINED, finding("torque_bias"))
-    )
+    secret = Secret("torque_bias", "knee", 0.45, "N m")
+    explained, right = Verdict.EXPLAINED, finding("torque_bias")
+    assert "right; its number is off by 11.1 %" in judged(secret, found(explained, right))
+    assert "trusts none" in judged(secret, found(Verdict.UNKNOWN, right))
+    large = dataclasses.replace(secret, size=-0.5)
+    assert "a wrong number (0.5)" in judged(large, found(explained, right))
     tied = finding("joint_spring", KNEE, Tie("torque_bias", KNEE, "motion_limited"))
-    assert "cannot tell apart" in judged(secret, found(Verdict.EXPLAINED, tied))
-    assert "right about the place" in judged(secret, found(Verdict.EXPLAINED, finding("armature")))
-    assert judged(secret, found(Verdict.UNKNOWN)) == "The diagnosis was wrong."
+    assert "cannot tell apart" in judged(secret, found(explained, tied))
+    assert "right about the place" in judged(secret, found(explained, finding("armature")))
+    assert judged(secret, found(explained, finding("armature", HIP))) == "The diagnosis was wrong."

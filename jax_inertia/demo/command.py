@@ -116,18 +116,21 @@ def _print_diagnosis(secret, diagnosed, out: Path) -> None:
 
 
 def judged(secret, found) -> str:
-    """Whether a diagnosis found the secret, in a sentence."""
+    """Whether a diagnosis found the secret, in a sentence; a number off by a quarter is not right."""
+    doubt = " It trusts none of its own candidates." if str(found.verdict) == "unknown" else ""
     for finding in found.findings:
         if (finding.family, finding.place.name) == (secret.family, secret.place):
             value = next(iter(finding.parameters.values())).value
             error = abs(value - secret.size) / abs(secret.size)
-            return f"The diagnosis was right; its number is off by {100 * error:.1f} %."
+            if error > 0.25:
+                return f"The diagnosis has the right effect and place, and a wrong number ({value:.3g}).{doubt}"
+            return f"The diagnosis was right; its number is off by {100 * error:.1f} %.{doubt}"
         ties = {(t.family, t.place.name) for t in finding.equivalent}
         if (secret.family, secret.place) in ties:
-            return "The diagnosis has it among what it cannot tell apart in this motion."
+            return f"The diagnosis has it among what it cannot tell apart in this motion.{doubt}"
     if any(f.place.name == secret.place for f in found.findings):
-        return "The diagnosis was wrong about the effect, and right about the place."
-    return "The diagnosis was wrong."
+        return f"The diagnosis was wrong about the effect, and right about the place.{doubt}"
+    return f"The diagnosis was wrong.{doubt}"
 
 
 def _seconds(value: float | None) -> str:

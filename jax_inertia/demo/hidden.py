@@ -24,6 +24,7 @@ from jax_inertia.robots.arm import HAND, arm_mjcf
 _PERIOD, _SUBSTEPS = 2e-3, 4
 _SIGMA_TAU = 0.002  # of each joint's peak
 _BRISTLE = 3e-4  # rad
+_STEEL = 7850.0  # kg/m³, of the cube that the hand holds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,9 +126,11 @@ def _record(
     rng: np.random.Generator,
 ) -> Log:
     bare = mujoco.MjModel.from_xml_string(xml)
-    model = with_load(xml, Load(secret.size)) if secret.family == "payload" else bare
-    model = model if model is not bare else mujoco.MjModel.from_xml_string(xml)
-    if secret.family == "armature":
+    model = mujoco.MjModel.from_xml_string(xml)
+    if secret.family == "payload":
+        edge = (secret.size / _STEEL) ** (1 / 3)
+        model = with_load(xml, Load(secret.size, edges=(edge, edge, edge)))
+    elif secret.family == "armature":
         model.dof_armature[joint] += secret.size
     controller, plant = mujoco.MjData(bare), mujoco.MjData(model)
     at = path(scenario, bare.nv)
