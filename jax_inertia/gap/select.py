@@ -310,7 +310,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     noise *= _redness(pool, chosen, max(ranked, key=lambda c: c.gain)) if noise > 1.2 else 1.0
     for c in ranked:
         price = c.size * np.log(n) + (2 * np.log(c.grid) if c.grid > 1 else 0.0)
-        c.score = c.gain / noise - price
+        c.score = (c.gain - c.family.noise_share * floor) / noise - price
     ranked.sort(key=lambda c: -c.score)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]

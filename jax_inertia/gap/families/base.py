@@ -55,9 +55,12 @@ class Family(abc.ABC):
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
-    form_error: ClassVar[float] = 0.03
+    form_error: ClassVar[float] = 0.01
     """How far the equation may be from a real robot's, as a share (rms) of the effect: real teeth rattle, friction
     creeps. What is left within it is no further effect, and no reason to call the cause unknown."""
+    noise_share: ClassVar[float] = 0.0
+    """Share of the noise's own misfit that the columns may explain, where they carry the sensors' noise themselves
+    (torque late by itself, accelerations): a gain within it is no evidence."""
     size: ClassVar[int | None] = None
     """Numbers in θ of a family with `change`; None where the effect is linear in θ."""
 

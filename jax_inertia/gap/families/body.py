@@ -66,6 +66,7 @@ class LinkInertia(Inertial):
         "rotational inertia about the centre of mass scaled by s",
         1,
     )
+    noise_share = 0.02
 
     def change(self, context, place, theta):
         pi = self.pi(context, place)
@@ -98,6 +99,7 @@ class ConstantForce(Family):
 
 class Drag(Family):
     name, equation, kind = "drag", "−c |v| v at the centre of mass", "body"
+    form_error = 0.05
 
     def columns(self, context, place, shape):
         v = context.com_velocity[:, place.index]

@@ -8,6 +8,7 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 class TorqueGain(Family):
     name, equation, kind = "torque_gain", "τ = g τ_logged", "joint"
+    form_error = 0.02
 
     def columns(self, context, place, shape):
         # The needed torque as the instrument: logged torque would correlate with its own noise.
@@ -35,6 +36,7 @@ class TorqueBias(Family):
 
 class TorqueSaturation(Family):
     name, equation, kind = "torque_saturation", "τ = clip(τ_logged, ±L)", "joint"
+    form_error = 0.03
 
     def grid(self, context, place):
         # A loop that fights a limit may ask for many times what it gets.
@@ -54,6 +56,8 @@ class TorqueSaturation(Family):
 
 class _Late(Family):
     """A change of the torque's timing, at one joint or at all of them."""
+
+    form_error, noise_share = 0.03, 0.07
 
     def grid(self, context, place):
         return (np.geomspace(1e-3, 0.04, 28),)

@@ -42,6 +42,7 @@ class DryFriction(Joint):
 
 class ViscousFriction(Joint):
     name, equation = "viscous_friction", "−d q̇"
+    form_error = 0.03
 
     def columns(self, context, place, shape):
         return Columns(-context.v[:, place.index, None], place.index)
@@ -156,6 +157,7 @@ class FrictionDrift(Joint):
 
 class Armature(Joint):
     name, equation = "armature", "−I_a q̈"
+    noise_share = 0.02
 
     def columns(self, context, place, shape):
         return Columns(-context.a[:, place.index, None], place.index)
