@@ -18,7 +18,8 @@ def stages() -> Iterator[Callable[[str], None]]:
     """Say what is being done, with the time it has taken, while the block runs; silent where nobody watches."""
     console = Console(stderr=True)
     columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as progress:
+    watched = console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=not watched) as progress:
         task = progress.add_task("starting", total=None)
         yield lambda text: progress.reset(task, description=text, total=None)
 

@@ -160,14 +160,11 @@ def fan(rolled: Rollouts) -> str:
 
 
 def affected(found: Diagnosis) -> int:
-    """Row of the first finding's joint, else the loudest row."""
+    """Row of the first finding's joint, else the row that holds most of the gap."""
     rows = found.trace.rows
     if found.findings and found.findings[0].place.name in rows:
         return rows.index(found.findings[0].place.name)
-    if found.trace.effects:
-        strength = np.sum((found.trace.effects[0] / found.trace.noise) ** 2, axis=0)
-        return int(np.argmax(strength))
-    return int(np.argmax(found.trace.energy.sum(axis=0)))
+    return holding(found)[0]
 
 
 def holding(found: Diagnosis) -> list[int]:

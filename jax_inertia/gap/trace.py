@@ -30,7 +30,7 @@ class Trace:
     v: Float[np.ndarray, "R nv"]
     tau: Float[np.ndarray, "R nv"]
     rest: Bool[np.ndarray, "R nv"]
-    """Where friction at rest makes the torque arbitrary."""
+    """Where friction at rest makes the torque arbitrary, or nothing was measured: left out of every mean."""
     missing: Float[np.ndarray, "R nv"]
     """Missing torque y [N m]."""
     effects: tuple[Float[np.ndarray, "R nv"], ...]
@@ -63,7 +63,7 @@ def collect(
         q=prepared.finish(context.joint_position),
         v=prepared.finish(context.v),
         tau=prepared.finish(context.tau),
-        rest=context.at_rest[prepared.kept],
+        rest=context.at_rest[prepared.kept] | ~prepared.valid,
         missing=missing,
         effects=effects,
         left=left,
