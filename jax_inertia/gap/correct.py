@@ -7,13 +7,14 @@ inertials, a second hinge in line with the first (elasticity, backlash), an actu
 """
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
 
 from jax_inertia.gap.effect import Effect
-from jax_inertia.mjcf import body_pi, set_inertials
+from jax_inertia.mjcf import ModelWarning, body_pi, compile_spec, set_inertials
 
 SOFT = 1e-6
 """Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
@@ -40,7 +41,10 @@ def corrected(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> Correction:
 
     Raises ValueError for a joint or body that the model does not have.
     """
-    model = spec.compile()
+    with warnings.catch_warnings():
+        # Said when the model was loaded; from here on the spec compiles as it is.
+        warnings.simplefilter("ignore", ModelWarning)
+        model = compile_spec(spec)
     _name_all(spec, model)
     for key in list(spec.keys):
         spec.delete(key)
@@ -215,7 +219,10 @@ def _parts(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
 
 def _payload(pi: np.ndarray, effect: Effect) -> np.ndarray:
     c = np.array([effect.values[f"com_{k}"] for k in "xyz"])
-    return pi + _about_origin(effect.values["mass"], c, np.zeros(6))
+    m = effect.values["mass"]
+    # MuJoCo has no body without rotational inertia; a point on a massless one gets that of a 2 mm ball.
+    own = np.zeros(6) if pi[0] > 0 else 1e-6 * m * np.array([1.0, 0, 0, 1.0, 0, 1.0])
+    return pi + _about_origin(m, c, own)
 
 
 def _com_shift(pi: np.ndarray, effect: Effect) -> np.ndarray:

@@ -5,6 +5,7 @@ From states of the log, driven by the logged torque and nothing else, the nomina
 """
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 
 import mujoco
@@ -18,6 +19,7 @@ from jax_inertia.gap.correct import DAMPING_RATIO, DEFLECTION, Correction
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.noise import perturbed
 from jax_inertia.log import Log, TorqueKind
+from jax_inertia.mjcf import ModelWarning, compile_spec
 from jax_inertia.robot import Robot
 
 _STEP = 5e-4
@@ -192,7 +194,9 @@ class _Plant:
         spec.option.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_ACTUATION)
         for key in list(spec.keys):
             spec.delete(key)
-        self.model = model = spec.compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ModelWarning)  # said when the model was loaded
+            self.model = model = compile_spec(spec)
         self.effects = tuple(effects)
         self.law = law(model, self.effects)
         self.data = mujoco.MjData(model)
