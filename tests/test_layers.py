@@ -18,7 +18,8 @@ LAYERS: dict[str, str] = {
         handover logfilter priors simulate""",
     "gap": "gap",
     "control": "control",
-    "command line": """_console _diagnose_command _diagnose_run _estimate_command _estimate_run _estimate_output plots demo cli
+    "command line": """_console _diagnose_command _diagnose_run _estimate_command _estimate_run
+        _estimate_output plots demo cli
         __main__""",
 }
 RANK = {name: rank for rank, names in enumerate(LAYERS.values()) for name in names.split()}
