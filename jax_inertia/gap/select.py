@@ -192,6 +192,10 @@ class Pool:
         if family.name == "payload":
             scale = max(float(self.context.robot.pi[place.index, 0]), 0.1)
             starts = [np.concatenate([[m * scale], np.zeros(3)]) for m in (0.05, 0.3, 1.0)]
+            # Where mass and first moment, free of each other and of inertia, would put it.
+            free = _least_norm(gram[:4, :4], cross[:4])
+            if free is not None and free[0] > 0:
+                starts.append(np.concatenate([free[:1], free[1:] / free[0]]))
         elif family.name == "link_inertia":
             starts = [np.array([0.1])]
         for theta in starts:
@@ -342,10 +346,13 @@ def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
         columns, target = _stacked(pool, chosen)
         theta = np.linalg.lstsq(columns, target, rcond=None)[0]
-        start = 0
-        for c in chosen:
-            c.theta = theta[start : start + len(c.theta)]
-            start += len(c.theta)
+        parts = np.split(theta, np.cumsum([len(c.theta) for c in chosen])[:-1])
+        if all(
+            c.family.physical(pool.context, c.place, c.shape, x)
+            for c, x in zip(chosen, parts, strict=True)
+        ):
+            for c, x in zip(chosen, parts, strict=True):
+                c.theta = x
     return chosen
 
 
