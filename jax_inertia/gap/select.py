@@ -192,10 +192,10 @@ class Pool:
         if family.name == "payload":
             scale = max(float(self.context.robot.pi[place.index, 0]), 0.1)
             starts = [np.concatenate([[m * scale], np.zeros(3)]) for m in (0.05, 0.3, 1.0)]
-            # Where mass and first moment, free of each other and of inertia, would put it.
-            free = _least_norm(gram[:4, :4], cross[:4])
+            # Where ten numbers free of each other would put it: from m alone, the descent may end beside the mass.
+            free = _least_norm(gram, cross)
             if free is not None and free[0] > 0:
-                starts.append(np.concatenate([free[:1], free[1:] / free[0]]))
+                starts.append(np.concatenate([free[:1], free[1:4] / free[0]]))
         elif family.name == "link_inertia":
             starts = [np.array([0.1])]
         for theta in starts:

@@ -19,6 +19,8 @@ class Inertial(Family):
 
 class Payload(Inertial):
     name, equation, size = "payload", "π + [m, m c, m (c·c 1 − c cᵀ)]", 4
+    # A real load is no point: its own inertia is left.
+    form_error = 0.05
 
     def change(self, context, place, theta):
         m, c = theta[0], theta[1:4]
