@@ -9,8 +9,8 @@ is eliminated and what `qp.solve` sees is small: with H = Σ AᵀwA, g = Σ Aᵀ
     v̇ = H⁻¹ (g + M_bᵀ μ),   μ = Λ (F f − r),   Λ = (M_b H⁻¹ M_bᵀ)⁻¹,   r = c_b + M_b H⁻¹ g,
 
 and the cost left is ½ (F f − r)ᵀ Λ (F f − r) + ½ ε ‖f‖². Torque limits are linear in f, and soft, so that there is
-always an answer; torques are clipped to them at the end. The robot comes with every tick: its inertial parameters may be
-the estimator's latest (`Robot.with_pi`).
+always an answer; torques are clipped to them at the end. The robot comes with every tick: its inertial parameters may
+be the estimator's latest (`Robot.with_pi`).
 """
 
 from collections.abc import Sequence
@@ -74,6 +74,9 @@ class Gains(eqx.Module):
     torque_softness: float = 1e-4
 
 
+_GAINS = Gains()
+
+
 class Command(eqx.Module):
     """Joint torques, and what the controller expects of them."""
 
@@ -94,7 +97,7 @@ class WholeBody(eqx.Module):
     friction: Float[Array, ""]
     arm: tuple[bool, ...] = eqx.field(static=True)
     bodies: tuple[int, ...] = eqx.field(static=True)
-    gains: Gains = Gains()
+    gains: Gains = _GAINS
     iterations: int = eqx.field(static=True, default=10)
 
     def terms(self, robot: Robot, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Terms:
@@ -104,7 +107,7 @@ class WholeBody(eqx.Module):
     def command(
         self, now: Terms, q: Float[Array, " nq"], v: Float[Array, " nv"], reference: Reference
     ) -> Command:
-        """Torques for this tick. Where the program does not converge, `converged` says so and torques stay in limits."""
+        """Torques for this tick; `converged` says whether the program was solved, within limits they are always."""
         rows, wanted, weight = self._tasks(now, q, v, reference)
         posture, posture_weight = self._posture(q, v, reference)
         nv = len(v)
@@ -226,7 +229,7 @@ def make_whole_body(
     friction: float,
     torque_limit: Float[np.ndarray, " nu"],
     arm_joints: Sequence[str],
-    gains: Gains = Gains(),
+    gains: Gains = _GAINS,
     iterations: int = 10,
 ) -> WholeBody:
     """Controller of a robot with a floating base on `pelvis` and one motor for every other joint.

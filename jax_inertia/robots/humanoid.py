@@ -94,6 +94,7 @@ class HumanoidOptions:
     armature: Armature = Armature()
     load_cells: bool = False  # sensors <side>_foot_force, <side>_foot_torque at the soles' sites
     corner_forces: bool = False  # sensors <corner>_force: see `humanoid_mjcf`
+    corner_positions: bool = False  # sensors <corner>_position: centre of the corner's sphere (m)
     visual: bool = True  # shapes, lights and textures; leave out where only speed counts
 
     def __post_init__(self) -> None:
@@ -294,6 +295,10 @@ def _sensors(root: ET.Element, options: HumanoidOptions) -> None:
                 data="force",
                 reduce="mindist",  # without it MJX 3.17 gives every sensor its first contact
             )
+    if options.corner_positions:
+        for corner in CORNERS:
+            name = f"{corner.name}_position"
+            element(sensor, "framepos", name=name, objtype="geom", objname=corner.name)
 
 
 def _ground_geom(corner: Corner, options: HumanoidOptions) -> str:

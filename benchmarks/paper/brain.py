@@ -1,0 +1,279 @@
+"""What runs at 333 Hz on every robot: estimator, hand-over, reference, whole-body controller, batched over the fleet.
+
+Three controllers share one code and differ in the parameters that they are told: `NONE` the nominal ones, `ADAPTIVE` the
+filter's through the slew, `ORACLE` the true ones.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from benchmarks.paper.plant import NU, STEP, TICK, Sensed, Sensors
+from jax_inertia import load_model, spatial
+from jax_inertia.charts import Chart, LogCholeskyUUt
+from jax_inertia.control.terms import Terms
+from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
+from jax_inertia.differences import Observation
+from jax_inertia.dynamics import body_poses, mass_matrix, body_jacobian
+from jax_inertia.estimate import Estimator, State, make_estimator
+from jax_inertia.handover import Slew
+from jax_inertia.inertia import is_physical
+from jax_inertia.kalman import CorrelatedNoise, Gate
+from jax_inertia.motion import Motion
+from jax_inertia.priors import Uncertainty
+from jax_inertia.robot import Robot
+from jax_inertia.robots import CORNERS
+
+NONE, ADAPTIVE, ORACLE = range(3)
+MODES = ("none", "adaptive", "oracle")
+FEET = ("left_foot_link", "right_foot_link")
+POINTS = np.array([c.pos for c in CORNERS]).reshape(2, 4, 3)
+ARM = ("shoulder", "elbow")
+
+
+class Inputs(eqx.Module):
+    """One robot's tick: what it senses, who it is, and the truth that only `ORACLE` is told."""
+
+    q: Float[Array, "nq"]
+    v: Float[Array, "nv"]
+    mean_q: Float[Array, "nq"]
+    mean_v: Float[Array, "nv"]
+    a: Float[Array, "nv"]
+    tau: Float[Array, "nv"]
+    force: Float[Array, "8 3"]
+    mode: Int[Array, ""]
+    truth: Float[Array, "n 10"]
+    on: Float[Array, ""]
+    """1 once the estimator may run."""
+
+
+class Memory(eqx.Module):
+    """What a robot keeps from tick to tick."""
+
+    filter: State
+    handed: Float[Array, "n 10"]
+    plan: Any
+    time: Float[Array, ""]
+
+
+class Output(eqx.Module):
+    """What a tick gives: torques for the plant, the rest for the record."""
+
+    torque: Float[Array, "nu"]
+    pi: Float[Array, "n 10"]
+    physical: Array
+    nis: Float[Array, ""]
+    accepted: Array
+    residual: Float[Array, ""]
+    converged: Array
+    record: Any
+
+
+Refer = Callable[[Any, Terms, Inputs, Float[Array, ""]], tuple[Any, Reference, Any]]
+"""Plan, terms, inputs, time → plan, reference, record."""
+
+
+class Brain(eqx.Module):
+    """Constants of the fleet's robots."""
+
+    robot: Robot
+    controller: WholeBody
+    estimator: Estimator
+    slew: Slew
+    refer: Refer
+
+    def start(self, plan: Any) -> Memory:
+        """Memory of one robot before its first tick."""
+        nominal = self.robot.pi[np.array(self.estimator.bodies)]
+        return Memory(self.estimator.initial(), nominal, plan, jnp.zeros(()))
+
+    def tick(self, memory: Memory, x: Inputs) -> tuple[Memory, Output]:
+        """One robot, one tick."""
+        bodies = self.estimator.bodies
+        running, step = self.estimator.step(memory.filter, self.observation(x), TICK)
+        running = jax.tree.map(lambda a, b: jnp.where(x.on > 0, a, b), running, memory.filter)
+        pi = self.estimator.chart.to_pi(running.belief.mean.reshape(-1, 10))
+        handed = self.slew.step(memory.handed, pi, TICK)
+        told = jnp.stack([self.robot.pi[np.array(bodies)], handed, x.truth])[x.mode]
+        now = self.controller.terms(self.robot.with_pi(bodies, told), x.q, x.v)
+        plan, reference, record = self.refer(memory.plan, now, x, memory.time)
+        command = self.controller.command(now, x.q, x.v, reference)
+        out = Output(
+            command.torque,
+            pi,
+            is_physical(pi),
+            step.innovation.nis,
+            step.innovation.accepted,
+            command.residual,
+            command.converged,
+            record,
+        )
+        return Memory(running, handed, plan, memory.time + TICK), out
+
+    def observation(self, x: Inputs) -> Observation:
+        """The window's means as the estimator reads them, corner forces as wrenches on the feet."""
+        motion = Motion(
+            time=jnp.zeros(()),
+            q=x.mean_q,
+            v=x.mean_v,
+            tau=x.tau,
+            valid=jnp.ones(self.robot.nv, bool),
+            wrench=foot_wrenches(self.robot, x.mean_q, x.force),
+            contact_bodies=FEET,
+            quaternions=(3,),
+        )
+        return Observation(motion, x.a)
+
+
+def foot_wrenches(
+    robot: Robot, q: Float[Array, "nq"], force: Float[Array, "8 3"]
+) -> Float[Array, "2 6"]:
+    """[force; moment about the foot's frame origin], world axes, of forces at the soles' corners."""
+    rotation, _ = body_poses(robot, q)
+    index = np.array([robot.body_index(name) for name in FEET])
+    arm = spatial.matvec(rotation[index][:, None], jnp.asarray(POINTS, q.dtype))
+    force = force.reshape(2, 4, 3)
+    moment = spatial.cross(arm, force)
+    return jnp.concatenate([force.sum(axis=1), moment.sum(axis=1)], axis=-1)
+
+
+def measurement_noise(
+    robot: Robot, q: Float[np.ndarray, "nq"], sensors: Sensors, inflation: float = 1.0
+) -> CorrelatedNoise:
+    """R of Δτ in the pose q: M Σ_v̇ Mᵀ from differenced velocities, torque noise, and J Σ_λ Jᵀ of the feet.
+
+    `inflation` multiplies R: windows of successive ticks overlap, and a model is never exact.
+    """
+    q = jnp.asarray(q)
+    span = sensors.window * STEP
+    acceleration = np.sqrt(2.0) * sensors.velocity() / span
+    m = np.asarray(mass_matrix(robot, q))
+    r = (m * acceleration**2) @ m.T
+    samples = 1 if sensors.sampled_forces else sensors.window
+    torque = np.full(robot.nv, sensors.torque**2 / sensors.window)
+    torque[:6] = 0.0
+    r = r + np.diag(torque)
+    for side, name in enumerate(FEET):
+        lever = np.zeros((4, 6, 3))
+        lever[:, :3] = np.eye(3)
+        rotation = np.asarray(body_poses(robot, q)[0][robot.body_index(name)])
+        lever[:, 3:] = np.asarray(spatial.skew(jnp.asarray(POINTS[side] @ rotation.T)))
+        wrench = np.einsum("kij,klj->il", lever, lever) * sensors.corner_force**2 / samples
+        j = np.asarray(body_jacobian(robot, q, name))
+        r = r + j.T @ wrench @ j
+    return CorrelatedNoise(jnp.asarray(inflation * r))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The estimator's figures; each experiment states its own."""
+
+    bodies: tuple[str, ...]
+    prior: Uncertainty
+    drift: Uncertainty
+    chart: Chart = LogCholeskyUUt()
+    iterations: int = 1
+    inflation: float = 1.0
+    gate: Gate | None = None
+    reopen_after: float = float("inf")
+    slew: float = 1e6  # kg/s
+
+
+def make_brain(
+    model: mujoco.MjModel,
+    settings: Settings,
+    sensors: Sensors,
+    refer: Refer,
+    *,
+    gains: Gains = Gains(),
+    friction: float = 0.6,
+) -> Brain:
+    """Estimator and controller of the nominal robot `model`."""
+    robot = load_model(model)
+    home = model.key_qpos[0]
+    estimator = make_estimator(
+        robot,
+        settings.bodies,
+        sigma_tau=1.0,
+        prior=settings.prior,
+        drift=settings.drift,
+        chart=settings.chart,
+        noise=measurement_noise(robot, home, sensors, settings.inflation),
+        gate=settings.gate,
+        reopen_after=settings.reopen_after,
+        iterations=settings.iterations,
+    )
+    controller = make_whole_body(
+        robot,
+        pelvis="pelvis_link",
+        torso="torso_link",
+        feet=FEET,
+        points=POINTS,
+        friction=friction,
+        torque_limit=model.actuator_ctrlrange[:, 1],
+        arm_joints=[j for j in robot.joint_names if any(a in j for a in ARM)],
+        gains=gains,
+    )
+    return Brain(robot, controller, estimator, Slew(settings.slew), refer)
+
+
+def batched(brain: Brain):
+    """The fleet's tick, compiled: memory (donated) and inputs with a leading robot axis."""
+    return jax.jit(jax.vmap(brain.tick), donate_argnums=0)
+
+
+def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:
+    """`Inputs` of the whole fleet."""
+    size = len(mode)
+    return Inputs(
+        sensed.q,
+        sensed.v,
+        sensed.mean_q,
+        sensed.mean_v,
+        sensed.a,
+        sensed.tau,
+        sensed.force,
+        mode,
+        np.broadcast_to(truth, (size, *truth.shape[-2:])),
+        np.full(size, float(on)),
+    )
+
+
+def spread(tree: Any, size: int) -> Any:
+    """One robot's memory for each of the fleet."""
+    return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], size, axis=0), tree)
+
+
+def standing(
+    home: Float[np.ndarray, "nq"], com: Float[np.ndarray, "3"], posture: Callable
+) -> Refer:
+    """Stand in the home pose over `com`; `posture(time)` gives joint positions, velocities and accelerations."""
+
+    def refer(plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
+        want = posture(time)
+        push = 25.0 * (com[:2] - now.com[:2]) - 10.0 * now.com_velocity[:2]
+        reference = Reference(
+            com_acceleration=push,
+            height=jnp.array([home[2], 0.0, 0.0]),
+            heading=jnp.zeros(()),
+            foot=jnp.zeros((2, 3, 3)),
+            foot_heading=jnp.zeros(2),
+            contact=jnp.ones(8),
+            stance=jnp.ones(2),
+            posture=want,
+        )
+        return plan, reference, want[0]
+
+    return refer
+
+
+def still(home: Float[np.ndarray, "nq"]) -> Callable:
+    """The home pose, at rest."""
+    return lambda time: jnp.stack([jnp.asarray(home[7:]), jnp.zeros(NU), jnp.zeros(NU)])
