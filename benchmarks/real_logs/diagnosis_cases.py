@@ -1,0 +1,408 @@
+"""The real logs that are diagnosed: model and logs as the command takes them, and what was published of the robot."""
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import ur10e
+from logs import SHARED
+from ur10e_model import LINKS, makers_model
+
+from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.mjcf import ModelWarning, compile_spec, load_spec, set_inertials
+from jax_inertia.robot import Robot
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the command is given."""
+
+    model: Path
+    log: Path
+    test: Path | None
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Joint terms of a published fit, torque = model + viscous v + coulomb sign v + offset + armature a."""
+
+    viscous: np.ndarray
+    coulomb: np.ndarray
+    offset: np.ndarray
+    armature: np.ndarray
+
+    def torque(self, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """What the robot needs beyond the rigid bodies [N m]."""
+        return self.viscous * v + self.coulomb * np.sign(v) + self.offset + self.armature * a
+
+
+Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One diagnosis of a real robot."""
+
+    name: str
+    title: str
+    known: str
+    """What is known of the robot from elsewhere, with its source; never given to the diagnosis."""
+    folder: str
+    prepare: Callable[[Path], Files]
+    max_effects: int
+    impossible: dict[str, str]
+    """Families that this robot, or this recording, cannot have, and why: a finding of one is not physical."""
+    terms: Terms | None = None
+    law: Law | None = None
+    """The published fit as a torque beside the nominal bodies, where it can be evaluated."""
+    gains: np.ndarray | None = None
+    """Published drive gains that belong to `law`, where the log is no torque."""
+    repeats: str = ""
+    """The case whose numbers must come out again."""
+    mass: float | None = None
+    """A load known to be there (or not) [kg]."""
+
+    @property
+    def present(self) -> bool:
+        """Whether the recordings are here."""
+        return (SHARED / self.folder).is_dir()
+
+
+ALONE = "nobody touched the robot"
+NOT_TOUCHED = {
+    "push": ALONE,
+    "constant_force": "nothing pulls at the robot",
+    "drag": "the robot is far too slow for the air",
+}
+BEHIND_GEAR = {
+    "armature": "the torque sensor sits behind the gear: no rotor",
+    "torque_saturation": "the torque was measured, not commanded",
+    "time_delay": "torque and position were measured, and logged together",
+    "actuator_lag": "the torque was measured, not commanded",
+    "joint_elasticity": "a soft joint of this drive has thousands of N m/rad",
+    "backlash": "a harmonic drive has none",
+    "payload": "nothing was mounted",
+}
+
+
+def _save(log: Log, path: Path, **changes) -> Path:
+    write_log(dataclasses.replace(log, **changes), path)
+    return path
+
+
+def _copy(folder: str, name: str, out: Path, **changes) -> Path:
+    return _save(read_log(SHARED / folder / f"{name}.npz"), out / f"{name}.npz", **changes)
+
+
+def _write(spec: mujoco.MjSpec, path: Path) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelWarning)  # what MuJoCo balances is said in the page
+        compile_spec(spec)
+    path.write_text(spec.to_xml())
+    return path
+
+
+def _first(vector, value: float) -> np.ndarray:
+    out = np.array(vector, float)
+    out[0] = value
+    return out
+
+
+def with_joint_terms(
+    spec: mujoco.MjSpec, damping: np.ndarray, friction: np.ndarray, armature: np.ndarray
+) -> mujoco.MjSpec:
+    """A spec whose joints have these numbers, in the spec's order, in place of their own."""
+    for joint, d, f, a in zip(spec.joints, damping, friction, armature, strict=True):
+        joint.damping = _first(joint.damping, float(d))
+        joint.frictionloss, joint.armature = float(f), float(a)
+    return spec
+
+
+# --- Franka Panda ----------------------------------------------------------------------------------------------
+
+_PHI1 = np.array([0.54615, 0.87224, 0.64068, 1.2794, 0.83904, 0.30301, 0.56489])
+_PHI2 = np.array([5.1181, 9.0657, 10.136, 5.5903, 8.3469, 17.133, 10.336])
+_PHI3 = np.array([0.039533, 0.025882, -0.04607, 0.036194, 0.026226, -0.021047, 0.0035526])
+
+
+def _sigmoid(v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Gaz et al. 2019, the friction they recommend beside the bodies of Tables VIII and IX."""
+    return _PHI1 / (1 + np.exp(-_PHI2 * (v + _PHI3))) - _PHI1 / (1 + np.exp(-_PHI2 * _PHI3))
+
+
+_PANDA_TERMS = Terms(
+    viscous=np.array([0.0665, 0.1987, 0.0399, 0.2257, 0.1023, -0.0132, 0.0638]),
+    coulomb=np.array([0.2450, 0.1523, 0.1827, 0.3591, 0.2669, 0.1658, 0.2109]),
+    offset=np.array([-0.1073, -0.1566, -0.0686, -0.2522, 0.0045, 0.0910, -0.0127]),
+    armature=np.zeros(7),
+)
+
+
+def _panda(out: Path) -> Files:
+    folder = "panda_gaz2019"
+    sensor = {"tau_kind": TorqueKind.SENSOR}
+    return Files(
+        SHARED / folder / "reference_model_identified.xml",
+        _copy(folder, "train", out, **sensor),
+        _copy(folder, "test", out, **sensor),
+    )
+
+
+# --- KUKA LWR4+ ------------------------------------------------------------------------------------------------
+
+_LWR_OFFSET = np.array([0.84, np.nan, np.nan, np.nan, -0.655, 0.62, np.nan])
+_LWR_COULOMB = np.array([0.5, np.nan, 0.4, np.nan, 1.1, 0.225, np.nan])
+
+
+def _lwr(run: str) -> Callable[[Path], Files]:
+    def prepare(out: Path) -> Files:
+        folder = "kuka_lwr4_flobaroid"
+        # The file's own damping and friction are not the published ones: rigid bodies alone.
+        spec = load_spec(SHARED / folder / "reference_kuka_lwr4_identified.urdf")
+        none = np.zeros(len(spec.joints))
+        sensor = {"tau_kind": TorqueKind.SENSOR}
+        return Files(
+            _write(with_joint_terms(spec, none, none, none), out / "model.xml"),
+            _copy(folder, run, out, **sensor),
+            _copy(folder, "test_3", out, **sensor),
+        )
+
+    return prepare
+
+
+# --- UR10e -----------------------------------------------------------------------------------------------------
+
+_UR10E = "ur10e_dynamic_calibration"
+_UR10E_TERMS = Terms(
+    viscous=np.array([21.256, 20.221, 10.378, 3.575, 2.491, 3.026]),
+    coulomb=np.array([12.548, 13.266, 4.994, 1.998, 2.690, 2.298]),
+    offset=np.array([0.196, -0.754, 0.198, 0.055, -0.010, 0.043]),
+    armature=np.array([0, 3.7434, 0, 0.0708, 0.2342, 0.4365]),
+)
+
+
+def _ur10e_spec(robot: Robot) -> mujoco.MjSpec:
+    """The data set's URDF with the links of `robot`."""
+    spec = load_spec(SHARED / _UR10E / "model_ur10e.urdf")
+    set_inertials(spec, {n: np.asarray(robot.pi[robot.body_index(n)]) for n in LINKS})
+    return spec
+
+
+def _ur10e_free(out: Path) -> Files:
+    urdf = ur10e.UR10E.model("model_ur10e.urdf")
+    current = {"tau_kind": TorqueKind.CURRENT}
+    return Files(
+        _write(_ur10e_spec(makers_model(urdf)), out / "model.xml"),
+        _copy(_UR10E, "dev_free_1", out, **current),
+        _copy(_UR10E, "dev_free_2", out, **current),
+    )
+
+
+def _ur10e_pair(run: str) -> Callable[[Path], Files]:
+    def prepare(out: Path) -> Files:
+        """Gains, bodies and friction from the three free runs; the run itself in two parts, by time."""
+        fit = ur10e.calibrations()[-1].fit(ur10e.observe(ur10e.FREE))
+        spec = _ur10e_spec(fit.robot)
+        robot = fit.robot
+        with_joint_terms(
+            spec, *map(np.asarray, (robot.damping, robot.frictionloss, robot.armature))
+        )
+        log = read_log(SHARED / _UR10E / f"{run}.npz").with_torque_gains(np.asarray(fit.gains))
+        log = dataclasses.replace(log, tau=log.tau - fit.bias, tau_kind=TorqueKind.CURRENT)
+        cut = 0.6 * log.duration
+        return Files(
+            _write(spec, out / "model.xml"),
+            _save(log.between(0.0, cut), out / f"{run}_first.npz"),
+            _save(log.between(cut, log.duration), out / f"{run}_rest.npz"),
+        )
+
+    return prepare
+
+
+# --- DFKI double pendulum --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Design:
+    """m [kg], l [m], r [m], I about the joint [kg m²], of both links; the published rotor and friction."""
+
+    m: tuple[float, float]
+    l: tuple[float, float]  # noqa: E741 (the source's own letter)
+    r: tuple[float, float]
+    inertia: tuple[float, float]
+    rotor: float
+    damping: tuple[float, float]
+    coulomb: tuple[float, float]
+
+    @property
+    def terms(self) -> Terms:
+        return Terms(
+            np.array(self.damping), np.array(self.coulomb), np.zeros(2), np.full(2, 36 * self.rotor)
+        )
+
+
+_C1 = _Design(
+    (0.5235, 0.6256),
+    (0.2, 0.3),
+    (0.2, 0.2557),
+    (0.0319, 0.0509),
+    6.287e-5,
+    (0.001, 0.001),
+    (0.16, 0.12),
+)
+
+
+def _dfki(out: Path) -> Files:
+    folder, d = "dfki_double_pendulum", _C1
+    spec = load_spec(SHARED / folder / "model_two_link_template.xml")
+    pi = {}
+    for k, name in enumerate(("link1", "link2")):
+        # A rod-like link: its published moment is about the joint's axis, y; the one along the link is small.
+        i = d.inertia[k]
+        pi[name] = np.array([d.m[k], 0, 0, -d.m[k] * d.r[k], i, 0, 0, i, 0, 1e-3])
+    set_inertials(spec, pi)
+    spec.body("link2").pos = [0, 0, -d.l[0]]
+    current = {"tau_kind": TorqueKind.CURRENT}
+    return Files(
+        _write(spec, out / "model.xml"),
+        _copy(folder, "C1_train_00", out, **current),
+        _copy(folder, "C1_test_08", out, **current),
+    )
+
+
+# --- Dynamixel XL330 -------------------------------------------------------------------------------------------
+
+_FULL_DUTY = 885
+_KT, _R = 0.3866957639281311, 4.017129222290597
+_XL330_TERMS = Terms(
+    viscous=np.array([0.003661672 + _KT**2 / _R]),
+    coulomb=np.array([0.012832720]),
+    offset=np.zeros(1),
+    armature=np.array([0.0018141672]),
+)
+
+
+def _xl330(run: str, test: str) -> Callable[[Path], Files]:
+    def prepare(out: Path) -> Files:
+        folder = "bam_xl330"
+        paths = []
+        for name in (run, test):
+            path = SHARED / folder / f"{name}.npz"
+            log = read_log(path)
+            with np.load(path) as raw:
+                volts = raw["input_volts"][:, None]
+            # Duty times supply: the voltage at the motor, one gain k/R away from a torque.
+            paths.append(
+                _save(
+                    log,
+                    out / f"{name}.npz",
+                    tau=log.tau / _FULL_DUTY * volts,
+                    tau_unit=TorqueUnit.UNKNOWN,
+                    tau_unit_text="V",
+                    tau_kind=TorqueKind.COMMANDED,
+                )
+            )
+        return Files(SHARED / folder / "model_nominal.xml", *paths)
+
+    return prepare
+
+
+_GAZ = "Gaz et al., IEEE RA-L 2019"
+CASES = (
+    Case(
+        "panda",
+        "Franka Panda, published bodies",
+        f"{_GAZ}: sigmoid friction at every joint; classical least squares of this very run (Table III) gives "
+        "viscous and Coulomb friction and offsets. The torque sensor sits behind the gear: no armature.",
+        "panda_gaz2019",
+        _panda,
+        10,
+        {**NOT_TOUCHED, **BEHIND_GEAR},
+        _PANDA_TERMS,
+        _sigmoid,
+    ),
+    *(
+        Case(
+            name,
+            f"KUKA LWR4+, identified bodies, {run}",
+            "The data set's page, fits with three other models: torque offsets at joints 0 (+0.84), 4 (−0.63 to "
+            "−0.68), 5 (+0.56 to +0.68 N m) that return in every run; Coulomb friction about 0.5 (0), 0.2–0.6 (2), "
+            "1.0–1.2 (4), 0.15–0.3 (5) N m.",
+            "kuka_lwr4_flobaroid",
+            _lwr(run),
+            10,
+            {**NOT_TOUCHED, **BEHIND_GEAR},
+            Terms(np.full(7, np.nan), _LWR_COULOMB, _LWR_OFFSET, np.zeros(7)),
+            repeats=repeats,
+        )
+        for name, run, repeats in (
+            ("lwr4", "train_1", ""),
+            ("lwr4_repeat", "train_2_repeat", "lwr4"),
+        )
+    ),
+    Case(
+        "ur10e",
+        "UR10e without load, the maker's masses",
+        "Mamedov & Mikhel, Frontiers in Robotics and AI 2020, repository: gains 10.0 10.6956 8.4566 9.0029 9.48 "
+        "10.1232 N m/A (another published set is 17–49 % higher), friction, rotor inertia; friction scales with "
+        "the gains. Rigid bodies were fitted too and are not published with them.",
+        _UR10E,
+        _ur10e_free,
+        12,
+        {**NOT_TOUCHED, "payload": "nothing was mounted", "backlash": "a harmonic drive has none"},
+        _UR10E_TERMS,
+        _UR10E_TERMS.torque,
+        ur10e.REPOSITORY,
+    ),
+    Case(
+        "ur10e_payload",
+        "UR10e with a load, calibrated on free runs",
+        "The authors mounted 2.805 kg at the flange; centre of mass and inertia are not published. Model: gains, "
+        "bodies and friction as the estimator calibrates them on dev_free_1 to 3.",
+        _UR10E,
+        _ur10e_pair("dev_pair_payload"),
+        3,
+        dict(NOT_TOUCHED),
+        mass=2.805,
+    ),
+    Case(
+        "ur10e_no_load",
+        "The same UR10e without the load",
+        "The same motion with nothing mounted, same calibrated model: nothing should be found, or only friction.",
+        _UR10E,
+        _ur10e_pair("dev_pair_free"),
+        3,
+        {**NOT_TOUCHED, "payload": "nothing was mounted"},
+        mass=0.0,
+    ),
+    Case(
+        "double_pendulum",
+        "DFKI double pendulum, design C.1, published bodies",
+        "Repository of the data, model 1.0: Coulomb friction 0.16 and 0.12 N m, damping 0.001 N m s/rad, rotor "
+        "2.3e-3 kg m² reflected. The published model leaves 60 % of the torque unexplained (data set's page).",
+        "dfki_double_pendulum",
+        _dfki,
+        5,
+        {**NOT_TOUCHED, "payload": "nothing was mounted"},
+        _C1.terms,
+        _C1.terms.torque,
+    ),
+    Case(
+        "xl330",
+        "Dynamixel XL330 on a pendulum rig",
+        "Rhoban BAM (arXiv 2410.08650): the friction of this gearbox grows with load (27 % of the motor's torque in "
+        "their model m6); Coulomb with viscous friction (m1) is too simple. Back-EMF adds k²/R = 0.037 to the "
+        "viscous term, since voltage is logged, not torque. Gain k/R 0.096 (m1), 0.130 N m/V (m6).",
+        "bam_xl330",
+        _xl330("train_07_sin_time_square_kp200", "test_08_sin_sin_kp400"),
+        5,
+        {**NOT_TOUCHED, "payload": "the rig's load is known"},
+        _XL330_TERMS,
+        _XL330_TERMS.torque,
+        np.array([_KT / _R]),
+    ),
+)
