@@ -15,7 +15,7 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage, signal
+from scipy import interpolate, ndimage, signal
 
 from jax_inertia.log import AnyArray, Log
 
@@ -118,6 +118,57 @@ def resample(log: Log | Masked, rate: float | int) -> Masked:
         kept(source.motion_valid) & supported,
         kept(source.torque_valid) & supported[:, None],
     )
+
+
+def bridged_smoothly(source: Masked, ends: float | int = 0.02) -> Masked:
+    """Cubics over the stretches of a uniform grid where motion was not measured, in place of straight lines.
+
+    A straight line has a corner at either edge, and a corner in a position is a blow in its acceleration. The cubic
+    meets the level and slope of the `ends` seconds before and after (least squares). Torques stay as they are.
+    """
+    if source.motion_valid.all():
+        return source
+    time, valid = np.asarray(source.log.time), source.motion_valid
+    reach = max(2, round(ends / (time[1] - time[0])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~valid, [False]]).astype(int)))
+    changes = {}
+    for name in ("qpos", "base_pos", "base_quat"):
+        if (value := getattr(source.log, name)) is None:
+            continue
+        x = np.array(value, dtype=float)
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            before = _line(time, x, valid, np.arange(max(start - reach, 0), start))
+            after = _line(time, x, valid, np.arange(stop, min(stop + reach, time.size)))
+            if before is None or after is None:
+                continue
+            t0, t1 = time[start - 1], time[stop]
+            ends_at = [line(t) for line, t in ((before, t0), (after, t1))]
+            slopes = [before.slope, after.slope]
+            cubic = interpolate.CubicHermiteSpline([t0, t1], ends_at, slopes)
+            x[start:stop] = cubic(time[start:stop])
+        if name == "base_quat":
+            x /= np.linalg.norm(x, axis=1, keepdims=True)
+        changes[name] = x
+    return dataclasses.replace(source, log=dataclasses.replace(source.log, **changes))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Line:
+    at: float
+    level: np.ndarray
+    slope: np.ndarray
+
+    def __call__(self, t: float) -> np.ndarray:
+        return self.level + (t - self.at) * self.slope
+
+
+def _line(time: np.ndarray, x: np.ndarray, valid: np.ndarray, index: np.ndarray) -> _Line | None:
+    """The straight line through valid samples of all columns; None for fewer than two."""
+    index = index[valid[index]]
+    if index.size < 2:
+        return None
+    slope, level = np.polynomial.polynomial.polyfit(time[index] - time[index[0]], x[index], 1)[::-1]
+    return _Line(float(time[index[0]]), level, slope)
 
 
 def low_pass(log: Log | Masked, cutoff: float | int, order: int = 4) -> Masked:

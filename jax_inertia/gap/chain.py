@@ -16,14 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import signal
+from scipy import ndimage, signal
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
 from jax_inertia.robot import Robot
-from jax_inertia.signals import low_pass, mask, resample
+from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +49,8 @@ class Prepared(eqx.Module):
     tau: Float[np.ndarray, "T nv"]
     inverse: Float[np.ndarray, "T nv"]
     """What the model needs: M a + c − τ_passive − Σ Jᵀλ [N m]; free of torque noise, so it serves as instrument."""
+    measured: Float[np.ndarray, "T nv"]
+    """1 where a row stands on measurements, 0 where it leans on what was bridged."""
     settings: Settings = eqx.field(static=True)
     rate: float = eqx.field(static=True)
 
@@ -67,6 +69,18 @@ class Prepared(eqx.Module):
         smooth = signal.sosfiltfilt(sos, x, axis=0)
         return smooth[self.kept]
 
+    def finish_torque(
+        self, x: Float[np.ndarray, "T *c"], row: int | None = None
+    ) -> Float[np.ndarray, "R *c"]:
+        """`finish` of torques on all rows (T, nv, ...), or of one row (T, ...): what was not measured weighs nothing.
+
+        Missing torque and effects lose the same moments before the same filter, so a gap in the log leaks into neither.
+        """
+        if self.measured.all():
+            return self.finish(x)
+        weight = self.measured if row is None else self.measured[:, row]
+        return self.finish(x * weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)))
+
     @property
     def kept(self) -> np.ndarray:
         """Indices of the slow grid in the fast one."""
@@ -76,11 +90,8 @@ class Prepared(eqx.Module):
 
     @property
     def valid(self) -> np.ndarray:
-        """Rows of the slow grid that stand on measurements, (R, nv)."""
-        reach = max(1, round(0.5 * self.rate / self.settings.after))
-        ok = np.asarray(self.observation.motion.valid)
-        bad = signal.fftconvolve(~ok * 1.0, np.ones((2 * reach + 1, 1)), mode="same", axes=0) > 0.5
-        return ~bad[self.kept]
+        """Rows of the slow grid that stand on measurements for the most part, (R, nv)."""
+        return self.finish(self.measured) > 0.7
 
 
 def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepared:
@@ -100,7 +111,8 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         data = dataclasses.replace(data, contact_wrench=_centred(data.contact_wrench))
     source = dataclasses.replace(source, log=data)
     rate = min(settings.grid, log.rate)
-    smooth = low_pass(resample(source, rate), min(settings.before, 0.4 * rate))
+    cutoff = min(settings.before, 0.4 * rate)
+    smooth = low_pass(bridged_smoothly(resample(source, rate)), cutoff)
     observation = central_differences(generalised(smooth, robot))
     settings = dataclasses.replace(
         settings,
@@ -109,7 +121,11 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     )
     inverse = np.asarray(needed_torques(robot, observation))
     tau = np.asarray(observation.motion.tau)
-    return Prepared(robot, observation, tau, inverse, settings, rate)
+    # The first low-pass carries what was bridged about a period of its cut-off outwards.
+    reach = 2 * round(rate / cutoff) + 1
+    ok = np.asarray(observation.motion.valid)
+    measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
+    return Prepared(robot, observation, tau, inverse, measured, settings, rate)
 
 
 @eqx.filter_jit

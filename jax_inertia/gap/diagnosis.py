@@ -155,7 +155,7 @@ def diagnose(
     )
     raw = evidence.unflatten(evidence.raw[:, 0])
     names = {dof: name for name, dof in context.joint_dofs.items()}
-    rms = np.sqrt(np.mean(prepared.finish(prepared.missing) ** 2, axis=0))
+    rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
     excess = np.maximum(np.sum(raw**2 - evidence.used, axis=0), 0.0)
     label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
     return Diagnosis(
@@ -175,7 +175,7 @@ def diagnose(
         notes=tuple(log.notes),
         trace=collect(
             pool,
-            tuple(prepared.finish(effect_torque(context, c)) for c in chosen),
+            tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(
                 what_is_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))
             ),

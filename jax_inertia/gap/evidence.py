@@ -56,8 +56,8 @@ class Evidence:
         return x.reshape(self.used.shape)
 
     def _whiten(self, columns: Columns) -> Float[np.ndarray, "n k"]:
-        finished = self.prepared.finish(columns.values)
         row = columns.row
+        finished = self.prepared.finish_torque(columns.values, row)
         white = self.whitener(finished) if row is None else self.whitener.one_row(finished, row)
         white = white * self.used[:, :, None]
         return white.reshape(-1, white.shape[-1])

@@ -50,13 +50,13 @@ def whitener(
 ) -> tuple[Whitener, Float[np.ndarray, "K R nv"]]:
     """The whitener of a log's missing torque, and the noise replicas it was made from."""
     rng = np.random.default_rng(seed)
-    own = prepared.finish(prepared.missing)
+    own = prepared.finish_torque(prepared.missing)
     draws = []
     for _ in range(replicas):
         noisy = prepare(prepared.robot, perturbed(log, rng), prepared.settings)
-        draws.append(prepared.finish(noisy.missing) - own)
+        draws.append(noisy.finish_torque(noisy.missing) - own)
     noise = np.array(draws)
-    size = np.sqrt(np.mean(prepared.finish(prepared.inverse) ** 2, axis=0))
+    size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
     floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
     noise = noise + floor * rng.standard_normal(noise.shape)
     nv = noise.shape[2]

@@ -51,27 +51,29 @@ def _rms(x: np.ndarray, rest: np.ndarray) -> float:
 
 def held_out(prepared, context, pool, chosen, replicas) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
-    rest = context.at_rest[prepared.kept]
-    y = prepared.finish(prepared.missing)
+    rest = context.at_rest[prepared.kept] | ~prepared.valid
+    y = prepared.finish_torque(prepared.missing)
     noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
     after = what_is_left(prepared, context, pool, chosen)
     return Shrink(_rms(y, rest), _rms(after, rest), noise)
 
 
 def what_is_left(prepared, context, pool, chosen, folds: int = 5) -> np.ndarray:
-    """Missing torque that remains (R, nv), each fold predicted from the others."""
-    y = prepared.finish(prepared.missing)
+    """Missing torque that remains (R, nv), each fold predicted from the others; a push as it was fitted."""
+    y = prepared.finish_torque(prepared.missing)
     after = y.copy()
     if chosen:
         flat = np.repeat(np.arange(len(y)) * folds // len(y), y.shape[1])
         columns = np.concatenate([c.columns for c in chosen], axis=1)
         target = pool.evidence.y - np.sum([c.offset for c in chosen], axis=0)
-        full = [prepared.finish(effect_torque(context, c)) for c in chosen]
+        full = [prepared.finish_torque(effect_torque(context, c)) for c in chosen]
         own = np.concatenate([c.theta for c in chosen])
         for fold in range(folds):
             train = flat != fold
             theta = np.linalg.lstsq(columns[train], target[train], rcond=None)[0]
             scale = _share_of(theta, own, chosen)
+            # What happened once, in this fold, cannot be predicted from the others.
+            scale = [1.0 if c.family.passing else s for c, s in zip(chosen, scale, strict=True)]
             rows = np.arange(len(y)) * folds // len(y) == fold
             for part, s in zip(full, scale, strict=True):
                 after[rows] -= s * part[rows]
@@ -106,11 +108,11 @@ def try_on(robot: Robot, log: Log, chosen: list[Candidate], tolerance: Tolerance
     prepared = prepare(robot, log)
     context = Context(prepared)
     white, replicas = whitener(prepared, log)
-    rest = context.at_rest[prepared.kept]
-    y = prepared.finish(prepared.missing)
+    rest = context.at_rest[prepared.kept] | ~prepared.valid
+    y = prepared.finish_torque(prepared.missing)
     lasting = [c for c in chosen if not c.family.passing]
     effects = [effect_torque(context, c) for c in lasting]
-    after = y - sum((prepared.finish(e) for e in effects), np.zeros_like(y))
+    after = y - sum((prepared.finish_torque(e) for e in effects), np.zeros_like(y))
     noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
     evidence = Evidence(prepared, white, nuisance.columns(context, tolerance, 1.0 / log.rate))
     charged = [evidence.column(Columns(e[:, :, None]))[:, 0] for e in effects]

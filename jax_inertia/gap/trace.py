@@ -55,7 +55,7 @@ def collect(
     context, evidence = pool.context, pool.evidence
     prepared = context.prepared
     names = {dof: name for name, dof in context.joint_dofs.items()}
-    missing = prepared.finish(prepared.missing)
+    missing = prepared.finish_torque(prepared.missing)
     noise = np.sqrt(np.mean(np.asarray(replicas) ** 2, axis=(0, 1)))
     return Trace(
         time=context.time[prepared.kept],
@@ -82,7 +82,7 @@ def _forces(pool: Pool, y: np.ndarray, noise: np.ndarray, window: float = 0.5) -
     excess = max(float(np.sum(y**2) - y.size), 1e-300)
     out = []
     for index, body in enumerate(context.robot.body_names):
-        rows = prepared.finish(context.force_rows[:, index]) / noise[None, :, None]
+        rows = prepared.finish_torque(context.force_rows[:, index]) / noise[None, :, None]
         explained, peak, count = 0.0, 0.0, 0
         for k in range(label[-1] + 1):
             a, b = rows[label == k].reshape(-1, 3), y[label == k].ravel()
