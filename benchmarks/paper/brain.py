@@ -21,7 +21,7 @@ from jax_inertia.charts import Chart, LogCholeskyUUt
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
 from jax_inertia.differences import Observation
-from jax_inertia.dynamics import body_poses, mass_matrix, body_jacobian
+from jax_inertia.dynamics import body_jacobian, body_poses, mass_matrix
 from jax_inertia.estimate import Estimator, State, make_estimator
 from jax_inertia.handover import Slew
 from jax_inertia.inertia import is_physical
@@ -36,6 +36,7 @@ MODES = ("none", "adaptive", "oracle")
 FEET = ("left_foot_link", "right_foot_link")
 POINTS = np.array([c.pos for c in CORNERS]).reshape(2, 4, 3)
 ARM = ("shoulder", "elbow")
+GAINS = Gains()
 
 
 class Inputs(eqx.Module):
@@ -76,7 +77,7 @@ class Output(eqx.Module):
     record: Any
 
 
-Refer = Callable[[Any, Terms, Inputs, Float[Array, ""]], tuple[Any, Reference, Any]]
+Refer = Callable[..., tuple[Any, Reference, Any]]
 """Plan, terms, inputs, time → plan, reference, record."""
 
 
@@ -192,11 +193,15 @@ def make_brain(
     sensors: Sensors,
     refer: Refer,
     *,
-    gains: Gains = Gains(),
+    gains: Gains = GAINS,
     friction: float = 0.6,
+    nominal_mass: float | None = None,
 ) -> Brain:
-    """Estimator and controller of the nominal robot `model`."""
+    """Estimator and controller of the robot `model`; `nominal_mass` is what they take the first body to weigh."""
     robot = load_model(model)
+    if nominal_mass is not None:
+        i = robot.body_index(settings.bodies[0])
+        robot = robot.with_pi((i,), (robot.pi[i] * (nominal_mass / robot.pi[i, 0]))[None])
     home = model.key_qpos[0]
     estimator = make_estimator(
         robot,
@@ -219,14 +224,9 @@ def make_brain(
         friction=friction,
         torque_limit=model.actuator_ctrlrange[:, 1],
         arm_joints=[j for j in robot.joint_names if any(a in j for a in ARM)],
-        gains=gains,
+        gains=jax.tree.map(jnp.asarray, gains),
     )
     return Brain(robot, controller, estimator, Slew(settings.slew), refer)
-
-
-def batched(brain: Brain):
-    """The fleet's tick, compiled: memory (donated) and inputs with a leading robot axis."""
-    return jax.jit(jax.vmap(brain.tick), donate_argnums=0)
 
 
 def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:
@@ -251,10 +251,13 @@ def spread(tree: Any, size: int) -> Any:
     return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], size, axis=0), tree)
 
 
-def standing(
-    home: Float[np.ndarray, "nq"], com: Float[np.ndarray, "3"], posture: Callable
-) -> Refer:
-    """Stand in the home pose over `com`; `posture(time)` gives joint positions, velocities and accelerations."""
+def standing(model: mujoco.MjModel, posture: Callable) -> Refer:
+    """Stand in the home pose; `posture(time)` gives joint positions, velocities and accelerations."""
+    home = model.key_qpos[0].copy()
+    data = mujoco.MjData(model)
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    com = data.subtree_com[1].copy()
 
     def refer(plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
         want = posture(time)

@@ -1,0 +1,114 @@
+"""The closed loop of a fleet, and what is made of its runs: medians over seeds with the range of nine seeds in ten."""
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.paper.brain import Brain, Inputs, Memory, Output, inputs, spread
+from benchmarks.paper.plant import TICK, Fleet
+
+FALLEN = 0.6  # m, pelvis over the ground
+
+
+@eqx.filter_jit
+def _tick(brain: Brain, memory: Memory, x: Inputs) -> tuple[Memory, Output]:
+    return jax.vmap(lambda m, i: brain.tick(m, i))(memory, x)
+
+
+@dataclass
+class Run:
+    """Series (ticks, robots, …) of a fleet, and when each robot fell (∞: never)."""
+
+    time: np.ndarray
+    mode: np.ndarray
+    seed: np.ndarray
+    series: dict[str, np.ndarray]
+    fell: np.ndarray
+    unsolved: np.ndarray
+    """Share of ticks in which the controller's program did not converge."""
+    unphysical: np.ndarray
+    """Number of estimates that are no physical body."""
+    wall: float
+
+
+def drive(
+    brain: Brain,
+    fleet: Fleet,
+    mode: np.ndarray,
+    seed: np.ndarray,
+    duration: float,
+    watch: Callable[[Fleet, Output], dict[str, np.ndarray]],
+    *,
+    truth: Callable[[float], np.ndarray],
+    plan: Any = 0.0,
+    on: Callable[[float], bool] = lambda t: True,
+    label: str = "",
+) -> Run:
+    """Run the loop for `duration` [s]. `truth(t)` sets the plant's masses and returns π that `ORACLE` is told.
+
+    What `watch` returns is recorded every tick. A robot that has fallen gets no torque.
+    """
+    started = last = time.monotonic()
+    plan = jax.tree.map(jnp.asarray, plan)
+    memory = spread(brain.start(plan), fleet.size)
+    fell = np.full(fleet.size, np.inf)
+    unsolved, unphysical = np.zeros(fleet.size), np.zeros(fleet.size)
+    rows, times = [], []
+    ticks = int(round(duration / TICK))
+    for k in range(ticks):
+        t = k * TICK
+        x = inputs(fleet.sense(), mode, truth(t), on(t))
+        memory, out = _tick(brain, memory, x)
+        out = jax.tree.map(np.asarray, out)
+        up = np.isinf(fell)
+        fleet.step(np.where(up[:, None], out.torque, 0.0))
+        ground = 0.0 if fleet.height is None else fleet.corners[..., 2].mean(axis=1)
+        down = ~(fleet.q[:, 2] - ground > FALLEN)
+        fell = np.where(up & down, t, fell)
+        unsolved += up & ~out.converged
+        unphysical += (up[:, None] & ~out.physical).any(axis=1)
+        rows.append({name: np.array(v, np.float32) for name, v in watch(fleet, out).items()})
+        times.append(t)
+        if label and time.monotonic() - last > 5.0:
+            last = time.monotonic()
+            done = f"{t:5.1f} of {duration:.0f} s, {int(np.isinf(fell).sum())} of {fleet.size} up"
+            print(f"  {label}: {done}, {last - started:.0f} s of work", file=sys.stderr, flush=True)
+    series = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    return Run(
+        np.array(times),
+        mode,
+        seed,
+        series,
+        fell,
+        unsolved / ticks,
+        unphysical,
+        time.monotonic() - started,
+    )
+
+
+def crew(seeds: np.ndarray, modes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(mode, seed) of every robot: each seed with each mode, the same noise for all of its modes."""
+    return np.repeat(modes, len(seeds)), np.tile(seeds, len(modes))
+
+
+def rms(x: np.ndarray) -> np.ndarray:
+    """Root mean square over time (axis 0)."""
+    return np.sqrt(np.mean(np.asarray(x, float) ** 2, axis=0))
+
+
+def summary(x: np.ndarray) -> dict[str, float]:
+    """Median over seeds and the range of nine in ten."""
+    x = np.asarray(x, float)
+    return {
+        "median": float(np.median(x)),
+        "low": float(np.quantile(x, 0.05)),
+        "high": float(np.quantile(x, 0.95)),
+        "seeds": len(x),
+    }

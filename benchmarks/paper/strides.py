@@ -1,0 +1,80 @@
+"""Walking for the experiments: the robot's own figures, grounds, and the reference that the brain follows."""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from benchmarks.paper.brain import Inputs
+from jax_inertia.control.terms import Terms
+from jax_inertia.control.walking import Ground, Plan, Walk, begin, walking
+from jax_inertia.robots.nadia_figures import SOLE_DEPTH, SOLE_HALF_WIDTH, SOLE_X
+from benchmarks.paper.plant import TICK
+
+CELL = 0.4  # m, side of a box of rough ground
+
+
+def flat() -> Ground:
+    """Level ground."""
+    return Ground(jnp.zeros((1, 1)), jnp.zeros(2), jnp.asarray(1.0))
+
+
+def boxes(seed: int, amplitude: float, length: float = 30.0) -> Ground:
+    """Boxes of ± `amplitude` [m], level for the first metre, where the robot starts."""
+    rng = np.random.default_rng([seed, 11])
+    corner = np.array([-1.0, -1.2])
+    height = rng.uniform(-amplitude, amplitude, (int((length + 1.0) / CELL), 6))
+    height[: int(1.6 / CELL)] = 0.0
+    return Ground(jnp.asarray(height), jnp.asarray(corner), jnp.asarray(CELL))
+
+
+def walk_figures(
+    model: mujoco.MjModel,
+    ground: Ground,
+    *,
+    step: float = 0.25,
+    start: float = 1.0,
+    knows_ground: bool = True,
+    landing_speed: float = 0.1,
+    crouch: float = 0.03,
+) -> Walk:
+    """The humanoid's walk; `crouch` [m] lowers the pelvis from the home pose, for steps down."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    numbers = {
+        "start": start,
+        "step": step,
+        "knows_ground": float(knows_ground),
+        "half_width": data.body("left_foot_link").xpos[1],
+        "pelvis_height": data.qpos[2] - crouch,
+        "sole_centre": sum(SOLE_X) / 2,
+        "sole_depth": SOLE_DEPTH,
+        "single": 0.6,
+        "double": 0.2,
+        "apex": 0.08,
+        "landing_speed": landing_speed,
+        "feedback": 3.0,
+        "height_rate": 8.0,
+        "touchdown_force": 80.0,
+    }
+    half = np.array([(SOLE_X[1] - SOLE_X[0]) / 2 - 0.015, SOLE_HALF_WIDTH - 0.01])
+    return Walk(
+        ground=ground,
+        posture=jnp.asarray(data.qpos[7:]),
+        sole_half=jnp.asarray(half),
+        **{name: jnp.asarray(float(value)) for name, value in numbers.items()},
+    )
+
+
+def strolling(plan: tuple[Walk, Plan], now: Terms, x: Inputs, time):
+    """The brain's reference: its plan is the pair of how to walk and where in it the robot is."""
+    walk, state = plan
+    force = x.force.reshape(2, 4, 3)[..., 2].sum(axis=1)
+    state, reference = walking(walk, state, now, force, time, TICK)
+    record = jnp.concatenate([reference.height, state.single[None], state.steps[None], state.target])
+    return (walk, state), reference, record
+
+
+def begin_at_home(walk: Walk, model: mujoco.MjModel) -> tuple[Walk, Plan]:
+    """A plan that starts in the home pose."""
+    return walk, begin(walk, float(model.key_qpos[0][2]))
