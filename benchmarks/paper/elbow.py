@@ -23,7 +23,7 @@ SETTINGS = Settings(
     drift=Tolerance(mass=8.0, com=0.02, spread=0.1),
     iterations=2,
 )
-LAG = 0.018  # s, about what the filter needs for 63 % of a jump (see `lag` in the results)
+LAG = 0.009  # s, about what the filter needs for 63 % of a jump (see `lag` in the results)
 
 
 def waveform(t: float) -> float:

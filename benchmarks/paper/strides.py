@@ -34,7 +34,7 @@ def walk_figures(
     step: float = 0.25,
     start: float = 1.0,
     knows_ground: bool = True,
-    landing_speed: float = 0.1,
+    landing_speed: float = 0.2,
     crouch: float = 0.03,
 ) -> Walk:
     """The humanoid's walk; `crouch` [m] lowers the pelvis from the home pose, for steps down."""
@@ -55,7 +55,7 @@ def walk_figures(
         "landing_speed": landing_speed,
         "feedback": 3.0,
         "height_rate": 8.0,
-        "touchdown_force": 80.0,
+        "touchdown_force": 20.0,
     }
     half = np.array([(SOLE_X[1] - SOLE_X[0]) / 2 - 0.015, SOLE_HALF_WIDTH - 0.01])
     return Walk(

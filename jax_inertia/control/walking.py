@@ -19,6 +19,7 @@ from jax_inertia.control.whole_body import LEFT, RIGHT, Reference
 
 GRAVITY = 9.81
 _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+_NEARBY = np.array([[0.02 * i, 0.03 * j] for i in range(-6, 7) for j in (-1, 0, 1)])  # m
 
 
 class Ground(eqx.Module):
@@ -136,7 +137,8 @@ def walking(
     single = plan.single > 0.5
     left = jnp.maximum(jnp.where(single, walk.single, plan.double) - plan.time, 0.0)
     p_ref, dcm_ref = _reference_now(walk, plan, steps[0], end, omega, left)
-    error = dcm - dcm_ref
+    p_ref = jnp.where(time < walk.start, plan.zmp, p_ref)
+    error = dcm - jnp.where(time < walk.start, plan.zmp, dcm_ref)
 
     lower, upper = _support(walk, single, stance, swing, centre)
     p = jnp.clip(p_ref + (1.0 + walk.feedback / omega) * error, lower, upper)
@@ -150,7 +152,7 @@ def walking(
     wanted = nominal[:2] + jnp.where(single, shift, 0.0)
     apart = jnp.maximum(side * (wanted[1] - stance[1]), 0.8 * 2.0 * walk.half_width)
     wanted = jnp.stack([wanted[0], stance[1] + side * apart])
-    # Ground under the sole's centre and corners: the highest carries.
+    wanted = _foothold(walk, wanted)
     target = jnp.concatenate([wanted, _level(walk, wanted, stance)[None] + walk.sole_depth])
     settle = jnp.where(single & (plan.time > 0.85 * walk.single), 0.0, 0.15)
     target = plan.target + jnp.where(plan.time < 2 * dt, 1.0, settle) * (target - plan.target)
@@ -201,7 +203,7 @@ def _advance(
     stance, swing = _pick(right, feet)
     swing_force = jnp.where(right, force[0], force[1])
     landed = (elapsed > 0.6 * walk.single) & (swing_force > walk.touchdown_force)
-    touchdown = single & (landed | (elapsed > 1.5 * walk.single))
+    touchdown = single & (landed | (elapsed > 1.4 * walk.single))
     lift_off = ~single & ~standing & (elapsed >= plan.double)
     changed = touchdown | lift_off
     centre = jnp.stack([walk.sole_centre, 0.0 * walk.sole_centre])
@@ -295,6 +297,17 @@ def _support(
     """Box that p is kept in: the sole's, or that around both soles."""
     a, b = stance[:2] + centre, jnp.where(single, stance[:2], swing[:2]) + centre
     return jnp.minimum(a, b) - walk.sole_half, jnp.maximum(a, b) + walk.sole_half
+
+
+def _foothold(walk: Walk, wanted: Float[Array, "2"]) -> Float[Array, "2"]:
+    """The nearest place where the sole, and a little around it, would lie on one box; `wanted` on unknown ground."""
+    offsets = jnp.asarray(_NEARBY)
+    places = wanted + jnp.stack([walk.sole_centre, 0.0 * walk.sole_centre]) + offsets
+    corners = places[:, None] + (walk.sole_half + 0.03) * _SIGNS
+    height = walk.ground.at(corners)
+    spread = jnp.max(height, axis=1) - jnp.min(height, axis=1)
+    best = jnp.argmin(spread + 0.15 * jnp.sqrt(jnp.sum(offsets**2, axis=1)))
+    return wanted + jnp.where(walk.knows_ground > 0.5, offsets[best], 0.0)
 
 
 def _level(walk: Walk, foot: Float[Array, "2"], stance: Float[Array, "3"]) -> Float[Array, ""]:

@@ -68,7 +68,7 @@ class Gains(eqx.Module):
     momentum_weight: float = 0.02
     """Times (kg m²/s²)² per kg² of the robot."""
     arm_weight: float = 1.0
-    other_weight: float = 0.02
+    other_weight: float = 1e-3
     force_weight: float = 1e-3
     """ε, with forces in units of the robot's weight shared by all points."""
     torque_softness: float = 1e-4
