@@ -8,7 +8,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.paper.brain import Brain, Inputs, Memory, Output, inputs, spread
@@ -47,17 +46,17 @@ def drive(
     watch: Callable[[Fleet, Output], dict[str, np.ndarray]],
     *,
     truth: Callable[[float], np.ndarray],
-    plan: Any = 0.0,
+    plan: Any = None,
     on: Callable[[float], bool] = lambda t: True,
     label: str = "",
 ) -> Run:
     """Run the loop for `duration` [s]. `truth(t)` sets the plant's masses and returns π that `ORACLE` is told.
 
-    What `watch` returns is recorded every tick. A robot that has fallen gets no torque.
+    `plan` has a leading robot axis. What `watch` returns is recorded every tick. A robot that has fallen gets no torque.
     """
     started = last = time.monotonic()
-    plan = jax.tree.map(jnp.asarray, plan)
-    memory = spread(brain.start(plan), fleet.size)
+    memory = spread(brain.start(None), fleet.size)
+    memory = eqx.tree_at(lambda m: m.plan, memory, plan, is_leaf=lambda x: x is None)
     fell = np.full(fleet.size, np.inf)
     unsolved, unphysical = np.zeros(fleet.size), np.zeros(fleet.size)
     rows, times = [], []
