@@ -93,7 +93,7 @@ def wider_link(m: mujoco.MjModel) -> None:
 
 
 def shifted_link(m: mujoco.MjModel) -> None:
-    m.body_ipos[m.body("link2").id, 2] += 0.005
+    m.body_ipos[m.body("link2").id, 2] += 0.03
 
 
 def leaning(m: mujoco.MjModel) -> None:
@@ -105,7 +105,7 @@ def leaning(m: mujoco.MjModel) -> None:
     [
         (heavier_rotor, "armature", "joint1", "armature", 0.03),
         (wider_link, "link_inertia", "link2", "inertia_scale", 1.5),
-        (shifted_link, "com_shift", "link2", "com_shift_z", 0.005),
+        (shifted_link, "com_shift", "link2", "com_shift_z", 0.03),
         (leaning, "gravity_tilt", "global", "tilt_y", 0.02),
     ],
 )
