@@ -172,7 +172,9 @@ def to_pinocchio(machine: Machine) -> tuple[pin.Model, list[tuple[int, np.ndarra
         place = offset + (np.array(link.pos) if link.axis or not link.joint else 0.0)
         if link.joint:
             joint = kinds[link.axis]() if link.axis else pin.JointModelFreeFlyer()
-            seats.append((model.addJoint(on, joint, pin.SE3(np.eye(3), place), link.joint), np.zeros(3)))
+            seats.append(
+                (model.addJoint(on, joint, pin.SE3(np.eye(3), place), link.joint), np.zeros(3))
+            )
         else:
             seats.append((on, place))
         which, at = seats[-1]

@@ -73,7 +73,11 @@ class Scene:
 
     def joint(self, skip: tuple[int, ...] = ()) -> tuple[int, str, float]:
         k = int(self.rng.choice([i for i in range(len(self.peak)) if i not in skip]))
-        return k, self.machine.joints[k], max(float(self.peak[k]), 0.02 * float(self.machine.peak[k]))
+        return (
+            k,
+            self.machine.joints[k],
+            max(float(self.peak[k]), 0.02 * float(self.machine.peak[k])),
+        )
 
     def body(self) -> str:
         """A link that moves, not one too light to matter; a third of a floating robot's effects sit on its base."""
@@ -132,7 +136,11 @@ def _stribeck_friction(s: Scene) -> Hidden:
     k, name, top = s.joint()
     c = top * s.size(0.02, 0.12)
     stick, speed = c * s.between(1.3, 2.6), s.between(0.03, 0.2)
-    numbers = {"coulomb": (c, "N m"), "stiction": (stick, "N m"), "stribeck_velocity": (speed, "rad/s")}
+    numbers = {
+        "coulomb": (c, "N m"),
+        "stiction": (stick, "N m"),
+        "stribeck_velocity": (speed, "rad/s"),
+    }
 
     def level(v, u):
         return c + (stick - c) * math.exp(-((v / speed) ** 2))
@@ -230,7 +238,9 @@ def _torque_saturation(s: Scene) -> Hidden:
     knee, soft = 0.5 * float(s.machine.speed[k]), float(s.rng.uniform(0.0, 0.04))
     part = me.Limit(k, limit, knee, slope, soft)
     details = {"knee": knee, "slope": slope, "soft": soft}
-    return Hidden("torque_saturation", "joint", name, {"limit": (limit, "N m")}, [part], details=details)
+    return Hidden(
+        "torque_saturation", "joint", name, {"limit": (limit, "N m")}, [part], details=details
+    )
 
 
 def _encoder_offset(s: Scene) -> Hidden:
@@ -288,7 +298,9 @@ def _gravity_tilt(s: Scene) -> Hidden:
         about = s.sign() * np.pi / 2 + float(s.rng.normal(0, 0.2))
     x, y = angle * math.cos(about), angle * math.sin(about)
     # Rodrigues' rotation of (0, 0, -g) by the vector (x, y, 0).
-    down = 9.81 * np.array([-y / angle * math.sin(angle), x / angle * math.sin(angle), -math.cos(angle)])
+    down = 9.81 * np.array(
+        [-y / angle * math.sin(angle), x / angle * math.sin(angle), -math.cos(angle)]
+    )
 
     def edit(m: Machine) -> Machine:
         from dataclasses import replace
@@ -315,7 +327,10 @@ def _payload(s: Scene) -> Hidden:
     mass = s.between(low, max(high, 2 * low))
     com, side = link.com + s.rng.normal(0.0, 0.04, 3), s.between(0.02, 0.12)
     piece = mass * side**2 / 6.0 * np.eye(3)
-    numbers = {"mass": (mass, "kg"), **{f"com_{a}": (x, "m") for a, x in zip("xyz", com, strict=True)}}
+    numbers = {
+        "mass": (mass, "kg"),
+        **{f"com_{a}": (x, "m") for a, x in zip("xyz", com, strict=True)},
+    }
     return _of_body("payload", body, numbers, lambda link: merged(link, mass, com, piece))
 
 

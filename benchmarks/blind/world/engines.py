@@ -195,7 +195,9 @@ class PinocchioEngine:
             pulls.append(Pull(machine.feet, centre, ground, measured=True, commit=ground.commit))
         self.points = _Points(machine, pulls)
         self.joints = [seats[k][0] for k in self.points.body]
-        self.inside = self.points.point + np.array([seats[k][1] for k in self.points.body]).reshape(-1, 3)
+        self.inside = self.points.point + np.array([seats[k][1] for k in self.points.body]).reshape(
+            -1, 3
+        )
         self.down = np.zeros_like(self.inside)
         if machine.feet:
             self.down[-len(machine.feet) :, 2] = -radius

@@ -23,7 +23,7 @@ ALIKE = ({"time_delay", "actuator_lag"}, {"joint_elasticity", "backlash"})
 
 
 def slightly_wrong(machine: Machine, rng: np.random.Generator) -> Machine:
-    """The real robot of a model that is 1 % off in masses, 1 mm in centres, 7 % in damping, 5 % in friction."""
+    """The real robot of a model that is up to 1 % off in masses, 1 mm in centres, 7 % in damping."""
     for k, link in enumerate(machine.links):
         mass = 1.0 + rng.uniform(-0.01, 0.01)
         machine = machine.edited(
@@ -32,7 +32,6 @@ def slightly_wrong(machine: Machine, rng: np.random.Generator) -> Machine:
             inertia=link.inertia * mass,
             com=link.com + rng.uniform(-1e-3, 1e-3, 3),
             damping=link.damping * (1.0 + rng.uniform(-0.07, 0.07)),
-            friction=link.friction * (1.0 + rng.uniform(-0.05, 0.05)),
         )
     return machine
 
@@ -46,7 +45,8 @@ class Bench:
         self.nominal = MACHINES[setting.robot](rng)
         self.true = slightly_wrong(self.nominal, rng) if setting.wrong else self.nominal
         self.motions = [
-            make_motion(self.nominal, kind, self.rng(1, i)) for i, kind in enumerate(setting.motions)
+            make_motion(self.nominal, kind, self.rng(1, i))
+            for i, kind in enumerate(setting.motions)
         ]
         self.omega, self.simple = float(rng.uniform(10.0, 18.0)), bool(rng.random() < 0.4)
         self.presliding = float(np.exp(rng.uniform(np.log(1e-4), np.log(1e-3))))

@@ -10,8 +10,8 @@ from world.draw import ARM, FLOATING
 from world.unknowns import UNKNOWN
 
 STRATA = {"none": 0.28, "unknown": 0.16, "pair": 0.21, "single": 0.35}
-ROBOTS = {"two": 0.11, "six": 0.31, "seven": 0.31, "dog": 0.14, "humanoid": 0.13}
-SECOND_ENGINE = {"dog": 0.4}
+ROBOTS = {"two": 0.11, "six": 0.33, "seven": 0.33, "dog": 0.13, "humanoid": 0.10}
+SECOND_ENGINE = {"dog": 0.3}
 """Share of logs by Pinocchio and our contacts, where it is not half."""
 
 
@@ -79,7 +79,7 @@ def plan(
             other = {"ordinary": "exciting", "exciting": "ordinary"}[first]
             kinds = (first, first if rng.random() < 0.65 else other)
         rates = [250, 500] if floating or robot == "seven" else [250, 500, 1000]
-        odds = [0.75, 0.25] if len(rates) == 2 else [0.6, 0.3, 0.1]
+        odds = [0.9, 0.1] if len(rates) == 2 else [0.84, 0.12, 0.04]
         out.append(
             Setting(
                 key=(*words, 1, k),
@@ -91,8 +91,8 @@ def plan(
                 rate=int(rng.choice(rates, p=odds)),
                 wrong=bool(next(wrong)) if stratum == "none" else bool(rng.random() < 0.5),
                 loud=float(rng.choice([1.0, 3.0], p=[0.75, 0.25])),
-                duration=7.0 if floating else 8.0,
-                test_duration=5.0 if floating else 6.0,
+                duration=6.5 if floating else 8.0,
+                test_duration=4.5 if floating else 5.0,
             )
         )
     return out

@@ -11,6 +11,9 @@ import numpy as np
 
 from world.describe import Machine
 
+GRAIN = 0.6
+"""Converters step by no more than this share of their noise's standard deviation."""
+
 
 @dataclass
 class Sensors:
@@ -71,7 +74,7 @@ def draw_sensors(
         drops=float(rng.uniform(5e-4, 3e-3)) if rng.random() < 0.06 else 0.0,
         coarse=coarse,
         kind=kind,
-        with_qvel=bool(not coarse and rng.random() < 0.4),
+        with_qvel=bool(not coarse and rng.random() < 0.3),
         with_sigma=bool(rng.random() < 0.6),
         with_aim=bool(rng.random() < 0.1),
         order=order,
@@ -91,7 +94,7 @@ def to_contract(
     rate = 1.0 / float(log["time"][1] - log["time"][0])
     rows, n = round(duration * rate), len(machine.joints)
     cut = {k: v[:rows] for k, v in log.items()}
-    fine = 2.0**-17
+    fine = 0.8 * float(s.qpos.min())
     noise = 0.0 if s.coarse else s.draw(rng, rows, n) * s.qpos
     qpos = cut["qpos"] + noise
     qvel = cut["qvel"] + s.draw(rng, rows, n) * s.qvel
@@ -100,7 +103,7 @@ def to_contract(
             for k in np.flatnonzero(rng.random(rows - 1) < s.drops) + 1:
                 qpos[k, j], qvel[k, j] = qpos[k - 1, j], qvel[k - 1, j]
     tau = cut["tau"] + s.draw(rng, rows, n) * s.tau
-    step = 0.3 * np.hypot(s.tau, s.ripple)
+    step = GRAIN * np.hypot(s.tau, s.ripple)
     tau = np.stack([rounded(x, b) for x, b in zip(tau.T, step, strict=True)], axis=1)
     o = s.order
     out = {
@@ -111,22 +114,25 @@ def to_contract(
         "tau_kind": np.array(s.kind),
     }
     if s.with_qvel:
-        out["qvel"] = rounded(qvel, 0.3 * float(s.qvel.min()))[:, o]
+        out["qvel"] = rounded(qvel, GRAIN * float(s.qvel.min()))[:, o]
     if s.with_aim:
         out["qpos_target"] = rounded(cut["qpos_target"], fine)[:, o]
     if machine.floating:
         base = _noisy_base(cut["base"], s.draw(rng, rows, 12) * s.base)
-        out["base_pos"], out["base_quat"] = rounded(base[:, :3], fine), rounded(base[:, 3:7], 2**-18)
-        out["base_linvel"] = rounded(base[:, 7:10], 2**-12)
-        out["base_angvel"] = rounded(base[:, 10:], 2**-12)
+        out["base_pos"], out["base_quat"] = (
+            rounded(base[:, :3], GRAIN * s.base[0]),
+            rounded(base[:, 3:7], 0.5 * GRAIN * s.base[3]),
+        )
+        out["base_linvel"] = rounded(base[:, 7:10], GRAIN * s.base[6])
+        out["base_angvel"] = rounded(base[:, 10:], GRAIN * s.base[9])
         wrench = cut["wrench"] + s.draw(rng, rows, len(machine.sensed), 6) * s.wrench
-        step = 0.3 * s.wrench
+        step = GRAIN * s.wrench
         out["contact_wrench"] = np.stack(
             [rounded(wrench[..., i], float(step[i])) for i in range(6)], axis=-1
         )
         out["contact_bodies"] = np.array(machine.sensed)
     if s.with_sigma:
-        out["sigma_qpos"] = s.qpos[o]
+        out["sigma_qpos"] = np.hypot(s.qpos, 0.0 if s.coarse else fine / np.sqrt(12.0))[o]
         out["sigma_tau"] = np.hypot(s.tau, s.ripple)[o]
     # Columns one after the other compress better.
     return {k: np.asfortranarray(v) if v.ndim > 1 else v for k, v in out.items()}

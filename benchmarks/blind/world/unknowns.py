@@ -103,7 +103,9 @@ def _encoder_eccentricity(s: Scene) -> Hidden:
 def _length_error(s: Scene) -> Hidden:
     """A link is longer than modelled: what it carries sits further out; masses stay."""
     links = s.machine.links
-    carried = [i for i, x in enumerate(links) if x.parent >= 0 and x.axis and np.linalg.norm(x.pos) > 0.08]
+    carried = [
+        i for i, x in enumerate(links) if x.parent >= 0 and x.axis and np.linalg.norm(x.pos) > 0.08
+    ]
     which = int(s.rng.choice(carried))
     grow = s.sign() * s.size(0.01, 0.05)
     body = links[links[which].parent].name

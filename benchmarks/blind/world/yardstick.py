@@ -16,10 +16,9 @@ from world.sensors import Sensors
 CUT, RATE, REST = 10.0, 50.0, 0.012
 
 
-def residual(machine: Machine, log: dict, model: pin.Model | None = None):
+def residual(machine: Machine, log: dict):
     """Low-passed residual (T, nv) of the rigid bodies, damping and Coulomb's friction; joints' speeds (T, n)."""
-    if model is None:
-        model, seats = to_pinocchio(machine)
+    model, _ = to_pinocchio(machine)
     data, n = model.createData(), len(machine.joints)
     dt = float(log["time"][1] - log["time"][0])
     q, v = coordinates(machine, log)

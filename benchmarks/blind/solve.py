@@ -1,0 +1,259 @@
+"""Diagnoses every log of a sealed set with the public command, in processes that know nothing of the examination.
+
+    python benchmarks/blind/solve.py LOGS OUT --jobs 2 [--exclude FAMILY ...] [--fresh] [--only FILE]
+
+Each log is copied under a neutral name into a private folder, where a process that can import the package (a copy of
+it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`. The process stays for many logs, so
+that what JAX compiled is kept (`--fresh`: one process a log). OUT/results/NAME appears whole or not at all: report.json,
+corrected.xml and run.json; a second call goes on with what is missing. Needs the package's own dependencies alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import zipfile
+from importlib import metadata, util
+from pathlib import Path
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.progress import TimeRemainingColumn as Remaining
+
+KEPT = ("report.json", "corrected.xml")
+PER_PROCESS = 60
+TIMEOUT = 1800.0
+
+
+class Diagnoser:
+    """One isolated process, started again when it has done its share, hangs or dies."""
+
+    def __init__(self, home: Path, cache: Path | None, per_process: int, timeout: float):
+        self.home, self.cache = home, cache
+        self.per_process, self.timeout = per_process, timeout
+        self.process: subprocess.Popen | None = None
+        self.done = 0
+
+    def _start(self) -> subprocess.Popen:
+        shutil.rmtree(self.home, ignore_errors=True)
+        for folder in ("package", "job", "tmp"):
+            (self.home / folder).mkdir(parents=True)
+        copy_package(self.home / "package")
+        environment = {
+            **{k: os.environ[k] for k in ("PATH", "LD_LIBRARY_PATH", "LANG") if k in os.environ},
+            **{k: v for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_PLATFORM"))},
+            "HOME": str(self.home),
+            "TMPDIR": str(self.home / "tmp"),
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        readable = []
+        if self.cache is not None:
+            environment |= {
+                "JAX_COMPILATION_CACHE_DIR": str(self.cache),
+                "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+            }
+            readable.append(str(self.cache))
+        libraries = [str(Path(p).resolve()) for p in sys.path[1:] if p and Path(p).is_dir()]
+        code = (Path(__file__).parent / "worker.py").read_text()
+        return subprocess.Popen(
+            [sys.executable, "-I", "-c", code, str(self.home / "package"), str(self.home),
+             os.pathsep.join(libraries), *readable],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
+            stderr=(self.home.parent / f"{self.home.name}.log").open("a"), cwd=self.home / "job",
+        )  # fmt: skip
+
+    def ask(self, arguments: list[str]) -> dict:
+        """Run the command once; {"exit", "seconds", "error"?}."""
+        if self.process is None or self.done >= self.per_process:
+            self.close()
+            self.process, self.done = self._start(), 0
+        self.done += 1
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        hurry = threading.Timer(self.timeout, self.process.kill)
+        hurry.start()
+        try:
+            self.process.stdin.write(json.dumps({"arguments": arguments}) + "\n")
+            self.process.stdin.flush()
+            line = self.process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        finally:
+            hurry.cancel()
+        if line:
+            return json.loads(line)
+        code = self.process.wait()
+        self.process = None
+        return {"exit": 1, "error": f"the process ended with status {code}", "seconds": None}
+
+    def diagnose(self, log: Path, out: Path, exclude: list[str]) -> None:
+        """One log; OUT/results/NAME appears when all is written."""
+        job = self.home / "job"
+        if self.process is None or self.done >= self.per_process:
+            self.close()
+            self.process, self.done = self._start(), 0
+        for old in job.iterdir():
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        for name in ("log.npz", "test.npz", "nominal.xml"):
+            shutil.copyfile(log / name, job / name)
+        arguments = ["diagnose", "log.npz", "--model", "nominal.xml", "--test-log", "test.npz"]
+        if exclude:
+            arguments += ["--exclude", *exclude]
+        answer = self.ask([*arguments, "--out", "found"])
+        part = out / "parts" / log.name
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        for name in KEPT:
+            if (job / "found" / name).exists():
+                shutil.copyfile(job / "found" / name, part / name)
+        (part / "run.json").write_text(json.dumps(answer | {"exclude": exclude}))
+        (out / "results").mkdir(exist_ok=True)
+        part.rename(out / "results" / log.name)
+
+    def close(self) -> None:
+        if self.process is not None:
+            assert self.process.stdin is not None
+            self.process.stdin.close()
+            self.process.wait()
+            self.process = None
+
+
+def copy_package(target: Path) -> None:
+    """The package's own files, and the note of its version that the command looks up."""
+    spec = util.find_spec("jax_inertia")
+    if spec is None or not spec.submodule_search_locations:
+        raise SystemExit("jax_inertia cannot be imported: install it, or put it on PYTHONPATH")
+    source = Path(spec.submodule_search_locations[0])
+    shutil.copytree(
+        source, target / "jax_inertia", ignore=shutil.ignore_patterns("__pycache__", "*.pyc")
+    )
+    note = target / "jax_inertia-0.dist-info"
+    note.mkdir()
+    (note / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: jax-inertia\nVersion: {version()}\n"
+    )
+
+
+def version() -> str:
+    try:
+        return metadata.version("jax-inertia")
+    except metadata.PackageNotFoundError:
+        return "0+checkout"
+
+
+def alike(log: Path) -> tuple:
+    """Logs whose compiled code is the same come one after the other: joints, rows and presence of arrays."""
+    with zipfile.ZipFile(log / "log.npz") as archive:
+        sizes = [(i.filename, i.file_size) for i in archive.infolist()]
+    return tuple(sorted(sizes)), log.name
+
+
+def solve(
+    logs: list[Path],
+    out: Path,
+    jobs: int = 1,
+    exclude: list[str] | None = None,
+    fresh: bool = False,
+    timeout: float = TIMEOUT,
+) -> None:
+    """Diagnose what has no result yet."""
+    out = out.resolve()
+    (out / "results").mkdir(parents=True, exist_ok=True)
+    _note_run(out, jobs, exclude or [])
+    waiting: queue.Queue[Path] = queue.Queue()
+    todo = sorted((p for p in logs if not (out / "results" / p.name).exists()), key=alike)
+    for log in todo:
+        waiting.put(log.resolve())
+    cache = out / "work" / "cache"
+    cache.mkdir(parents=True, exist_ok=True)
+    columns = ("diagnosing", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Remaining())
+    failures: list[BaseException] = []
+    with Progress(*columns) as progress:
+        bar = progress.add_task("", total=len(logs), completed=len(logs) - len(todo))
+
+        def work(number: int) -> None:
+            home = out / "work" / f"{number:02d}"
+            diagnoser = Diagnoser(home, cache, 1 if fresh else PER_PROCESS, timeout)
+            try:
+                while not failures:
+                    log = waiting.get_nowait()
+                    diagnoser.diagnose(log, out, exclude or [])
+                    progress.advance(bar)
+            except queue.Empty:
+                pass
+            except BaseException as error:
+                failures.append(error)
+            finally:
+                diagnoser.close()
+
+        threads = [threading.Thread(target=work, args=(k,)) for k in range(min(jobs, len(todo)))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    if failures:
+        raise failures[0]
+    shutil.rmtree(out / "parts", ignore_errors=True)
+
+
+def _note_run(out: Path, jobs: int, exclude: list[str]) -> None:
+    """What ran, where: appended to runs.json, one entry per call."""
+    file = out / "runs.json"
+    runs = json.loads(file.read_text()) if file.exists() else []
+    versions = {}
+    for name in ("jax", "jaxlib", "mujoco", "numpy", "scipy", "equinox", "optimistix"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    here = Path(__file__).parent
+    git = subprocess.run(
+        ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True
+    )
+    runs.append(
+        {
+            "began": time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime()),
+            "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            "commit": git.stdout.strip() or os.environ.get("GIT_COMMIT", "unknown"),
+            "package": version(),
+            "python": platform.python_version(),
+            "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
+            "jobs": jobs,
+            "exclude": exclude,
+            "versions": versions,
+        }
+    )
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps(runs, indent=1))
+    part.rename(file)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--exclude", nargs="+", default=[], metavar="FAMILY")
+    parser.add_argument("--fresh", action="store_true", help="a new process for every log")
+    parser.add_argument("--only", type=Path, help="file with names of logs, one a line")
+    parser.add_argument("--timeout", type=float, default=TIMEOUT, help="seconds a log may take")
+    args = parser.parse_args()
+    logs = sorted(p for p in args.logs.iterdir() if (p / "log.npz").exists())
+    if args.only:
+        wanted = set(args.only.read_text().split())
+        logs = [p for p in logs if p.name in wanted]
+    solve(logs, args.out, args.jobs, args.exclude, args.fresh, args.timeout)
+
+
+if __name__ == "__main__":
+    main()
