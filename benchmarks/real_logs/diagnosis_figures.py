@@ -39,7 +39,7 @@ def figure(path: Path, title: str, trace: Trace, summary: Summary) -> None:
         line.plot(trace.time, left[:, worst], color="C0", lw=0.8, label="with the effects")
         line.axhline(0.0, color="0.8", lw=0.6, zorder=0)
         line.set_xlabel("time [s]")
-        line.set_ylabel(f"missing at {summary.rows[worst].joint} [N m]")
+        line.set_ylabel(f"missing at\n{summary.rows[worst].joint} [N m]")
         line.legend(frameon=False, fontsize=7)
         grid.suptitle(title, fontsize=9)
         grid.savefig(path)

@@ -108,6 +108,8 @@ def _effects(s: Summary) -> str:
         ties = sorted({f"{t['family']} at {t['location']['name']}" for t in e["equivalent"]})
         more = f" and {len(ties) - 2} more" if len(ties) > 2 else ""
         doubt = f"**not physical**: {e['doubt']}" if e["doubt"] else ""
+        if e["weak"]:
+            doubt = "; ".join(filter(None, (doubt, "not distinct from zero")))
         rows.append(
             [
                 e["family"],

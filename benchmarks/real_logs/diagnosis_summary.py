@@ -43,7 +43,7 @@ class Summary:
     verdict: str
     confidence: float
     effects: list[dict]
-    """As in report.json, with `doubt`: why it is not physical, or nothing."""
+    """As in report.json, with `doubt`, why it is not physical, or nothing, and `weak`, not distinct from zero."""
     chi2: float
     floor: float
     shrink: dict
@@ -71,7 +71,9 @@ def summarise(case: Case, files: Files, inputs: Inputs, result: Result, seconds:
     prepared = prepare(inputs.robot, inputs.log)
     peak = dict(zip(trace.rows, np.percentile(np.abs(trace.tau), 99.5, axis=0), strict=True))
     inertia = dict(zip(trace.rows, _inertias(inputs.robot, prepared), strict=True))
-    effects = [{**e, "doubt": _doubt(case, e, peak, inertia)} for e in report["effects"]]
+    effects = [
+        {**e, "doubt": _doubt(case, e, peak, inertia), "weak": _weak(e)} for e in report["effects"]
+    ]
     theirs = published_left(case, files, inputs.robot)
     moving = ~trace.rest
     last = trace.left[-1] if trace.left else trace.missing
@@ -191,11 +193,24 @@ def _doubt(case: Case, e: dict, peak: dict[str, float], inertia: dict[str, float
     if family == "armature" and _value(e, "armature") > HEAVIEST_ROTOR * inertia[place]:
         times = _value(e, "armature") / inertia[place]
         return f"a rotor of {times:.2g} times all that it moves"
-    for name, p in e["parameters"].items():
-        low, high = p["ci95"]
-        if name in _POSITIVE and low is not None and low < 0 < high:
-            return f"{name} may as well be zero"
     return ""
 
 
-_POSITIVE = ("coulomb", "damping", "armature", "stiffness", "limit", "mass", "positive", "negative")
+def _weak(e: dict) -> bool:
+    """Whether the number that makes the effect may as well be zero."""
+    main = _SIZE.get(e["family"])
+    if main is None:
+        return False
+    low, high = e["parameters"][main]["ci95"]
+    return low is not None and high is not None and low < 0 < high
+
+
+_SIZE = {
+    "coulomb_friction": "coulomb",
+    "viscous_friction": "damping",
+    "load_friction": "load_coefficient",
+    "armature": "armature",
+    "torque_saturation": "limit",
+    "torque_bias": "bias",
+    "payload": "mass",
+}
