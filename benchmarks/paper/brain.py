@@ -146,11 +146,15 @@ def foot_wrenches(
 
 
 def measurement_noise(
-    robot: Robot, q: Float[np.ndarray, "nq"], sensors: Sensors, inflation: float = 1.0
+    robot: Robot,
+    q: Float[np.ndarray, "nq"],
+    sensors: Sensors,
+    model_error: tuple[float, float, float, float],
 ) -> CorrelatedNoise:
-    """R of Δτ in the pose q: M Σ_v̇ Mᵀ from differenced velocities, torque noise, and J Σ_λ Jᵀ of the feet.
+    """R of Δτ in the pose q: M Σ_v̇ Mᵀ from differenced velocities, torque noise, J Σ_λ Jᵀ of the feet, model error.
 
-    `inflation` multiplies R: windows of successive ticks overlap, and a model is never exact.
+    Rows that the chosen bodies do not move matter too: they share the noise of those that do. Without the model's own
+    error in R, friction in a knee would be read as noise of the ground's force, and so as mass.
     """
     q = jnp.asarray(q)
     span = sensors.window * STEP
@@ -160,7 +164,10 @@ def measurement_noise(
     samples = 1 if sensors.sampled_forces else sensors.window
     torque = np.full(robot.nv, sensors.torque**2 / sensors.window)
     torque[:6] = 0.0
-    r = r + np.diag(torque)
+    force, moment, leg, arm = model_error
+    names = robot.joint_names[1:]
+    own = [arm if any(part in name for part in ARM) else leg for name in names]
+    r = r + np.diag(torque + np.array([force] * 3 + [moment] * 3 + own) ** 2)
     for side, name in enumerate(FEET):
         lever = np.zeros((4, 6, 3))
         lever[:, :3] = np.eye(3)
@@ -169,7 +176,7 @@ def measurement_noise(
         wrench = np.einsum("kij,klj->il", lever, lever) * sensors.corner_force**2 / samples
         j = np.asarray(body_jacobian(robot, q, name))
         r = r + j.T @ wrench @ j
-    return CorrelatedNoise(jnp.asarray(inflation * r))
+    return CorrelatedNoise(jnp.asarray(r))
 
 
 @dataclass(frozen=True)
@@ -181,7 +188,8 @@ class Settings:
     drift: Uncertainty
     chart: Chart = LogCholeskyUUt()
     iterations: int = 1
-    inflation: float = 1.0
+    model_error: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """What the model is off by, in R beside the sensors' noise: on the base N and N m, in legs and spine, in arms N m."""
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s
@@ -210,7 +218,7 @@ def make_brain(
         prior=settings.prior,
         drift=settings.drift,
         chart=settings.chart,
-        noise=measurement_noise(robot, home, sensors, settings.inflation),
+        noise=measurement_noise(robot, home, sensors, settings.model_error),
         gate=settings.gate,
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,
@@ -251,20 +259,28 @@ def spread(tree: Any, size: int) -> Any:
     return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], size, axis=0), tree)
 
 
-def standing(model: mujoco.MjModel, posture: Callable) -> Refer:
-    """Stand in the home pose; `posture(time)` gives joint positions, velocities and accelerations."""
-    home = model.key_qpos[0].copy()
-    data = mujoco.MjData(model)
-    data.qpos[:] = home
-    mujoco.mj_forward(model, data)
-    com = data.subtree_com[1].copy()
+class Still(eqx.Module):
+    """Joint angles that do not change."""
 
-    def refer(plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
-        want = posture(time)
-        push = 25.0 * (com[:2] - now.com[:2]) - 10.0 * now.com_velocity[:2]
+    angles: Float[Array, "nu"]
+
+    def __call__(self, time: Float[Array, ""]) -> Float[Array, "3 nu"]:
+        return jnp.stack([self.angles, 0.0 * self.angles, 0.0 * self.angles])
+
+
+class Standing(eqx.Module):
+    """Stand in the home pose; `posture(time)` gives joint positions, velocities and accelerations."""
+
+    height: Float[Array, ""]
+    com: Float[Array, "3"]
+    posture: eqx.Module
+
+    def __call__(self, plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
+        want = self.posture(time)
+        push = 25.0 * (self.com[:2] - now.com[:2]) - 10.0 * now.com_velocity[:2]
         reference = Reference(
             com_acceleration=push,
-            height=jnp.array([home[2], 0.0, 0.0]),
+            height=jnp.stack([self.height, 0.0 * time, 0.0 * time]),
             heading=jnp.zeros(()),
             foot=jnp.zeros((2, 3, 3)),
             foot_heading=jnp.zeros(2),
@@ -274,9 +290,12 @@ def standing(model: mujoco.MjModel, posture: Callable) -> Refer:
         )
         return plan, reference, want[0]
 
-    return refer
 
-
-def still(home: Float[np.ndarray, "nq"]) -> Callable:
-    """The home pose, at rest."""
-    return lambda time: jnp.stack([jnp.asarray(home[7:]), jnp.zeros(NU), jnp.zeros(NU)])
+def standing(model: mujoco.MjModel, posture: eqx.Module | None = None) -> Standing:
+    """Stand where the model's home pose stands."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    home = jnp.asarray(data.qpos.copy())
+    com = jnp.asarray(data.subtree_com[1].copy())
+    return Standing(home[2], com, Still(home[7:]) if posture is None else posture)

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from benchmarks.paper.brain import GAINS, MODES, ORACLE, Settings, make_brain, standing, still
+from benchmarks.paper.brain import GAINS, MODES, ORACLE, Settings, make_brain, standing
 from benchmarks.paper.figures import figure, save
 from benchmarks.paper.loop import Run, crew, drive, rms, summary
 from benchmarks.paper.plant import TICK, Fleet, LinkMass, Sensors, model
@@ -45,8 +45,9 @@ def run(
     """Errors of the elbow [rad] and estimated masses [kg]; with `late` one more group is told the truth late."""
     plant = model()
     gains = dataclasses.replace(GAINS, posture=(stiffness, 2.0 * stiffness**0.5))
-    refer = standing(plant, still(plant.key_qpos[0]))
-    brain = make_brain(plant, SETTINGS, sensors, refer, gains=gains, nominal_mass=nominal_mass)
+    brain = make_brain(
+        plant, SETTINGS, sensors, standing(plant), gains=gains, nominal_mass=nominal_mass
+    )
     mode, seed = crew(seeds, (*modes, ORACLE) if late else modes)
     group = np.repeat(np.arange(len(modes) + late), len(seeds))
     fleet = Fleet(plant, seed, sensors)

@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.paper.brain import Brain, Inputs, Memory, Output, inputs, spread
@@ -48,11 +49,13 @@ def drive(
     truth: Callable[[float], np.ndarray],
     plan: Any = None,
     on: Callable[[float], bool] = lambda t: True,
+    calibrate: tuple[tuple[float, float], np.ndarray] | None = None,
     label: str = "",
 ) -> Run:
     """Run the loop for `duration` [s]. `truth(t)` sets the plant's masses and returns π that `ORACLE` is told.
 
-    `plan` has a leading robot axis. What `watch` returns is recorded every tick. A robot that has fallen gets no torque.
+    `plan` has a leading robot axis. `calibrate` is a window of time and which robots take their mean residual over it
+    for a constant bias. What `watch` returns is recorded every tick. A robot that has fallen gets no torque.
     """
     started = last = time.monotonic()
     memory = spread(brain.start(None), fleet.size)
@@ -60,10 +63,18 @@ def drive(
     fell = np.full(fleet.size, np.inf)
     unsolved, unphysical = np.zeros(fleet.size), np.zeros(fleet.size)
     rows, times = [], []
+    kept: list[Inputs] = []
     ticks = int(round(duration / TICK))
     for k in range(ticks):
         t = k * TICK
         x = inputs(fleet.sense(), mode, truth(t), on(t))
+        if calibrate is not None:
+            (begin, end), chosen = calibrate
+            if begin <= t < end:
+                kept.append(x)
+            elif t >= end and kept:
+                memory = _calibrated(brain, memory, kept, chosen)
+                kept = []
         memory, out = _tick(brain, memory, x)
         out = jax.tree.map(np.asarray, out)
         up = np.isinf(fell)
@@ -90,6 +101,18 @@ def drive(
         unphysical,
         time.monotonic() - started,
     )
+
+
+def _calibrated(brain: Brain, memory: Memory, kept: list[Inputs], chosen: np.ndarray) -> Memory:
+    """Memory with the start-up bias of the chosen robots (Foster et al., sec. IV-B)."""
+    window = jax.tree.map(lambda *x: np.stack(x, axis=1), *kept)
+
+    def one(state, inputs):
+        return brain.estimator.calibrate_bias(state, jax.vmap(brain.observation)(inputs))
+
+    new = jax.jit(jax.vmap(one))(memory.filter, window)
+    bias = jnp.where(jnp.asarray(chosen)[:, None], new.bias, memory.filter.bias)
+    return eqx.tree_at(lambda m: m.filter.bias, memory, bias)
 
 
 def crew(seeds: np.ndarray, modes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
