@@ -1,0 +1,1 @@
+"""Marking: what was right, rates with their bounds, tables and figures."""
