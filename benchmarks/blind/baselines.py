@@ -78,7 +78,9 @@ def read(log: Path, xml: Path) -> Motion:
         jacobians = _jacobians(model, q, contacts)
         applied += np.einsum("tcij,tci->tj", jacobians, wrench)
     a = np.gradient(v, 1.0 / rate, axis=0)
-    return Motion(model, rate, q, v, a, applied, friction, dofs, joints, jacobians, wrench, contacts)
+    return Motion(
+        model, rate, q, v, a, applied, friction, dofs, joints, jacobians, wrench, contacts
+    )
 
 
 def _centred(x: np.ndarray) -> np.ndarray:
@@ -151,7 +153,12 @@ def _columns(m: Motion):
         sign = np.tanh(speed / 0.01)
         yield "viscous_friction", "joint", name, on_row(dof, speed)
         yield "coulomb_friction", "joint", name, on_row(dof, sign)
-        yield "asymmetric_coulomb", "joint", name, on_row(dof, np.maximum(sign, 0), np.minimum(sign, 0))
+        yield (
+            "asymmetric_coulomb",
+            "joint",
+            name,
+            on_row(dof, np.maximum(sign, 0), np.minimum(sign, 0)),
+        )
         yield "load_friction", "joint", name, on_row(dof, sign, np.abs(tau[:, dof]) * sign)
         yield "armature", "joint", name, on_row(dof, a[:, dof])
         yield "joint_spring", "joint", name, on_row(dof, angle, one)
@@ -161,7 +168,10 @@ def _columns(m: Motion):
     delayed[:, m.dofs, 0] = rate[:, m.dofs]
     yield "time_delay", "global", "global", delayed
     g = 9.81
-    tilt = [changed(lambda x, i=i, s=s: x.opt.gravity.__setitem__(i, s * 0.01 * g)) for i, s in ((1, 1), (0, -1))]
+    tilt = [
+        changed(lambda x, i=i, s=s: x.opt.gravity.__setitem__(i, s * 0.01 * g))
+        for i, s in ((1, 1), (0, -1))
+    ]
     yield "gravity_tilt", "global", "global", np.stack(tilt, -1)
     for body in range(1, m.model.nbody):
         name = m.model.body(body).name

@@ -57,7 +57,11 @@ def honest(truth: dict, report: dict, whole: dict | None) -> bool:
 
 def table(answers: dict, out: Path, found: Path) -> str:
     """A row per family that was left out, and the whole."""
-    lines = ["## Each family left out in turn", "", "| left out | unknown | or a declared twin | place |"]
+    lines = [
+        "## Each family left out in turn",
+        "",
+        "| left out | unknown | or a declared twin | place |",
+    ]
     lines.append("|---|---|---|---|")
     sums = [0, 0, 0, 0]
     for family, names in holders(answers).items():

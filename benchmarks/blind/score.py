@@ -65,7 +65,9 @@ def results(
         )
     head += ["", tables.times(seconds(found))]
     if failed:
-        head.append(f"No report for {len(failed)} logs ({', '.join(failed[:8])}): counted as wrong.")
+        head.append(
+            f"No report for {len(failed)} logs ({', '.join(failed[:8])}): counted as wrong."
+        )
     parts = [
         "\n".join(head),
         tables.wrong_rows(rows, wrong),
@@ -127,7 +129,9 @@ def score(
         "accuracy against size": figures.against_size,
         "shrink": figures.shrink,
     }
-    pictures = {name: make(rows, drawn / f"{name.replace(' ', '_')}.png") for name, make in makers.items()}
+    pictures = {
+        name: make(rows, drawn / f"{name.replace(' ', '_')}.png") for name, make in makers.items()
+    }
     wrong = {
         r["log"]: figures.one_log(r, logs / r["log"], drawn / f"{r['log']}.png")
         for r in rows

@@ -47,7 +47,7 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
             np.lib.format.write_array(member, value, allow_pickle=False)
             info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o600 << 16
-            archive.writestr(info, member.getvalue(), compresslevel=9)
+            archive.writestr(info, member.getvalue(), compresslevel=7)
     raw = buffer.getvalue()
     with zipfile.ZipFile(buffer, "a") as archive:
         archive.comment = b"\0" * (-len(raw) % BLOCK)

@@ -90,7 +90,14 @@ def against_size(rows: list[dict], file: Path) -> str:
             curves["named"].append((at, named))
             curves["unseen"].append((at, count(r["verdict"] == "no_gap" for r in inside)))
     for (name, points), colour in zip(curves.items(), (INK, RED), strict=True):
-        ax.plot([x for x, _ in points], [s.rate for _, s in points], "o-", color=colour, ms=4, label=name)
+        ax.plot(
+            [x for x, _ in points],
+            [s.rate for _, s in points],
+            "o-",
+            color=colour,
+            ms=4,
+            label=name,
+        )
         for x, s in points:
             ax.plot([x, x], s.bounds, color=colour, lw=0.8, alpha=0.5)
     ax.axvline(150.0, color=SOFT, lw=1)
@@ -104,9 +111,7 @@ def against_size(rows: list[dict], file: Path) -> str:
 def shrink(rows: list[dict], file: Path) -> str:
     """Shrink predicted on the log against shrink achieved on the other motion."""
     points = [
-        (r["predicted"], r["achieved"])
-        for r in rows
-        if r.get("shrink_within_10") is not None
+        (r["predicted"], r["achieved"]) for r in rows if r.get("shrink_within_10") is not None
     ]
     fig, ax = plt.subplots(figsize=(3.6, 3.4))
     ax.fill_between([0, 1], [-0.1, 0.9], [0.1, 1.1], color=SOFT, alpha=0.4, lw=0)

@@ -74,7 +74,11 @@ def breakdowns(rows: list[dict]) -> str:
 
 def families(rows: list[dict]) -> str:
     """Each family of single effects and each unknown mechanism."""
-    lines = ["## By family", "", "| hidden | clear | named | place | in set | unknown | missed | faint: misled |"]
+    lines = [
+        "## By family",
+        "",
+        "| hidden | clear | named | place | in set | unknown | missed | faint: misled |",
+    ]
     lines.append("|---|---|---|---|---|---|---|---|")
     alone = [r for r in rows if r["stratum"] in ("single", "unknown")]
     for name, some in sorted(by([r | {"f": r["true"][0][0]} for r in alone], "f").items()):
@@ -112,7 +116,12 @@ def confusion(rows: list[dict]) -> str:
         for r in rows
         if r["stratum"] in ("single", "unknown") and r["clear"][0]
     )
-    lines = ["## Taken for something else", "", "| hidden | first reported | logs |", "|---|---|---|"]
+    lines = [
+        "## Taken for something else",
+        "",
+        "| hidden | first reported | logs |",
+        "|---|---|---|",
+    ]
     lines += [f"| {t} | {f} | {n} |" for (t, f), n in sorted(taken.items()) if t != f]
     return "\n".join(lines)
 

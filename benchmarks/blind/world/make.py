@@ -123,15 +123,16 @@ def make(setting: Setting) -> tuple[dict, dict, str, dict]:
         try:
             log = bench.simulate(hidden, 0)
             test = bench.simulate(hidden, 1)
-            alone = [bench.simulate([h], 0) for h in hidden] if len(hidden) > 1 else [log]
+            alone = [bench.simulate([h], 0) for h in hidden] if len(hidden) > 1 else []
         except Unstable as error:
             reason = str(error)
             continue
-        seen = [bench.seen(x, bench.true) for x in alone]
+        whole = bench.seen(log, bench.true)
+        seen = [bench.seen(x, bench.true) for x in alone] if len(hidden) > 1 else [whole]
         truth = {
             "effects": [h.truth() | {"visibility": v} for h, v in zip(hidden, seen, strict=False)],
-            "visibility": bench.seen(log, bench.true),
-            "under_nominal": bench.seen(log, bench.nominal),
+            "visibility": whole,
+            "under_nominal": bench.seen(log, bench.nominal) if setting.wrong else whole,
             "equivalents": [equivalents(setting.robot, h) for h in hidden],
             "setting": asdict(setting),
             "sensors": _plain(bench.sensors),

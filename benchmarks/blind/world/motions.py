@@ -107,7 +107,7 @@ class Paws:
         s = slot % 1.0
         light = min(max((min(s, 1 - s) - 0.12) / 0.2, 0.0), 1.0)
         along = min(max((s - 0.36) / 0.28, 0.0), 1.0)
-        return self.order[int(math.floor(slot)) % 4], along, light
+        return self.order[math.floor(slot) % 4], along, light
 
     def pose(self, t: float) -> np.ndarray:
         fade = min(max((t + 1.0) / 0.7, 0.0), 1.0)
