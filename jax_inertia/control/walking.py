@@ -220,16 +220,12 @@ def _advance(
     )
 
 
-def _pick(
-    right: Array, feet: Float[Array, "2 3"]
-) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+def _pick(right: Array, feet: Float[Array, "2 3"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """(stance, swing) of (left, right)."""
     return jnp.where(right, feet[1], feet[0]), jnp.where(right, feet[0], feet[1])
 
 
-def _next_step(
-    walk: Walk, stance: Float[Array, "3"], side: Float[Array, ""]
-) -> Float[Array, "3"]:
+def _next_step(walk: Walk, stance: Float[Array, "3"], side: Float[Array, ""]) -> Float[Array, "3"]:
     """A step ahead of the stance foot, on the other foot's lane."""
     return jnp.stack([stance[0] + walk.step, side * walk.half_width, stance[2]])
 

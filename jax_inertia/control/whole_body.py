@@ -210,7 +210,7 @@ class WholeBody(eqx.Module):
         edges = jnp.asarray(_EDGES, now.bias.dtype) * friction.astype(now.bias.dtype)
         out, share = [], reference.contact.reshape(2, -1)
         for side, body in enumerate((LEFT, RIGHT)):
-            arm = spatial.matvec(now.rotation[body], self.points[side])
+            arm = self.points[side] @ now.rotation[body].T
             moment = spatial.cross(arm[:, None], edges[None])
             wrench = jnp.concatenate([jnp.broadcast_to(edges, moment.shape), moment], axis=-1)
             wrench = wrench * share[side][:, None, None]
