@@ -16,6 +16,7 @@ sys.path.insert(0, str(GAP))
 
 import baseline_sysid  # noqa: E402
 import baselines  # noqa: E402
+import beside  # noqa: E402
 import evaluate  # noqa: E402
 from baseline_chain import Residual, body_pi  # noqa: E402
 from baseline_guesses import guesses  # noqa: E402
@@ -204,3 +205,32 @@ def test_sysid_recovers_what_it_is_told_to_fit(tmp_path, family, name, x, report
     assert result is not None
     for parameter, value in reported.items():
         assert result[0]["parameters"][parameter]["value"] == pytest.approx(value, rel=0.05)
+
+
+def test_vectors_are_scored_by_length_and_covered_whole():
+    parameters = {"com_shift": {"value": [0.0, 0.03, -0.04], "unit": "m"}}
+    place = {"kind": "body", "name": "link2"}
+    truth = {"effects": [{"family": "com_shift", "location": place, "parameters": parameters}]}
+    found = effect_of("com_shift", place, com_shift_x=0.0, com_shift_y=0.03, com_shift_z=-0.035)
+    (score,) = evaluate._parameters(truth, {"effects": [found]})
+    assert score["error"] == pytest.approx(0.1)
+    assert not score["covers"]
+    found["parameters"]["com_shift_z"]["ci95"] = [-0.05, -0.03]
+    assert evaluate._parameters(truth, {"effects": [found]})[0]["covers"]
+
+
+def effect_of(family: str, place: dict, **values: float) -> dict:
+    """An effect of a report whose intervals are a millionth wide."""
+    numbers = {n: {"value": x, "ci95": [x - 1e-6, x + 1e-6]} for n, x in values.items()}
+    return {"family": family, "location": place, "parameters": numbers}
+
+
+def test_the_table_holds_every_method_and_skips_logs_that_failed():
+    row = {"stratum": "exciting", "seconds": 2.0, "found": [["a", "b"]], "verdict": "explained"}
+    row |= {"family": True, "place": True, "right": False, "parameters": []}
+    scores = dict.fromkeys(baselines.BASELINES, row)
+    text = beside.table([{**row, "others": scores}, {"error": "x"}], evaluate.wilson)
+    for name in (beside.OURS, *baselines.BASELINES):
+        assert f"| exciting | {name} |" in text
+    failed = {**row, "others": {"baselines": {"error": "no"}}}
+    assert "| – |" in beside.table([failed], evaluate.wilson)

@@ -1,9 +1,10 @@
 """Scores the diagnosis on logs made by `generate.py`: a row per stratum, wrong logs first.
 
-    python benchmarks/gap/evaluate.py DATA --jobs 2 --out DATA/results
+    python benchmarks/gap/evaluate.py DATA --jobs 2 --out DATA/results [--baselines with|only]
 
 DATA holds STRATUM/logs and STRATUM/truth. Only this file reads both truth and diagnosis; the diagnosis itself sees
-a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md.
+a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md. `--baselines with` scores
+what an engineer would try on the same logs; `only` adds that to the results.json of an earlier run.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import warnings
 from collections import Counter, defaultdict
 from pathlib import Path
 
+import beside
 import numpy as np
 
 
@@ -100,22 +102,29 @@ def _off(x: float, noise: float) -> float:
 
 
 def _parameters(truth: dict, report: dict) -> list[dict]:
-    """Each scalar parameter that both name: relative error, and whether the interval covers."""
+    """Each parameter that both name: relative error, and whether the interval covers; vectors as one, by length."""
     out = []
     for t in truth["effects"]:
         for e in report["effects"]:
             if key(t) != key(e):
                 continue
-            for name, p in e["parameters"].items():
-                true = t["parameters"].get(name, {}).get("value")
-                if true is None or not np.isscalar(true) or p["value"] is None:
+            for name, p in t["parameters"].items():
+                true = np.atleast_1d(np.asarray(p["value"], float))
+                parts = [name] if np.isscalar(p["value"]) else [f"{name}_{k}" for k in "xyz"]
+                found = [e["parameters"].get(part) for part in parts[: len(true)]]
+                if any(f is None or f["value"] is None for f in found):
                     continue
+                value = np.array([f["value"] for f in found])
+                covers = (
+                    f["ci95"][0] <= x <= f["ci95"][1] for f, x in zip(found, true, strict=True)
+                )
+                error = np.linalg.norm(value - true) / max(np.linalg.norm(true), 1e-12)
                 out.append(
                     {
                         "family": t["family"],
                         "name": name,
-                        "error": abs(p["value"] - true) / max(abs(true), 1e-12),
-                        "covers": p["ci95"][0] <= true <= p["ci95"][1],
+                        "error": float(error),
+                        "covers": all(covers),
                     }
                 )
     return out
@@ -197,6 +206,28 @@ def _words(effects: list) -> str:
     return " + ".join(f"{f} at {p}" for f, p in effects) or "nothing"
 
 
+def diagnosed(jobs: list[tuple[str, str, str]], workers: int, results: Path) -> list[dict]:
+    """A row for each log, by the diagnosis; what is done so far is in `results`."""
+    rows = []
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        for k, row in enumerate(pool.imap_unordered(run, jobs)):
+            rows.append(row)
+            print(f"\r{k + 1} of {len(jobs)}", end="", flush=True)
+            results.write_text(json.dumps(rows))
+    return sorted(rows, key=lambda r: (r["stratum"], r["log"]))
+
+
+def with_baselines(rows: list[dict], data: Path, workers: int) -> list[dict]:
+    """The same rows with the baselines' scores in `others`."""
+    jobs = [(str(data), r["stratum"], r["log"], compare) for r in rows]
+    scores = {}
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        for k, (stratum, name, others) in enumerate(pool.imap_unordered(beside.add, jobs)):
+            scores[stratum, name] = others
+            print(f"\rbaselines: {k + 1} of {len(jobs)}", end="", flush=True)
+    return [{**r, "others": scores[r["stratum"], r["log"]]} for r in rows]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -204,19 +235,23 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--baselines", choices=("with", "only"))
     args = parser.parse_args()
     out = args.out or args.data / "results"
     out.mkdir(parents=True, exist_ok=True)
-    truths = sorted(args.data.glob("*/truth/*.json"))
-    jobs = [(str(args.data), t.parents[1].name, t.stem) for t in truths]
-    rows = []
-    with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
-        for k, row in enumerate(pool.imap_unordered(run, jobs)):
-            rows.append(row)
-            print(f"\r{k + 1} of {len(jobs)}", end="", flush=True)
-            (out / "results.json").write_text(json.dumps(rows))
-    rows.sort(key=lambda r: (r["stratum"], r["log"]))
+    results = out / "results.json"
+    if args.baselines == "only":
+        rows = json.loads(results.read_text())
+    else:
+        truths = sorted(args.data.glob("*/truth/*.json"))
+        jobs = [(str(args.data), t.parents[1].name, t.stem) for t in truths]
+        rows = diagnosed(jobs, args.jobs, results)
+    if args.baselines:
+        rows = with_baselines(rows, args.data, args.jobs)
+        results.write_text(json.dumps(rows))
     text = table(rows)
+    if more := beside.table(rows, wilson):
+        text += "\n" + more
     (out / "RESULTS.md").write_text(text)
     print("\n" + text)
 
