@@ -2,9 +2,9 @@
 
     python benchmarks/blind/baselines.py LOGS OUT --method coulomb|greedy --jobs 2
 
-`coulomb` says: Coulomb friction, at the joint with the largest residual. `greedy` fits linear columns of every family by
-ordinary least squares, unwhitened, and adds the best one while Schwarz's criterion falls, three at most. Same layout of
-results as `solve.py`; knows the logs and nothing else.
+`coulomb` says: Coulomb friction, at the joint with the largest residual. `greedy` fits linear columns of families by
+ordinary least squares, unwhitened, and adds the best one while Schwarz's criterion falls, three at most. Same layout
+of results as `solve.py`; knows the logs and nothing else.
 """
 
 from __future__ import annotations
@@ -240,10 +240,8 @@ def diagnose(folder: Path, method: str) -> dict:
     _TEXTS[id(m.model)] = (folder / "nominal.xml").read_text()
     r = residual(m)
     power = (r[:, m.dofs] ** 2).mean(0)
-    if method == "coulomb":
-        chosen = [("coulomb_friction", "joint", largest(m, r))]
-    else:
-        chosen = greedy(m, r)
+    blamed = ("coulomb_friction", "joint", largest(m, r))
+    chosen = [blamed] if method == "coulomb" else greedy(m, r)
     return {
         "schema": 1,
         "verdict": "explained" if chosen else "no_gap",

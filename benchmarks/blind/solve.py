@@ -4,8 +4,9 @@
 
 Each log is copied under a neutral name into a private folder, where a process that can import the package (a copy of
 it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`. The process stays for many logs, so
-that what JAX compiled is kept (`--fresh`: one process a log). OUT/results/NAME appears whole or not at all: report.json,
-corrected.xml and run.json; a second call goes on with what is missing. Needs the package's own dependencies alone.
+that what JAX compiled is kept (`--fresh`: one process a log). OUT/results/NAME appears whole or not at all:
+report.json, corrected.xml and run.json; a second call goes on with what is missing. Needs the package's own
+dependencies alone.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -60,7 +61,7 @@ def calibration(rows: list[dict], file: Path) -> str:
     fig, ax = plt.subplots(figsize=(4, 3.4))
     ax.plot([0, 1], [0, 1], color=SOFT, lw=1)
     edges = np.array([0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0 + 1e-9])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges.tolist()):
         inside = [(p, ok) for p, ok in told if low <= p < high]
         if inside:
             share = count(ok for _, ok in inside)
@@ -82,7 +83,7 @@ def against_size(rows: list[dict], file: Path) -> str:
     fig, ax = plt.subplots(figsize=(5.2, 3.4))
     edges = 10.0 ** np.arange(0, 7.1, 0.75)
     curves: dict[str, list[tuple[float, Share]]] = {"named": [], "unseen": []}
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges.tolist()):
         inside = [r for r in alone if low <= max(r["distinct"][0], 1.0) < high]
         if inside:
             at = float(np.sqrt(low * high))

@@ -1,8 +1,8 @@
 """One log: the hidden truth beside what was reported.
 
-An effect is *clear* where its χ², after likely errors of the nominal model had their share, is at least `CLEAR`: fixed
-before any log was diagnosed, the same figure as of the development data. Fainter ones are asked for as well (sizes start
-below what can be seen), and reported apart: there, silence is right, too.
+An effect is *clear* where its χ², after likely errors of the nominal model had their share, is at least `CLEAR`:
+fixed before any log was diagnosed, the same figure as of the development data. Fainter ones are asked for as well
+(sizes start below what can be seen), and reported apart: there, silence is right, too.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from world.mechanics import Damping, KnownDry, Part, TwoMass
 
 PREROLL, TAIL = 1.0, 0.04
 STEP = {
-    "mujoco": {"arm": 6.7e-4, "straps": 8e-4, "feet": 4e-4},
-    "pinocchio": {"arm": 1e-3, "straps": 1.34e-3, "feet": 6.7e-4},
+    "mujoco": {"arm": 1e-3, "straps": 1e-3, "feet": 4e-4},
+    "pinocchio": {"arm": 2e-3, "straps": 2e-3, "feet": 1e-3},
 }
 """Longest steps (s); bristles, gears and two-mass joints ask for shorter ones. Steps a third as long move no joint of
 an arm by more than 5e-6 rad over three seconds, a tenth of the encoder's noise (test_blind_world.py)."""
