@@ -1,7 +1,7 @@
 """What runs at 333 Hz on every robot: estimator, hand-over, reference, whole-body controller, batched over the fleet.
 
-Three controllers share one code and differ in the parameters that they are told: `NONE` the nominal ones, `ADAPTIVE` the
-filter's through the slew, `ORACLE` the true ones.
+Three controllers share one code and differ in the parameters that they are told: `NONE` the nominal ones, `ADAPTIVE`
+the filter's through the slew, `ORACLE` the true ones.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from benchmarks.paper.plant import NU, STEP, TICK, Sensed, Sensors
+from benchmarks.paper.plant import STEP, TICK, Sensed, Sensors
 from jax_inertia import load_model, spatial
 from jax_inertia.charts import Chart, LogCholeskyUUt
 from jax_inertia.control.terms import Terms
@@ -179,6 +179,9 @@ def measurement_noise(
     return CorrelatedNoise(jnp.asarray(r))
 
 
+_CHART = LogCholeskyUUt()
+
+
 @dataclass(frozen=True)
 class Settings:
     """The estimator's figures; each experiment states its own."""
@@ -186,10 +189,10 @@ class Settings:
     bodies: tuple[str, ...]
     prior: Uncertainty
     drift: Uncertainty
-    chart: Chart = LogCholeskyUUt()
+    chart: Chart = _CHART
     iterations: int = 1
     model_error: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """What the model is off by, in R beside the sensors' noise: on the base N and N m, in legs and spine, in arms N m."""
+    """What the model is off by, in R beside the sensors' noise: base (N, N m), legs and spine, arms (N m)."""
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s

@@ -26,6 +26,9 @@ SETTINGS = Settings(
 LAG = 0.009  # s, about what the filter needs for 63 % of a jump (see `lag` in the results)
 
 
+SENSORS = Sensors()
+
+
 def waveform(t: float) -> float:
     """Table I: 4.5 kg, amplitude 3 kg, 1 Hz, a sine and from 8 s on a square wave [kg]."""
     wave = np.sin(2 * np.pi * t)
@@ -37,7 +40,7 @@ def run(
     modes: tuple[int, ...] = (0, 1, 2),
     *,
     late: bool = False,
-    sensors: Sensors = Sensors(),
+    sensors: Sensors = SENSORS,
     stiffness: float = 100.0,
     nominal_mass: float | None = None,
     duration: float = DURATION,
@@ -121,13 +124,20 @@ def _draw(found: Run) -> None:
     first = found.seed == found.seed[0]
     for i, name in enumerate(MODES):
         axes[0].plot(
-            found.time - SETTLE, found.series["error"][:, first & (found.mode == i)], label=name, lw=1
+            found.time - SETTLE,
+            found.series["error"][:, first & (found.mode == i)],
+            label=name,
+            lw=1,
         )
     axes[0].set_ylabel("elbow error [rad]")
     axes[0].legend(loc="upper left", ncols=3)
     adaptive = first & (found.mode == 1)
-    axes[1].plot(found.time - SETTLE, found.series["mass"][:, adaptive], lw=1, color="C1", label="estimate")
-    axes[1].plot(found.time - SETTLE, found.series["true"][:, adaptive], lw=1, color="k", label="true")
+    axes[1].plot(
+        found.time - SETTLE, found.series["mass"][:, adaptive], lw=1, color="C1", label="estimate"
+    )
+    axes[1].plot(
+        found.time - SETTLE, found.series["true"][:, adaptive], lw=1, color="k", label="true"
+    )
     axes[1].set_ylabel("forearm mass [kg]")
     axes[1].legend(loc="upper left", ncols=2)
     axes[1].set_xlabel("time [s]")

@@ -63,7 +63,7 @@ def spikes(found: Run) -> np.ndarray:
 def found_after(found: Run, tolerance: float = 1.0) -> np.ndarray:
     """Time from the pick-up until the estimate stays within `tolerance` [kg] for a second, per robot [s]."""
     away = np.abs(found.series["mass"] - found.series["true"]) < tolerance
-    begin, hold = int(round(PICK_UP / TICK)), int(round(1.0 / TICK))
+    begin, hold = round(PICK_UP / TICK), round(1.0 / TICK)
     out = []
     for j in range(len(found.seed)):
         good = away[begin:, j]

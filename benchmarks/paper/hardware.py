@@ -1,7 +1,7 @@
 """A stand-in for the real robot: the plant with what the estimator's model lacks.
 
-Dry friction and more damping in every joint, cables (mass along an upper arm and on the pelvis), and the safety hoist, a
-slack rope of some stiffness to the torso. Figures of our own.
+Dry friction and more damping in every joint, cables (mass along an upper arm and on the pelvis), and the safety hoist,
+a rope of some stiffness to the torso. Figures of our own.
 """
 
 from dataclasses import dataclass

@@ -64,7 +64,7 @@ def drive(
     unsolved, unphysical = np.zeros(fleet.size), np.zeros(fleet.size)
     rows, times = [], []
     kept: list[Inputs] = []
-    ticks = int(round(duration / TICK))
+    ticks = round(duration / TICK)
     for k in range(ticks):
         t = k * TICK
         x = inputs(fleet.sense(), mode, truth(t), on(t))

@@ -5,6 +5,7 @@ its state at the end, and over the last window the means of everything that the 
 differences of measured velocities, and torques and contact forces are averaged over the same interval.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,11 +19,12 @@ STEP = 0.001  # s
 PER_TICK = 3
 TICK = STEP * PER_TICK  # 333 Hz
 NQ, NV, NU = 30, 29, 23
+THREADS = int(os.environ.get("PAPER_THREADS", "1"))  # of one fleet's plant
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations of white noise on every 1 kHz sample; figures of our own, of the size usual for such robots."""
+    """Standard deviations of white noise on every 1 kHz sample; figures of our own, usual for such robots."""
 
     joint_position: float = 1e-4  # rad
     joint_velocity: float = 5e-3  # rad/s
@@ -102,7 +104,6 @@ class Fleet:
         sensors: Sensors,
         *,
         height: Callable[[np.ndarray], np.ndarray] | None = None,
-        threads: int = 1,
         disturb: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     ) -> None:
         """`height(xy)` (robots, 8, 2) → (robots, 8) is the ground's; `disturb(q, v)` a torque (robots, 29) beside the
@@ -110,8 +111,8 @@ class Fleet:
         """
         self.model, self.sensors, self.size = model, sensors, len(seeds)
         self.rng = [np.random.default_rng([int(s), 7]) for s in seeds]
-        self.pool = rollout.Rollout(nthread=threads)
-        self.data = [mujoco.MjData(model) for _ in range(threads)]
+        self.pool = rollout.Rollout(nthread=THREADS)
+        self.data = [mujoco.MjData(model) for _ in range(THREADS)]
         mujoco.mj_resetDataKeyframe(model, self.data[0], 0)
         self.spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
         start = np.empty(mujoco.mj_stateSize(model, self.spec))

@@ -2,8 +2,8 @@
 
     python -m benchmarks.paper [--seeds N] [--jobs J] [--only NAME ...]
 
-Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`. With `--only`
-the other experiments keep the numbers of the last run.
+Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`. With
+`--only` the other experiments keep the numbers of the last run.
 """
 
 import argparse
@@ -60,9 +60,7 @@ def _experiment(work: tuple[str, int, int]) -> tuple[str, float, dict]:
     module = importlib.import_module(f"benchmarks.paper.{name}")
     every, few = np.arange(seeds), np.arange(min(sweep, seeds))
     started = time.monotonic()
-    result = (
-        module.results(every) if name in ("torso", "gating") else module.results(every, few)
-    )
+    result = module.results(every) if name in ("torso", "gating") else module.results(every, few)
     return name, time.monotonic() - started, result
 
 

@@ -5,10 +5,10 @@ import mujoco
 import numpy as np
 
 from benchmarks.paper.brain import Inputs
+from benchmarks.paper.plant import TICK
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.walking import Ground, Plan, Walk, begin, walking
 from jax_inertia.robots.nadia_figures import SOLE_DEPTH, SOLE_HALF_WIDTH, SOLE_X
-from benchmarks.paper.plant import TICK
 
 CELL = 0.4  # m, side of a box of rough ground
 
@@ -71,7 +71,9 @@ def strolling(plan: tuple[Walk, Plan], now: Terms, x: Inputs, time):
     walk, state = plan
     force = x.force.reshape(2, 4, 3)[..., 2].sum(axis=1)
     state, reference = walking(walk, state, now, force, time, TICK)
-    record = jnp.concatenate([reference.height, state.single[None], state.steps[None], state.target])
+    record = jnp.concatenate(
+        [reference.height, state.single[None], state.steps[None], state.target]
+    )
     return (walk, state), reference, record
 
 

@@ -64,11 +64,8 @@ def _draw(runs: dict[str, Run]) -> None:
     true = {"mass": NOMINAL, "ixx": 1.4583, "iyy": 1.4465, "izz": 0.3970}
     for axis, name in zip(axes, PI, strict=True):
         for k, (which, found) in enumerate(runs.items()):
-            if name == "mass":
-                y = found.series["mass"][:, 0]
-            else:
-                y = found.series["inertia"][:, 0, PI.index(name) - 1]
-            axis.plot(found.time, y, lw=1, color=f"C{k}", label=labels[which])
+            y = np.column_stack([found.series["mass"][:, 0], found.series["inertia"][:, 0]])
+            axis.plot(found.time, y[:, PI.index(name)], lw=1, color=f"C{k}", label=labels[which])
         axis.axhline(true[name], color="k", lw=1, label="true")
         axis.set_ylabel("mass [kg]" if name == "mass" else f"I{name[1:]} [kg m²]")
     for axis in axes[1:]:

@@ -27,6 +27,7 @@ from jax_inertia.control.terms import Terms, terms
 from jax_inertia.robot import Robot
 
 PELVIS, TORSO, LEFT, RIGHT = range(4)
+_TOLERANCE = 1e-3  # of the forces, far below what a contact model is worth
 _EDGES = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 
 
@@ -98,7 +99,7 @@ class WholeBody(eqx.Module):
     arm: tuple[bool, ...] = eqx.field(static=True)
     bodies: tuple[int, ...] = eqx.field(static=True)
     gains: Gains = _GAINS
-    iterations: int = eqx.field(static=True, default=10)
+    iterations: int = eqx.field(static=True, default=7)
 
     def terms(self, robot: Robot, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Terms:
         """Kinematics and dynamics at (q, v); bodies in the order PELVIS, TORSO, LEFT, RIGHT."""
@@ -142,7 +143,7 @@ class WholeBody(eqx.Module):
                 [jnp.zeros(n, q.dtype), jnp.full(nv - 6, self.gains.torque_softness, q.dtype)]
             ),
         )
-        found = solve(program, iterations=self.iterations)
+        found = solve(program, iterations=self.iterations, tolerance=_TOLERANCE)
         f = jnp.maximum(found.x, 0.0)
         torque = jnp.clip(torque_rest + per_torque @ f, -limit, limit)
         force = jnp.sum((edges * (unit * f)[:, None]).reshape(-1, 4, 3), axis=1)
@@ -230,7 +231,7 @@ def make_whole_body(
     torque_limit: Float[np.ndarray, " nu"],
     arm_joints: Sequence[str],
     gains: Gains = _GAINS,
-    iterations: int = 10,
+    iterations: int = 7,
 ) -> WholeBody:
     """Controller of a robot with a floating base on `pelvis` and one motor for every other joint.
 
