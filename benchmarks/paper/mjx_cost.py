@@ -1,7 +1,7 @@
 """What a fleet costs on one accelerator: `python -m benchmarks.paper.mjx_cost [ROBOTS ...]`; prints one JSON line each.
 
-The humanoid walks in place under the whole controller, estimator included; plant in MJX, two steps of 1.5 ms a tick, all
-in float32.
+The humanoid walks in place under the whole controller, estimator included; plant in MJX, two steps of 1.5 ms a tick,
+all in float32.
 """
 
 import json

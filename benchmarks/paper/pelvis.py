@@ -71,6 +71,7 @@ def walk(
     duration: float = DURATION,
     solref: tuple[float, float] = (0.006, 1.0),
     landing_speed: float = 0.2,
+    keep_path: bool = False,
     label: str = "walk",
 ) -> Run:
     """Walk over each seed's own boxes; series of pelvis height and its reference, estimated mass, forces."""
@@ -101,7 +102,9 @@ def walk(
 
     def watch(fleet: Fleet, out) -> dict[str, np.ndarray]:
         force = fleet.force_window[:, -1].reshape(fleet.size, 2, 4, 3)
+        path = {"q": fleet.q} if keep_path else {}
         return {
+            **path,
             "height": fleet.q[:, 2],
             "wanted": out.record[:, 0],
             "x": fleet.q[:, 0],
