@@ -63,13 +63,8 @@ def as_effect(family: str, kind: str, name: str, parameters: dict[str, float]) -
 class Residual:
     """One log's missing torque; arrays on the fast grid have T samples, finished ones R."""
 
-    def __init__(self, model: Path | mujoco.MjModel, log: Path | dict[str, np.ndarray]):
-        if isinstance(model, Path):
-            model = mujoco.MjModel.from_xml_path(str(model))
-        if isinstance(log, Path):
-            with np.load(log) as file:
-                log = {name: file[name] for name in file.files}
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, log: dict[str, np.ndarray]):
+        self.model: mujoco.MjModel = model
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self.data = mujoco.MjData(model)
         rate = 1.0 / float(np.median(np.diff(log["time"])))
@@ -93,11 +88,14 @@ class Residual:
             q[:, :3] = smooth(log["base_pos"], rate)
             q[:, 3:7] = quat / np.linalg.norm(quat, axis=1, keepdims=True)
             v[:, :3], v[:, 3:6] = smooth(log["base_linvel"], rate), smooth(log["base_angvel"], rate)
-        a = np.gradient(v, 1.0 / rate, axis=0)
+        a = np.asarray(np.gradient(v, 1.0 / rate, axis=0))
         tau = np.zeros_like(v)
         tau[:, dofs] = smooth(log["tau"], rate)
         self.time = np.asarray(log["time"][::step])
-        self.q, self.v, self.a, self.tau = (x[::step] for x in (q, v, a, tau))
+        self.q: np.ndarray = q[::step]
+        self.v: np.ndarray = v[::step]
+        self.a: np.ndarray = a[::step]
+        self.tau: np.ndarray = tau[::step]
         self.contacts = tuple(map(str, log.get("contact_bodies", ())))
         wrench = smooth(log["contact_wrench"], rate)[::step] if self.contacts else None
         self.contact = self._contact_rows(wrench)
@@ -106,6 +104,13 @@ class Residual:
         self.kept = slice(edge, len(self.time) - edge, stride)
         self.missing = self.inverse - self.tau - self.contact.sum(axis=1)
         self.y = self.finish(self.missing)
+
+    @classmethod
+    def read(cls, folder: Path) -> Residual:
+        """Of a folder with log.npz and nominal.xml."""
+        with np.load(folder / "log.npz") as file:
+            log = {name: file[name] for name in file.files}
+        return cls(mujoco.MjModel.from_xml_path(str(folder / "nominal.xml")), log)
 
     def finish(self, x: np.ndarray) -> np.ndarray:
         """Low-passed and thinned out."""

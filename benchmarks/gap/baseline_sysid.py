@@ -14,14 +14,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from baseline_chain import as_effect, smooth
+from mujoco import sysid
 
-try:
-    from mujoco import sysid
-
-    AVAILABLE = hasattr(sysid, "optimize")
-except ImportError:
-    AVAILABLE = False
-
+# Without the extra the module is empty.
+AVAILABLE = hasattr(sysid, "optimize")
 WINDOWS, HORIZON = 24, 0.25  # s
 
 Write = Callable[[mujoco.MjSpec, np.ndarray], None]

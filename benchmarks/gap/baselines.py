@@ -137,7 +137,7 @@ def as_report(effects: list[dict]) -> dict:
 def run(folder: Path) -> dict[str, tuple[dict, float]]:
     """Every baseline on one log: its report, and seconds with what they share."""
     start = time.perf_counter()
-    residual = Residual(folder / "nominal.xml", folder / "log.npz")
+    residual = Residual.read(folder)
     shared = time.perf_counter() - start
     out = {}
     for name, fit in BASELINES.items():

@@ -63,6 +63,8 @@ class Case:
     """Published drive gains that belong to `law`, where the log is no torque."""
     repeats: str = ""
     """The case whose numbers must come out again."""
+    wanted: tuple[str, ...] = ()
+    """Families that others found on this robot, beyond what `terms` states."""
     mass: float | None = None
     """A load known to be there (or not) [kg]."""
 
@@ -77,6 +79,11 @@ NOT_TOUCHED = {
     "push": ALONE,
     "constant_force": "nothing pulls at the robot",
     "drag": "the robot is far too slow for the air",
+}
+MEASURED = {
+    "torque_saturation": "the current was measured, not commanded",
+    "time_delay": "current and position were measured, and logged together",
+    "actuator_lag": "the current was measured, not commanded",
 }
 BEHIND_GEAR = {
     "armature": "the torque sensor sits behind the gear: no rotor",
@@ -353,7 +360,12 @@ CASES = (
         _UR10E,
         _ur10e_free,
         12,
-        {**NOT_TOUCHED, "payload": "nothing was mounted", "backlash": "a harmonic drive has none"},
+        {
+            **NOT_TOUCHED,
+            **MEASURED,
+            "payload": "nothing was mounted",
+            "backlash": "a harmonic drive has none",
+        },
         _UR10E_TERMS,
         _UR10E_TERMS.torque,
         ur10e.REPOSITORY,
@@ -366,7 +378,7 @@ CASES = (
         _UR10E,
         _ur10e_pair("dev_pair_payload"),
         3,
-        dict(NOT_TOUCHED),
+        {**NOT_TOUCHED, **MEASURED},
         mass=2.805,
     ),
     Case(
@@ -376,7 +388,7 @@ CASES = (
         _UR10E,
         _ur10e_pair("dev_pair_free"),
         3,
-        {**NOT_TOUCHED, "payload": "nothing was mounted"},
+        {**NOT_TOUCHED, **MEASURED, "payload": "nothing was mounted"},
         mass=0.0,
     ),
     Case(
@@ -387,7 +399,7 @@ CASES = (
         "dfki_double_pendulum",
         _dfki,
         5,
-        {**NOT_TOUCHED, "payload": "nothing was mounted"},
+        {**NOT_TOUCHED, **MEASURED, "payload": "nothing was mounted"},
         _C1.terms,
         _C1.terms.torque,
     ),
@@ -404,5 +416,6 @@ CASES = (
         _XL330_TERMS,
         _XL330_TERMS.torque,
         np.array([_KT / _R]),
+        wanted=("load_friction",),
     ),
 )

@@ -1,6 +1,7 @@
 """One picture a case: what is left at each joint, and over time where most was missing."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -11,7 +12,12 @@ from jax_inertia.gap.trace import Trace
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-_STYLE = {"figure.dpi": 90, "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+_STYLE: Any = {
+    "figure.dpi": 90,
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 
 
 def figure(path: Path, title: str, trace: Trace, summary: Summary) -> None:

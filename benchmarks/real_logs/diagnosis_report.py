@@ -30,6 +30,7 @@ def render(done: Mapping[str, Summary], machine: str) -> str:
             [_overview(done[c.name]) for c in cases],
         ),
         *(_section(c, done) for c in cases),
+        *(f"`{c.name}` was not run." for c in CASES if c.name not in done),
         f"Times include compiling; {machine}, shared with other work at the time.",
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
@@ -160,6 +161,11 @@ def _judgement(case: Case, s: Summary, done: Mapping[str, Summary]) -> list[str]
         out += _frictions(s) + _offsets(s) + _rotors(case, s)
     if case.mass is not None:
         out.append(_mass(case.mass, s))
+    for family in case.wanted:
+        places = [e["location"]["name"] for e in s.effects if e["family"] == family]
+        out.append(
+            f"{family} was {'found at ' + ', '.join(places) if places else '**not found**'}."
+        )
     if case.repeats in done:
         out.append(_repeat(s, done[case.repeats]))
     if any(e["doubt"] for e in s.effects):
