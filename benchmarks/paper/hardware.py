@@ -52,6 +52,7 @@ def hardware(
         if mass > 0:
             body = spec.body(parent).add_body(name=name, pos=pos)
             body.mass, body.inertia, body.explicitinertial = mass, [ball * mass] * 3, True
+            body.ipos = [0.0, 0.0, 0.0]  # left out, MuJoCo takes it to be `pos`
 
     lump(FOREARM, DUMBBELL, DUMBBELL_MASS, GRIP)
     lump("left_shoulder_yaw_link", "arm_cable", effects.arm_cable, (0.03, 0.0, -0.2))

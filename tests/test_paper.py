@@ -1,0 +1,145 @@
+"""The experiments' own pieces: plant, sensors, waveforms, report. The closed loops are `benchmarks/paper`."""
+
+import json
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.paper import curl, elbow, pelvis, report  # noqa: E402
+from benchmarks.paper.hardware import NOTHING, Effects, hardware  # noqa: E402
+from benchmarks.paper.loop import summary  # noqa: E402
+from benchmarks.paper.plant import PER_TICK, STEP, Fleet, LinkMass, Sensors, model  # noqa: E402
+from jax_inertia.mjcf import body_pi  # noqa: E402
+
+SILENT = Sensors(
+    joint_position=0.0,
+    joint_velocity=0.0,
+    base_position=0.0,
+    base_orientation=0.0,
+    base_velocity=0.0,
+    base_rate=0.0,
+    torque=0.0,
+    corner_force=0.0,
+)
+
+
+@pytest.fixture(scope="module")
+def plant() -> mujoco.MjModel:
+    return model()
+
+
+def test_waveforms_are_the_papers_table():
+    assert elbow.waveform(0.25) == pytest.approx(7.5)
+    assert elbow.waveform(0.75) == pytest.approx(1.5)
+    assert [float(elbow.waveform(t)) for t in (8.1, 8.6)] == [7.5, 1.5]
+    assert [pelvis.waveform(t) for t in (0.1, 2.6, 5.1)] == [35.0, 25.0, 35.0]
+
+
+def test_plant_steps_as_mujoco_does(plant):
+    """Nothing is lost between ticks: the fleet's robot is MuJoCo's own."""
+    fleet = Fleet(plant, np.array([0, 1]), SILENT)
+    data = mujoco.MjData(plant)
+    mujoco.mj_resetDataKeyframe(plant, data, 0)
+    torque = np.random.default_rng(0).normal(size=(2, 23))
+    for _ in range(20):
+        fleet.step(torque)
+        data.ctrl[:] = torque[1]
+        for _ in range(PER_TICK):
+            mujoco.mj_step(plant, data)
+    np.testing.assert_allclose(fleet.q[1], data.qpos, atol=1e-7)
+    np.testing.assert_allclose(fleet.v[1], data.qvel, atol=1e-5)
+
+
+def test_windows_obey_the_equation_of_motion_of_all_bodies(plant):
+    """m v̇ of the centre of mass = contact forces + weight, each averaged over the same window."""
+    fleet = Fleet(plant, np.array([0]), SILENT)
+    data = mujoco.MjData(plant)
+
+    def momentum() -> np.ndarray:
+        data.qpos[:], data.qvel[:] = fleet.q[0], fleet.v[0]
+        mujoco.mj_forward(plant, data)
+        mujoco.mj_subtreeVel(plant, data)
+        return plant.body_subtreemass[1] * data.subtree_linvel[1].copy()
+
+    for _ in range(30):  # falling on its knees: large, changing forces
+        fleet.step(np.zeros((1, 23)))
+    before = momentum()
+    for _ in range(fleet.sensors.window // PER_TICK):
+        fleet.step(np.zeros((1, 23)))
+    rate = (momentum() - before) / (fleet.sensors.window * STEP)
+    force = fleet.sense().force[0].sum(axis=0) + plant.body_subtreemass[1] * plant.opt.gravity
+    np.testing.assert_allclose(rate, force, atol=2.0)
+
+
+def test_noise_is_that_of_the_seed_and_of_the_stated_size(plant):
+    sensors = Sensors()
+    fleet = Fleet(plant, np.array([3, 4, 3]), sensors)
+    errors = []
+    for _ in range(40):
+        fleet.step(np.zeros((3, 23)))
+        errors.append(fleet.sense().v - fleet.v)
+    errors = np.array(errors)
+    np.testing.assert_array_equal(errors[:, 0], errors[:, 2])
+    assert not np.allclose(errors[:, 0], errors[:, 1])
+    np.testing.assert_allclose(errors[..., 6:].std(), sensors.joint_velocity, rtol=0.1)
+    np.testing.assert_allclose(errors[..., :3].std(), sensors.base_velocity, rtol=0.2)
+    np.testing.assert_allclose(np.linalg.norm(fleet.sense().q[:, 3:7], axis=1), 1.0)
+
+
+def test_link_mass_keeps_mujocos_sums_true():
+    plant = model()
+    link = LinkMass(plant, "torso_link")
+    pi = body_pi(plant, link.id)
+    link.set(30.0)
+    np.testing.assert_allclose(body_pi(plant, link.id), pi * 30.0 / link.nominal)
+    expected = plant.body_subtreemass.copy()
+    mujoco.mj_setConst(plant, mujoco.MjData(plant))
+    np.testing.assert_allclose(expected, plant.body_subtreemass)
+
+
+def test_dumbbell_joins_the_forearm_by_the_parallel_axis_theorem():
+    plant = hardware(NOTHING)
+    forearm, dumbbell = (plant.body(n).id for n in (curl.FOREARM, curl.DUMBBELL))
+    joined = curl.with_dumbbell(body_pi(plant, forearm), body_pi(plant, dumbbell))
+    m, c = body_pi(plant, dumbbell)[0], np.array(curl.GRIP)
+    parts = body_pi(plant, forearm)
+    assert joined[0] == pytest.approx(parts[0] + m)
+    np.testing.assert_allclose(joined[1:4], parts[1:4] + m * c)
+    inertia = parts[4] + body_pi(plant, dumbbell)[4] + m * (c[1] ** 2 + c[2] ** 2)
+    assert joined[4] == pytest.approx(inertia)
+    assert joined[5] == pytest.approx(parts[5] - m * c[0] * c[1])
+
+
+def test_hoist_pulls_as_stated_and_nothing_else_is_added():
+    bare, hung = hardware(NOTHING), hardware(Effects(0.0, 0.0, 0.0, 0.0, 40.0))
+    force = []
+    for plant in (bare, hung):
+        data = mujoco.MjData(plant)
+        mujoco.mj_resetDataKeyframe(plant, data, 0)
+        mujoco.mj_forward(plant, data)
+        force.append(data.qfrc_passive[2])
+    assert force[0] == pytest.approx(0.0)
+    assert force[1] == pytest.approx(40.0, rel=1e-3)
+
+
+def test_summary_is_the_median_and_nine_in_ten():
+    found = summary(np.arange(101.0))
+    assert (found["low"], found["median"], found["high"]) == (5.0, 50.0, 95.0)
+
+
+def test_report_writes_what_the_last_run_found():
+    path = ROOT / "benchmarks" / "results" / "paper.json"
+    if not path.exists():
+        pytest.skip("no results of the paper's experiments here")
+    found = json.loads(path.read_text())
+    page = report.report(found)
+    assert page.count("## ") >= len(found) - 1
+    for name in ("pelvis", "elbow"):
+        assert {"none", "adaptive", "oracle"} <= found[name].keys()
+    assert {"kf", "ekf"} <= found["unphysical"].keys()
