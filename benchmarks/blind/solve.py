@@ -36,8 +36,11 @@ TIMEOUT = 1800.0
 class Diagnoser:
     """One isolated process, started again when it has done its share, hangs or dies."""
 
-    def __init__(self, home: Path, cache: Path | None, per_process: int, timeout: float):
-        self.home, self.cache = home, cache
+    def __init__(
+        self, home: Path, cache: Path | None, per_process: int, timeout: float, package=None
+    ):
+        """`package(folder)` puts the package to be examined into an empty folder."""
+        self.home, self.cache, self.package = home, cache, package or copy_package
         self.per_process, self.timeout = per_process, timeout
         self.process: subprocess.Popen | None = None
         self.done = 0
@@ -46,7 +49,7 @@ class Diagnoser:
         shutil.rmtree(self.home, ignore_errors=True)
         for folder in ("package", "job", "tmp"):
             (self.home / folder).mkdir(parents=True)
-        copy_package(self.home / "package")
+        self.package(self.home / "package")
         environment = {
             **{k: os.environ[k] for k in ("PATH", "LD_LIBRARY_PATH", "LANG") if k in os.environ},
             **{k: v for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_PLATFORM"))},
