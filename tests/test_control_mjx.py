@@ -16,17 +16,17 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.paper.brain import ORACLE, Inputs, make_brain  # noqa: E402
-from benchmarks.paper.mjx_loop import at_home, make_loop  # noqa: E402
-from benchmarks.paper.pelvis import SETTINGS  # noqa: E402
-from benchmarks.paper.plant import Sensors  # noqa: E402
-from benchmarks.paper.strides import (  # noqa: E402
+from benchmarks.paper.brain import ORACLE, Inputs, make_brain
+from benchmarks.paper.mjx_loop import at_home, make_loop
+from benchmarks.paper.pelvis import SETTINGS
+from benchmarks.paper.plant import Sensors
+from benchmarks.paper.strides import (
     begin_at_home,
     flat,
     strolling,
     walk_figures,
 )
-from jax_inertia.robots import CORNERS, HumanoidOptions, humanoid_mjcf  # noqa: E402
+from jax_inertia.robots import CORNERS, HumanoidOptions, humanoid_mjcf
 
 SECONDS, PER_TICK = 2.0, 2
 

@@ -35,9 +35,7 @@ def walk(height: np.ndarray | None = None, **changes) -> w.Walk:
         "touchdown_force": 20.0,
     } | changes
     arrays = {name: jnp.asarray(float(x)) for name, x in numbers.items()}
-    return w.Walk(
-        ground=ground, posture=jnp.zeros(23), sole_half=jnp.array([0.11, 0.05]), **arrays
-    )
+    return w.Walk(ground=ground, posture=jnp.zeros(23), sole_half=jnp.array([0.11, 0.05]), **arrays)
 
 
 def plan(**changes) -> w.Plan:
