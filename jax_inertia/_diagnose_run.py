@@ -19,7 +19,7 @@ from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
-from jax_inertia.gap.units import in_newton_metres
+from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.log import Log, LogError, read_log
 from jax_inertia.mjcf import ModelError, load_model, load_spec
 from jax_inertia.preflight import Finding as Quality
@@ -58,6 +58,7 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
         )
     robot = load_model(model)
     logs, quality = [], []
+    gains, unit = [], ""
     for path in (log, *([] if test_log is None else [test_log])):
         one = read_log(path)
         found = preflight(one, robot)
@@ -68,12 +69,18 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
         for finding in found.findings:
             if finding.check == "no_motion" and finding.severity is Severity.WARNING:
                 raise LogError(f"{path}: {finding.message}")
-        try:
-            one, gains = in_newton_metres(one, robot)
-        except ValueError as error:
-            raise LogError(f"{path}: {error}") from None
-        logs.append(one)
-        for finding in (*found.findings, *gains):
+        remarks: tuple[Quality, ...] = ()
+        if not logs:
+            # The test log is read with the same gains: one that does not carry over is part of what it tests.
+            try:
+                gains, remarks = drive_gains(one, robot)
+            except ValueError as error:
+                raise LogError(f"{path}: {error}") from None
+            unit = one.tau_unit_text
+        elif one.tau_unit_text != unit:
+            raise LogError(f"{path}: tau is in {one.tau_unit_text!r}, {log.name} in {unit!r}")
+        logs.append(in_newton_metres(one, gains))
+        for finding in (*found.findings, *remarks):
             quality.append(finding._replace(message=f"{path.name}: {finding.message}"))
     for finding in quality:
         if finding.severity is Severity.WARNING:

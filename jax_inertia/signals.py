@@ -141,7 +141,7 @@ def bridged_smoothly(source: Masked, ends: float | int = 0.02) -> Masked:
             after = _line(time, x, valid, np.arange(stop, min(stop + reach, time.size)))
             if before is None or after is None:
                 continue
-            t0, t1 = time[start - 1], time[stop]
+            t0, t1 = float(time[start - 1]), float(time[stop])
             ends_at = [line(t) for line, t in ((before, t0), (after, t1))]
             slopes = [before.slope, after.slope]
             cubic = interpolate.CubicHermiteSpline([t0, t1], ends_at, slopes)

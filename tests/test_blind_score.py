@@ -188,7 +188,7 @@ def test_the_summary_has_every_rate_with_bounds():
 
 def test_the_baselines_know_friction_where_it_is(tmp_path):
     """Strong Coulomb friction on an arm: both blame that joint, from the files alone."""
-    import baselines
+    import rivals
     from world.make import make
 
     setting = dataclasses.replace(SETTING, key=(5,), families=("coulomb_friction",))
@@ -202,8 +202,8 @@ def test_the_baselines_know_friction_where_it_is(tmp_path):
     (folder / "test.npz").write_bytes(seal.npz_bytes(test))
     (folder / "nominal.xml").write_text(model)
     place = truth["effects"][0]["location"]["name"]
-    for method in baselines.METHODS:
-        report = baselines.diagnose(folder, method)
+    for method in rivals.METHODS:
+        report = rivals.diagnose(folder, method)
         assert report["effects"][0]["location"]["name"] == place
 
 

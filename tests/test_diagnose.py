@@ -14,7 +14,7 @@ from jax_inertia.cli import main
 from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.effect import effects_in
 from jax_inertia.gap.families import NAMES
-from jax_inertia.gap.units import in_newton_metres
+from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
 
 # A name that would run, be mathematics, and end a CDATA section, if anything let it.
@@ -243,10 +243,13 @@ def test_currents_take_their_gains_from_the_log(data):
         tau_unit=TorqueUnit.AMPERE,
         tau_unit_text="A",
     )
-    back, findings = in_newton_metres(amperes, robot)
-    np.testing.assert_allclose(np.std(back.tau, axis=0), np.std(log.tau, axis=0), rtol=0.02)
+    found, findings = drive_gains(amperes, robot)
+    np.testing.assert_allclose(found, gains, rtol=0.02)
     assert findings[0].check == "drive_gain"
-    assert in_newton_metres(log, robot) == (log, ())
+    back = in_newton_metres(amperes, found)
+    np.testing.assert_allclose(np.std(back.tau, axis=0), np.std(log.tau, axis=0), rtol=0.02)
+    assert drive_gains(log, robot) == ([], ())
+    assert in_newton_metres(log, []) is log
 
 
 # --- bad input ---------------------------------------------------------------------------------------------------

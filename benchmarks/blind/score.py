@@ -3,7 +3,7 @@
     python benchmarks/blind/score.py LOGS SEALED FOUND --commitment HEX --out OUT \\
         [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json]
 
-FOUND is what `solve.py` wrote, each FOLDER what `baselines.py` did. HEX is the commitment as it was published before
+FOUND is what `solve.py` wrote, each FOLDER what `rivals.py` did. HEX is the commitment as it was published before
 any diagnosis. Writes OUT/RESULTS.md, OUT/rows.json and OUT/figures.
 """
 

@@ -34,6 +34,13 @@ class Context:
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
         self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
 
+    def echo(self, again: Prepared) -> "Context":
+        """The same log with more noise; what that hardly changes is shared."""
+        out = Context(again)
+        # A cached property lives in the instance's dictionary.
+        out.__dict__["sensitivity"] = self.sensitivity
+        return out
+
     @functools.cached_property
     def joint_dofs(self) -> dict[str, int]:
         """Row of each hinge and slide joint, by name."""

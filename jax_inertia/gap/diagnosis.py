@@ -13,19 +13,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jax_inertia.gap import locate, nuisance
+from jax_inertia.gap import locate
 from jax_inertia.gap.chain import prepare
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.intervals import Interval, intervals
-from jax_inertia.gap.noise import whitener
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.select import STOP, Candidate, Pool, misfit, select
-from jax_inertia.gap.shrink import Shrink, effect_torque, held_out, try_on, what_is_left
+from jax_inertia.gap.pool import Candidate, Pool, effect_torque
+from jax_inertia.gap.search import find, finder
+from jax_inertia.gap.select import STOP, misfit
+from jax_inertia.gap.shrink import OtherMotion, Shrink, what_is_left, without_harm
 from jax_inertia.gap.trace import Trace, collect
-from jax_inertia.gap.verdict import Verdict, judge, probabilities, second_look, ties
+from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -116,29 +115,21 @@ def diagnose(
         raise ValueError(
             f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering; at least 100 are needed"
         )
-    white, replicas = whitener(prepared, log)
-    context = Context(prepared)
-    progress("tolerances of the nominal model")
-    evidence = Evidence(prepared, white, nuisance.columns(context, tolerance, 1.0 / log.rate))
-    floor = float(np.mean([evidence.noise_energy(x) for x in replicas]))
-    progress("columns of every effect at every place")
-    pool = Pool(context, evidence, [f for f in LIBRARY if f.name not in exclude])
-    progress("choosing effects")
-    chosen, ranking, misfits = select(pool, max_effects, floor)
-    verdict = judge(misfits, floor, chosen, _stated(log))
-    odds = probabilities(ranking, misfits, floor)
-    trial = None
-    if test_log is not None:
-        progress("trying it on the other motion")
-        trial = try_on(robot, test_log, chosen, tolerance)
-        if chosen and not any(c.family.passing for c in chosen):
-            # A wrong cause may fit one motion; it seldom fits two.
-            verdict = second_look(
-                verdict, trial.before, trial.after, trial.floor, trial.allowed, _stated(test_log)
-            )
-    progress("checking on held-out stretches")
-    heldout = held_out(prepared, context, pool, chosen, replicas)
-    numbers = intervals(pool, chosen, misfits[-1] / max(floor, 1.0))
+    library = [f for f in LIBRARY if f.name not in exclude]
+    progress("columns of every effect at every place, and which of them fit")
+    first, search = find(finder(prepared, log, tolerance, library, max_effects))
+    pool, floor, misfits, verdict = search.pool, search.floor, search.misfits, search.verdict
+    context, ranking = pool.context, search.ranking
+    odds = probabilities(ranking, misfits, search.noise)
+    progress("checking on held-out stretches and on the other motion")
+    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search.white)
+    chosen, heldout, trial = without_harm(search, other)
+    if len(chosen) < len(search.chosen):
+        verdict = Verdict.UNKNOWN
+    elif trial is not None and chosen and not any(c.family.passing for c in chosen):
+        # A wrong cause may fit one motion; it seldom fits two.
+        verdict = second_look(verdict, trial.misfit)
+    numbers = intervals(pool, chosen, misfits[-1] / max(search.noise, 1.0))
     findings = tuple(
         Finding(
             family=c.family.name,
@@ -148,11 +139,13 @@ def diagnose(
             probability=odds.get(c.key, 0.5) if i == 0 else 0.5,
             equivalent=tuple(
                 Tie(t.family.name, t.place, _tie_kind(pool, c, t))
-                for t in (ties(c, ranking, misfits, floor) if i == 0 else ())
+                for t in (ties(c, ranking, misfits, search.noise) if i == 0 else ())
             ),
         )
         for i, c in enumerate(chosen)
     )
+    # How large the gap is, and when, is told in units of the sensors' noise.
+    evidence = first.pool.evidence
     raw = evidence.unflatten(evidence.raw[:, 0])
     names = {dof: name for name, dof in context.joint_dofs.items()}
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
@@ -162,9 +155,9 @@ def diagnose(
         verdict=verdict,
         confidence=float(odds.get(chosen[0].key, 0.5))
         if chosen
-        else verdict.confidence(misfits, floor),
+        else verdict.confidence(first.misfits, first.floor),
         chi2=float(np.sum(raw**2) / evidence.rows),
-        noise_floor=float(floor / evidence.rows),
+        noise_floor=float(first.floor / evidence.rows),
         per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
         share=dict(zip(label, (excess / max(excess.sum(), 1e-300)).tolist(), strict=True)),
         findings=findings,
@@ -174,18 +167,14 @@ def diagnose(
         undetectable_below=_undetectable(pool),
         notes=tuple(log.notes),
         trace=collect(
-            pool,
+            first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(
                 what_is_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))
             ),
-            replicas,
+            search.replicas,
         ),
     )
-
-
-def _stated(log: Log) -> bool:
-    return log.sigma_tau is not None and log.sigma_qpos is not None
 
 
 def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> float:
@@ -206,11 +195,11 @@ def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
     """Smallest size of each single-number effect that this log would have shown."""
     out = []
     for family, place, blocks in pool.entries:
-        shape, block = blocks[len(blocks) // 2]
-        if block.shape[1] != 1 or family.grid(pool.context, place):
+        block = blocks[len(blocks) // 2]
+        if block.columns.shape[1] != 1 or family.grid(pool.context, place):
             continue
         price = STOP + np.log(pool.evidence.rows)
-        theta = np.array([np.sqrt(price) / np.linalg.norm(block)])
-        parameter = next(iter(family.parameters(pool.context, place, shape, theta).values()))
+        theta = np.array([np.sqrt(price) / np.linalg.norm(block.columns)])
+        parameter = next(iter(family.parameters(pool.context, place, block.shape, theta).values()))
         out.append((family.name, place, parameter))
     return tuple(out)

@@ -5,7 +5,10 @@ taken in the metric M = (1 + N Nᵀ)⁻¹: J(θ) = (y − A θ)ᵀ M (y − A θ
 so that from then on it is ordinary least squares.
 """
 
+import functools
+
 import numpy as np
+import scipy.fft
 import scipy.linalg
 from jaxtyping import Float
 
@@ -46,10 +49,30 @@ class Evidence:
         """A candidate's columns in the charged metric."""
         return self.charge(self._whiten(columns))
 
+    def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
+        """A finished torque on all rows, in the charged metric."""
+        return self.charge((self.whitener(y) * self.used).reshape(-1, 1))[:, 0]
+
     def noise_energy(self, noise: Float[np.ndarray, "R nv"]) -> float:
         """Charged misfit of a replica of the noise, finished but not whitened."""
-        white = (self.whitener(noise) * self.used).reshape(-1, 1)
-        return float(np.sum(self.charge(white) ** 2))
+        return float(np.sum(self.charged(noise) ** 2))
+
+    @functools.cached_property
+    def slow_modes(self) -> int:
+        """Cosines in time that hold nine tenths of the needed torque, between 1 and 5 Hz."""
+        needed = self.prepared.finish_torque(self.prepared.inverse) / self.whitener.sigma
+        cosines = np.asarray(scipy.fft.dct(needed, axis=0, norm="ortho"))
+        energy = np.cumsum((cosines[1:] ** 2).sum(axis=1))
+        count = int(np.searchsorted(energy, 0.9 * energy[-1])) + 2
+        # The k-th cosine of a record of T seconds has k / 2T Hz.
+        seconds = len(needed) / self.prepared.settings.decimated
+        return int(np.clip(count, 2 * seconds, min(10 * seconds, len(needed))))
+
+    def slow(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
+        """The part in the motion's own band, by its cosines; lengths are kept."""
+        rows = x.reshape(*self.used.shape, -1)
+        cosines = np.asarray(scipy.fft.dct(rows, axis=0, norm="ortho"))
+        return cosines[: self.slow_modes].reshape(-1, x.shape[-1])
 
     def unflatten(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
         """Whitened samples back on their rows; zero where not used."""

@@ -13,7 +13,7 @@ import scipy.stats
 from jaxtyping import Float
 
 from jax_inertia.gap.families.base import Parameter
-from jax_inertia.gap.select import Candidate, Pool
+from jax_inertia.gap.pool import Candidate, Pool
 
 GROUPS = 10
 
@@ -108,7 +108,8 @@ def _shape_slope(pool: Pool, c: Candidate, axis: int) -> Float[np.ndarray, "n 1"
 
     def effect(x: float) -> np.ndarray:
         shape = (*c.shape[:axis], x, *c.shape[axis + 1 :])
-        return pool.evidence.column(c.family.columns(pool.context, c.place, shape)) @ c.theta
+        weights = c.family.weights(pool.context, c.place, c.theta)
+        return pool.evidence.column(c.family.columns(pool.context, c.place, shape)) @ weights
 
     slope = (effect(c.shape[axis] + h) - effect(c.shape[axis] - h)) / (2 * h)
     return slope[:, None]

@@ -20,17 +20,15 @@ ORDER = 3
 FLOOR = 5e-4
 
 
-class Whitener(eqx.Module):
+class Stage(eqx.Module):
     """Autoregression along time and a triangle across rows."""
 
     coefficients: Float[np.ndarray, "nv order"]
     triangle: Float[np.ndarray, "nv nv"]
     """Inverse Cholesky factor of the innovations' covariance."""
-    sigma: Float[np.ndarray, " nv"]
-    """Standard deviation of y's noise, before whitening [N m]."""
 
     def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
-        """Whiten along the leading axis and across the second; the first samples see zeros before them."""
+        """Along the leading axis and across the second; the first samples see zeros before them."""
         out = np.array(x, float)
         shape = (1, -1) + (1,) * (x.ndim - 2)
         for lag in range(1, self.coefficients.shape[1] + 1):
@@ -45,13 +43,42 @@ class Whitener(eqx.Module):
         return self.triangle[None, :, row, None] * out[:, None, :]
 
 
+class Whitener(eqx.Module):
+    """One stage from the sensors' noise, and a second where a model is worse than its sensors."""
+
+    sigma: Float[np.ndarray, " nv"]
+    """Standard deviation of y's noise, before whitening [N m]."""
+    stages: tuple[Stage, ...]
+
+    def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
+        """Whiten finished torques."""
+        for stage in self.stages:
+            x = stage(x)
+        return x
+
+    def one_row(self, x: Float[np.ndarray, "R k"], row: int) -> Float[np.ndarray, "R nv k"]:
+        """`__call__` for columns that are zero on all rows but one."""
+        out = self.stages[0].one_row(x, row)
+        for stage in self.stages[1:]:
+            out = stage(out)
+        return out
+
+    def then(self, left: Float[np.ndarray, "R nv"]) -> "Whitener":
+        """Whiten further, to what is `left` of a log that this whitener and the best fit have been through.
+
+        Where a model misses a robot by far more than the sensors' noise, its misses are the noise that effects and
+        tolerances compete against: taken for signal, they buy masses that no robot has.
+        """
+        return Whitener(self.sigma, (*self.stages, stage_of(left[None], quietest=1.0)))
+
+
 def whitener(
     prepared: Prepared, log: Log, *, replicas: int = 6, seed: int = 0
-) -> tuple[Whitener, Float[np.ndarray, "K R nv"]]:
-    """The whitener of a log's missing torque, and the noise replicas it was made from."""
+) -> tuple[Whitener, Float[np.ndarray, "K R nv"], Prepared]:
+    """The whitener of a log's missing torque, the noise replicas it was made from, and the last noisy log itself."""
     rng = np.random.default_rng(seed)
     own = prepared.finish_torque(prepared.missing)
-    draws = []
+    draws, noisy = [], prepared
     for _ in range(replicas):
         noisy = prepare(prepared.robot, perturbed(log, rng), prepared.settings)
         draws.append(noisy.finish_torque(noisy.missing) - own)
@@ -59,6 +86,12 @@ def whitener(
     size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
     floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
     noise = noise + floor * rng.standard_normal(noise.shape)
+    sigma = np.sqrt(np.mean(noise**2, axis=(0, 1)))
+    return Whitener(sigma, (stage_of(noise),)), noise, noisy
+
+
+def stage_of(noise: Float[np.ndarray, "K R nv"], quietest: float = 0.0) -> Stage:
+    """The stage that whitens K draws of noise; no row's innovations are taken for smaller than `quietest`."""
     nv = noise.shape[2]
     coefficients = np.zeros((nv, ORDER))
     innovation = noise[:, ORDER:].copy()
@@ -66,13 +99,25 @@ def whitener(
         lags = [
             np.mean(noise[:, k:, j] * noise[:, : noise.shape[1] - k, j]) for k in range(ORDER + 1)
         ]
-        coefficients[j] = linalg.solve_toeplitz(lags[:-1], lags[1:])
+        if lags[0] > 0:
+            coefficients[j] = linalg.solve_toeplitz(lags[:-1], lags[1:])
         for lag in range(1, ORDER + 1):
             innovation[:, :, j] -= coefficients[j, lag - 1] * noise[:, ORDER - lag : -lag, j]
     flat = innovation.reshape(-1, nv)
     covariance = flat.T @ flat / len(flat)
-    triangle = linalg.inv(linalg.cholesky(covariance, lower=True))
-    return Whitener(coefficients, triangle, np.sqrt(np.mean(noise**2, axis=(0, 1)))), noise
+    size = np.sqrt(np.diagonal(covariance))
+    if quietest:
+        # One log says less of how its rows go together than of how large each is.
+        correlation = 0.8 * covariance / np.maximum(np.outer(size, size), 1e-300)
+        np.fill_diagonal(correlation, 1.0)
+        size = np.maximum(size, quietest)
+        covariance = correlation * np.outer(size, size)
+    return Stage(coefficients, linalg.inv(linalg.cholesky(covariance, lower=True)))
+
+
+def stated(log: Log) -> bool:
+    """Whether the log says how large its sensors' noise is."""
+    return log.sigma_tau is not None and log.sigma_qpos is not None
 
 
 def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:

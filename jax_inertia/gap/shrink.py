@@ -9,9 +9,11 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.noise import whitener
+from jax_inertia.gap.noise import Whitener, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.select import Candidate
+from jax_inertia.gap.pool import Candidate, effect_torque
+from jax_inertia.gap.search import Search
+from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -29,19 +31,6 @@ class Shrink:
         """1 − after/before, both with the noise taken off."""
         gap = max(self.before**2 - self.noise**2, 1e-300)
         return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
-
-
-def effect_torque(context: Context, c: Candidate) -> np.ndarray:
-    """A found effect's torque on the fast grid of any log (T, nv)."""
-    columns = c.family.columns(context, c.place, c.shape)
-    change = c.family.change(context, c.place, c.theta)
-    weights = c.theta if change is None else change
-    values = columns.values @ weights
-    if columns.row is None:
-        return values
-    out = np.zeros((len(values), context.robot.nv))
-    out[:, columns.row] = values
-    return out
 
 
 def _rms(x: np.ndarray, rest: np.ndarray) -> float:
@@ -85,7 +74,9 @@ def _share_of(theta: np.ndarray, own: np.ndarray, chosen: list[Candidate]) -> li
     out, start = [], 0
     for c in chosen:
         part = slice(start, start + len(c.theta))
-        out.append(float(theta[part] @ own[part] / max(own[part] @ own[part], 1e-300)))
+        # Without θ there is nothing for a fold to scale.
+        size = float(own[part] @ own[part])
+        out.append(float(theta[part] @ own[part]) / size if size > 0 else 1.0)
         start += len(c.theta)
     return out
 
@@ -95,34 +86,78 @@ class Trial:
     """The found effects, as they are, on another motion."""
 
     shrink: Shrink
-    before: float
-    """Charged misfit J of the model alone, as the diagnosis judges its own log."""
-    after: float
-    floor: float
-    allowed: float
-    """J that the equations' own errors may leave."""
+    misfit: Tried
 
 
-def try_on(robot: Robot, log: Log, chosen: list[Candidate], tolerance: Tolerance) -> Trial:
-    """The same effects, as they are, on another motion; what happened in passing is not expected again."""
-    prepared = prepare(robot, log)
-    context = Context(prepared)
-    white, replicas = whitener(prepared, log)
-    rest = context.at_rest[prepared.kept] | ~prepared.valid
-    y = prepared.finish_torque(prepared.missing)
-    lasting = [c for c in chosen if not c.family.passing]
-    effects = [effect_torque(context, c) for c in lasting]
-    after = y - sum((prepared.finish_torque(e) for e in effects), np.zeros_like(y))
-    noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
-    evidence = Evidence(prepared, white, nuisance.columns(context, tolerance, 1.0 / log.rate))
-    charged = [evidence.column(Columns(e[:, :, None]))[:, 0] for e in effects]
-    left = evidence.y - sum(charged, np.zeros_like(evidence.y))
-    return Trial(
-        shrink=Shrink(_rms(y, rest), _rms(after, rest), noise),
-        before=float(evidence.y @ evidence.y),
-        after=float(left @ left),
-        floor=float(np.mean([evidence.noise_energy(x) for x in replicas])),
-        allowed=sum(
-            c.family.form_error**2 * float(e @ e) for c, e in zip(lasting, charged, strict=True)
-        ),
-    )
+class OtherMotion:
+    """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
+
+    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, white: Whitener):
+        prepared = prepare(robot, log)
+        context = Context(prepared)
+        own, self._replicas, _ = whitener(prepared, log)
+        # The errors that the first log showed beyond its sensors' are there on this one too.
+        own = Whitener(own.sigma, (*own.stages, *white.stages[1:]))
+        columns = nuisance.columns(context, tolerance, 1.0 / log.rate)
+        self._prepared, self._context = prepared, context
+        self._evidence = Evidence(prepared, own, columns)
+        self._stated = stated(log)
+
+    def trial(self, chosen: list[Candidate]) -> Trial:
+        """Missing torque and misfit with and without the effects."""
+        prepared, context, evidence = self._prepared, self._context, self._evidence
+        rest = context.at_rest[prepared.kept] | ~prepared.valid
+        y = prepared.finish_torque(prepared.missing)
+        lasting = [c for c in chosen if not c.family.passing]
+        effects = [effect_torque(context, c) for c in lasting]
+        after = y - sum((prepared.finish_torque(e) for e in effects), np.zeros_like(y))
+        noise = float(np.sqrt(np.mean(np.asarray(self._replicas)[:, ~rest] ** 2)))
+        charged = [evidence.column(Columns(e[:, :, None]))[:, 0] for e in effects]
+        left = evidence.y - sum(charged, np.zeros_like(evidence.y))
+        return Trial(
+            shrink=Shrink(_rms(y, rest), _rms(after, rest), noise),
+            misfit=Tried(
+                before=float(evidence.y @ evidence.y),
+                after=float(left @ left),
+                floor=float(np.mean([evidence.noise_energy(x) for x in self._replicas])),
+                allowed=sum(
+                    c.family.form_error**2 * float(e @ e)
+                    for c, e in zip(lasting, charged, strict=True)
+                ),
+                stated=self._stated,
+            ),
+        )
+
+
+# Chance and the nominal model's own errors may undo a small true effect in N m; more than this is no cause.
+WORSE = 1.1
+
+
+def without_harm(
+    search: Search, other: OtherMotion | None
+) -> tuple[list[Candidate], Shrink, Trial | None]:
+    """The effects but for those that leave more torque missing than the model alone, held out or on another motion.
+
+    With them, the shrink on the log itself and the trial on the other motion.
+    """
+    pool = search.pool
+    prepared, context = pool.context.prepared, pool.context
+    chosen = search.chosen
+
+    def shrinks(effects: list[Candidate]) -> tuple[Shrink, Trial | None]:
+        own = held_out(prepared, context, pool, effects, search.replicas)
+        return own, None if other is None else other.trial(effects)
+
+    def harm(found: tuple[Shrink, Trial | None]) -> float:
+        own, trial = found
+        ratios = [own.after / own.before]
+        if trial is not None:
+            ratios.append(trial.shrink.after / trial.shrink.before)
+        return max(ratios)
+
+    now = shrinks(chosen)
+    while chosen and harm(now) > WORSE:
+        fewer = [[x for k, x in enumerate(chosen) if k != i] for i in range(len(chosen))]
+        tried = [(rest, shrinks(rest)) for rest in fewer]
+        chosen, now = min(tried, key=lambda option: harm(option[1]))
+    return chosen, *now

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.gap.select import Pool
+from jax_inertia.gap.pool import Pool
 
 
 @dataclasses.dataclass(frozen=True)

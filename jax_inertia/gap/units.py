@@ -7,35 +7,57 @@ from jax_inertia.log import Log, TorqueUnit
 from jax_inertia.preflight import Finding, Severity
 from jax_inertia.robot import Robot
 
+# A slope that is not this many standard errors from zero is no gain.
+SURE = 10.0
 
-def in_newton_metres(log: Log, robot: Robot) -> tuple[Log, tuple[Finding, ...]]:
-    """The log in N m, and what was done to it; as it is where torque is in N m already.
 
-    The gain of a joint is the slope of g in  g i = τ_model + F sign v + d v + b, by least squares: a gap that is
-    proportional to the torque itself cannot be told from it. Raises ValueError where a channel is constant.
+def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...]]:
+    """Gain of each joint in N m per unit of the log, and what there is to say of it; none for a log in N m.
+
+    The gain is the slope g in  g i = τ_model + F sign v + d v + b, by least squares: a gap that is proportional to the
+    torque itself cannot be told from it. A joint that carries too little (a wrist's roll) gets the others' median.
+    Raises ValueError where a channel is constant, or no joint's gain is determined.
     """
     if log.tau_unit is TorqueUnit.NEWTON_METRE:
-        return log, ()
+        return [], ()
     prepared = prepare(robot, log)
     rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
     v = np.asarray(prepared.observation.motion.v)
-    gains = []
+    gains, sure = [], []
     for name in log.joint_names:
         row = rows[name]
         speed = v[:, row]
         columns = np.stack(
             [prepared.inverse[:, row], np.tanh(speed / 0.01), speed, np.ones_like(speed)], axis=1
         )
-        used = prepared.finish(columns)
-        current = prepared.finish(prepared.tau[:, row])
+        used, current = prepared.finish(columns), prepared.finish(prepared.tau[:, row])
         # i = (τ_model + friction)/g: the noise is in the current, so it is the side that is fitted.
-        slope = np.linalg.lstsq(used, current, rcond=None)[0][0]
-        if not np.isfinite(slope) or slope == 0:
+        fit = np.linalg.lstsq(used, current, rcond=None)[0]
+        if not np.isfinite(fit[0]) or fit[0] == 0:
             raise ValueError(f"tau of {name!r} in {log.tau_unit_text!r} has no gain; log it")
-        gains.append(1.0 / slope)
+        left = current - used @ fit
+        error = np.sqrt(np.mean(left**2) * np.linalg.pinv(used.T @ used)[0, 0])
+        # Neighbouring samples go together: about ten of them count as one.
+        sure.append(bool(fit[0] > SURE * error * np.sqrt(10.0)))
+        gains.append(1.0 / fit[0])
+    if not any(sure):
+        raise ValueError(
+            f"tau is in {log.tau_unit_text!r} and no joint's gain can be told from this log; give torques in N m"
+        )
+    middle = float(np.median([g for g, s in zip(gains, sure, strict=True) if s]))
+    gains = [g if s else middle for g, s in zip(gains, sure, strict=True)]
     text = ", ".join(f"{n} {g:.4g}" for n, g in zip(log.joint_names, gains, strict=True))
     message = (
         f"tau is in {log.tau_unit_text!r}: drive gains were taken from this log and the model, {text} N m per unit; "
         "a torque gain cannot be found beside them"
     )
-    return log.with_torque_gains(gains), (Finding(Severity.WARNING, "drive_gain", message),)
+    if unsure := [n for n, s in zip(log.joint_names, sure, strict=True) if not s]:
+        message += (
+            f"; {', '.join(unsure)} carry too little to tell, so the others' median stands in"
+        )
+    return gains, (Finding(Severity.WARNING, "drive_gain", message),)
+
+
+def in_newton_metres(log: Log, gains: list[float]) -> Log:
+    """The log with `drive_gains` applied; as it is where there are none."""
+    return log.with_torque_gains(gains) if gains else log

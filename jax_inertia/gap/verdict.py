@@ -3,12 +3,13 @@
 `floor` is the misfit that noise alone would leave. The excess above it is the gap as far as this log can see.
 """
 
+import dataclasses
 import enum
 
 import numpy as np
 import scipy.special
 
-from jax_inertia.gap.select import Candidate
+from jax_inertia.gap.pool import Candidate
 
 
 class Verdict(enum.StrEnum):
@@ -37,12 +38,12 @@ NOISE_ERROR, NOISE_UNSTATED = 1.3, 4.0
 DOUBT = 0.2
 
 
-def judge(misfits: list[float], floor: float, chosen: list[Candidate], stated: bool) -> Verdict:
+def judge(misfits: list[float], floor: float, allowed: float, stated: bool) -> Verdict:
     """The verdict for misfits after 0, 1, 2 ... effects.
 
     Explained: what is left is within the noise and the errors of the found effects' own equations. Partly: a fifth
     of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
-    `stated`: whether the log states its sensors' noise.
+    `allowed`: misfit that the found equations' own errors may leave. `stated`: whether the log states its noise.
     """
     error = NOISE_ERROR if stated else NOISE_UNSTATED
     if len(misfits) == 1:
@@ -52,27 +53,40 @@ def judge(misfits: list[float], floor: float, chosen: list[Candidate], stated: b
             else Verdict.NO_GAP
         )
     left = misfits[-1] - error * floor
-    allowed = sum(c.family.form_error**2 * float(c.effect @ c.effect) for c in chosen)
     if left <= max(allowed, 0.2 * floor):
         return Verdict.EXPLAINED
     excess = max(misfits[0] - floor, 1e-300)
     return Verdict.PARTLY if left < DOUBT**2 * excess else Verdict.UNKNOWN
 
 
-def second_look(
-    verdict: Verdict, before: float, after: float, floor: float, allowed: float, stated: bool
-) -> Verdict:
-    """The verdict after the same effects were tried on another motion, by that motion's misfits.
+@dataclasses.dataclass(frozen=True)
+class Tried:
+    """Charged misfits J of another motion."""
+
+    before: float
+    """Of the model alone."""
+    after: float
+    """With the effects as they are."""
+    floor: float
+    """What the sensors' noise alone would leave."""
+    allowed: float
+    """What the equations' own errors may leave."""
+    stated: bool
+    """Whether that log states its sensors' noise."""
+
+
+def second_look(verdict: Verdict, tried: Tried) -> Verdict:
+    """The verdict after the same effects were tried on another motion.
 
     What fits there is left as it is; what leaves twice what the first log may leave is doubted.
     """
-    error = NOISE_ERROR if stated else NOISE_UNSTATED
-    excess, left = before - floor, after - error * floor
-    if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY) or excess < error * floor:
+    error = NOISE_ERROR if tried.stated else NOISE_UNSTATED
+    excess, left = tried.before - tried.floor, tried.after - error * tried.floor
+    if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY) or excess < error * tried.floor:
         return verdict
-    if left > max(4.0 * allowed, (2 * DOUBT) ** 2 * excess):
+    if left > max(4.0 * tried.allowed, (2 * DOUBT) ** 2 * excess):
         return Verdict.UNKNOWN
-    return Verdict.PARTLY if left > max(2.0 * allowed, DOUBT**2 * excess) else verdict
+    return Verdict.PARTLY if left > max(2.0 * tried.allowed, DOUBT**2 * excess) else verdict
 
 
 def ties(

@@ -128,7 +128,7 @@ def shrink(rows: list[dict], file: Path) -> str:
 
 def one_log(row: dict, folder: Path, file: Path) -> str:
     """The nominal model's residual over time, the three largest joints, with the torque's size."""
-    from baselines import read, residual
+    from rivals import read, residual
 
     m = read(folder / "log.npz", folder / "nominal.xml")
     r = residual(m)[:, m.dofs]

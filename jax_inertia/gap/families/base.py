@@ -2,7 +2,7 @@
 
 A family is an equation; a *candidate* is the family at a place. On the fast grid a candidate gives columns A(shape), so
 that the effect's torque is e = A(shape) θ: linear in θ, given a few nonlinear numbers, `shape`. A body's change of
-inertial parameters is nonlinear in another way: e = −Y δπ(θ), which `Family.change` gives.
+inertial parameters is nonlinear in another way, e = −Y δπ(θ), and some equations have no θ at all (a delay).
 """
 
 import abc
@@ -58,11 +58,13 @@ class Family(abc.ABC):
     form_error: ClassVar[float] = 0.01
     """How far the equation may be from a real robot's, as a share (rms) of the effect: real teeth rattle, friction
     creeps. What is left within it is no further effect, and no reason to call the cause unknown."""
-    noise_share: ClassVar[float] = 0.0
-    """Share of the noise's own misfit that the columns may explain, where they carry the sensors' noise themselves
-    (torque late by itself, accelerations): a gain within it is no evidence."""
+    slow: ClassVar[bool] = False
+    """Whether only the motion's own band is evidence. Above it, a column of accelerations meets its own noise in y; and
+    a controller that feeds encoder noise back correlates the torque it asks for with that noise."""
+    whole: ClassVar[float | None] = None
+    """For equations without θ, e = A(shape): how far from one a size let free may come out. None for all others."""
     size: ClassVar[int | None] = None
-    """Numbers in θ of a family with `change`; None where the effect is linear in θ."""
+    """Numbers in θ where the effect is not linear in it (`weights`); None where it is."""
 
     def places(self, context: Context) -> list[Place]:
         """Everywhere the effect can be in this log."""
@@ -108,8 +110,19 @@ class Family(abc.ABC):
     ) -> dict[str, Parameter]:
         """What is reported, in the field's own terms."""
 
-    def change(
-        self, context: Context, place: Place, theta: np.ndarray
-    ) -> Float[np.ndarray, "10"] | None:
-        """δπ(θ) for families that change a body, whose `columns` are then −Y; None for all others."""
-        return None
+    def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
+        """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""
+        return np.ones(1) if self.whole is not None else theta
+
+    def noisy(self, context: Context) -> bool:
+        """Whether the columns carry noise of the sensors that no nuisance carries too: see `pool`."""
+        return False
+
+    def starts(
+        self, context: Context, place: Place, free: np.ndarray | None
+    ) -> list[Float[np.ndarray, " size"]]:
+        """Where a search over θ begins where w(θ) is not linear; `free` is w fitted as if it were."""
+        return [np.zeros(self.size or 0)]
+
+    def prepare(self, context: Context, place: Place, shapes: list[Shape]) -> None:  # noqa: B027
+        """Compute at once what the columns of many shapes need."""

@@ -6,7 +6,7 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter
 
 
 class Inertial(Family):
-    """e = −Y δπ(θ)."""
+    """e = −Y δπ(θ), δπ the weights."""
 
     kind = "body"
 
@@ -22,7 +22,14 @@ class Payload(Inertial):
     # A real load is no point: its own inertia is left.
     form_error = 0.05
 
-    def change(self, context, place, theta):
+    def starts(self, context, place, free):
+        scale = max(float(context.robot.pi[place.index, 0]), 0.1)
+        out = [np.concatenate([[m * scale], np.zeros(3)]) for m in (0.05, 0.3, 1.0)]
+        if free is not None and free[0] > 0:
+            out.append(np.concatenate([free[:1], free[1:4] / free[0]]))
+        return out
+
+    def weights(self, context, place, theta):
         m, c = theta[0], theta[1:4]
         i = m * (c @ c * np.eye(3) - np.outer(c, c))
         return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
@@ -41,7 +48,7 @@ class ComShift(Inertial):
     name, equation, size = "com_shift", "centre of mass + δ, mass and inertia about it kept", 3
     simpler = ()
 
-    def change(self, context, place, theta):
+    def weights(self, context, place, theta):
         pi = self.pi(context, place)
         m = pi[0]
         if m <= 0:
@@ -56,7 +63,7 @@ class ComShift(Inertial):
         return np.array([0.0, *h, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta) < 0.3)
+        return bool(np.linalg.norm(theta) < 0.15)
 
     def parameters(self, context, place, shape, theta):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
@@ -68,9 +75,12 @@ class LinkInertia(Inertial):
         "rotational inertia about the centre of mass scaled by s",
         1,
     )
-    noise_share = 0.02
+    slow = True
 
-    def change(self, context, place, theta):
+    def starts(self, context, place, free):
+        return [np.array([0.1])]
+
+    def weights(self, context, place, theta):
         pi = self.pi(context, place)
         m, h = pi[0], pi[1:4]
         if m <= 0:
@@ -117,7 +127,7 @@ class Drag(Family):
 
 class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
-    passing, form_error = True, 0.2
+    passing, form_error = True, 0.1
 
     def shapes(self, context, place):
         return context.windows

@@ -4,9 +4,6 @@ Each is a small error δ(t) = q_logged − q of one joint. The needed torque was
 its derivative along δ: y = ∂ID/∂q δ + ∂ID/∂v δ̇ + ∂ID/∂a δ̈, on every row that the joint carries.
 """
 
-import itertools
-from collections.abc import Iterable
-
 import numpy as np
 
 from jax_inertia.gap.context import Context
@@ -69,31 +66,30 @@ class EncoderScale(Encoder):
 
 
 class TwoMass(Encoder):
-    """Motor and link apart: the path is `context.separation`, and θ, one where the equation holds, only checks it."""
+    """Motor and link apart: the path is `context.separation`."""
 
-    motor_side = True
+    motor_side, whole = True, 0.2
 
-    def couplings(self, context: Context, place: Place) -> Iterable[tuple[float, float, float]]:
-        """(K, ζ, b) of every grid point."""
-        return [self.coupling(shape) for shape in itertools.product(*self.grid(context, place))]
+    def noisy(self, context):
+        return True
 
     def coupling(self, shape: Shape) -> tuple[float, float, float]:
+        """(K, ζ, b) of a shape."""
         raise NotImplementedError
 
-    def shapes(self, context, place):
-        context.separate(place.index, list(self.couplings(context, place)))
-        return super().shapes(context, place)
+    def prepare(self, context, place, shapes):
+        context.separate(place.index, [self.coupling(shape) for shape in shapes])
 
     def path(self, context, place, shape):
         return context.separation(place.index, self.coupling(shape))
 
     def stiffnesses(self, context: Context, place: Place, n: int) -> np.ndarray:
-        """From 0.1 rad at the joint's peak torque, softer than any drive, to 0.0003 rad."""
+        """From 0.07 rad at the joint's peak torque, softer than most drives, to 0.0003 rad."""
         peak = np.percentile(np.abs(context.link_torque[:, place.index]), 99.5) + 1e-6
-        return peak / np.geomspace(0.1, 3e-4, n)
+        return peak / np.geomspace(0.07, 3e-4, n)
 
     def physical(self, context, place, shape, theta):
-        return abs(theta[0] - 1.0) < 0.2
+        return True
 
 
 class JointElasticity(TwoMass):

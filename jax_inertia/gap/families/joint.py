@@ -157,7 +157,7 @@ class FrictionDrift(Joint):
 
 class Armature(Joint):
     name, equation = "armature", "−I_a q̈"
-    noise_share = 0.02
+    slow = True
 
     def columns(self, context, place, shape):
         return Columns(-context.a[:, place.index, None], place.index)

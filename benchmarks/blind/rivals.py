@@ -1,6 +1,6 @@
 """Two simple diagnoses to stand beside ours, from MuJoCo's inverse dynamics alone.
 
-    python benchmarks/blind/baselines.py LOGS OUT --method coulomb|greedy --jobs 2
+    python benchmarks/blind/rivals.py LOGS OUT --method coulomb|greedy --jobs 2
 
 `coulomb` says: Coulomb friction, at the joint with the largest residual. `greedy` fits linear columns of families by
 ordinary least squares, unwhitened, and adds the best one while Schwarz's criterion falls, three at most. Same layout

@@ -1,0 +1,138 @@
+"""The search for what the model lacks, and its second pass where the model is worse than its sensors.
+
+The first pass takes the sensors for the only noise. Where that leaves more than noise, what is left after the best
+effects is itself whitened (`Whitener.then`) and the search begins again: now effects and the nominal model's tolerances
+compete against the errors that are really there, and neither is bent to fit them.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from jax_inertia.gap import nuisance
+from jax_inertia.gap.chain import Prepared
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Columns, Family
+from jax_inertia.gap.noise import Whitener, stated, whitener
+from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.pool import Candidate, Echo, Pool, effect_torque
+from jax_inertia.gap.select import remaining, row_energy, select
+from jax_inertia.gap.verdict import Verdict, judge
+from jax_inertia.log import Log
+
+
+@dataclasses.dataclass(frozen=True)
+class Search:
+    """Where a search ended."""
+
+    pool: Pool
+    white: Whitener
+    replicas: np.ndarray
+    """Draws of the sensors' noise in the finished missing torque, (K, R, nv)."""
+    chosen: list[Candidate]
+    ranking: list[Candidate]
+    """All candidates at the first step, best first."""
+    misfits: list[float]
+    """Charged misfit J after 0, 1, 2 ... effects."""
+    floor: float
+    """J that the sensors' noise alone would leave."""
+    noise: float
+    """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
+    verdict: Verdict
+
+
+@dataclasses.dataclass(frozen=True)
+class Finder:
+    """A log made ready, and what may be found in it."""
+
+    context: Context
+    white: Whitener
+    replicas: np.ndarray
+    again: Prepared
+    nuisances: list
+    library: list[Family]
+    max_effects: int
+    stated: bool
+
+    def search(self, white: Whitener, noise: float | None = None) -> Search:
+        """One pass, against the noise of a whitener."""
+        context = self.context
+        evidence = Evidence(context.prepared, white, self.nuisances)
+        floor = float(np.mean([evidence.noise_energy(x) for x in self.replicas]))
+        again = evidence.charged(self.again.finish_torque(self.again.missing))
+        pool = Pool(
+            context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
+        )
+        against = floor if noise is None else noise
+        chosen, ranking, misfits = select(pool, self.max_effects, against)
+        allowed = _allowed(chosen, [c.effect for c in chosen])
+        verdict = judge(misfits, floor, allowed, self.stated)
+        if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= max(2, len(chosen) / 2):
+            verdict = Verdict.PARTLY
+        return Search(pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict)
+
+
+def finder(
+    prepared: Prepared,
+    log: Log,
+    tolerance: Tolerance,
+    library: list[Family],
+    max_effects: int,
+) -> Finder:
+    """Prepare a search."""
+    white, replicas, again = whitener(prepared, log)
+    context = Context(prepared)
+    columns = nuisance.columns(context, tolerance, 1.0 / log.rate)
+    return Finder(context, white, replicas, again, columns, library, max_effects, stated(log))
+
+
+def find(finder: Finder) -> tuple[Search, Search]:
+    """The first pass and the last, which are one where the sensors' noise is all there is."""
+    first = finder.search(finder.white)
+    if (
+        first.verdict in (Verdict.EXPLAINED, Verdict.NO_GAP)
+        or first.misfits[-1] < WORSE * first.noise
+    ):
+        return first, first
+    evidence = first.pool.evidence
+    left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
+    second = finder.search(finder.white.then(left), noise=float(evidence.rows))
+    if not second.chosen:
+        return first, first
+    # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
+    effects = [
+        evidence.column(Columns(effect_torque(finder.context, c)[:, :, None]))[:, 0]
+        for c in second.chosen
+    ]
+    after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
+    allowed = _allowed(second.chosen, effects)
+    verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
+    if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
+        verdict = Verdict.PARTLY
+    return first, dataclasses.replace(second, verdict=verdict)
+
+
+# A second pass where more than this multiple of the noise's misfit is left.
+WORSE = 3.0
+
+
+def _rows_explained(pool: Pool, chosen: list[Candidate]) -> int:
+    """How many effects leave less than a tenth of the energy on the rows where they act."""
+    evidence = pool.evidence
+    before = np.sum(evidence.unflatten(evidence.y) ** 2, axis=0)
+    after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
+    count = 0
+    for c in chosen:
+        energy = row_energy(pool, c)
+        acts = energy > 0.05 * energy.max()
+        count += bool(after[acts].sum() < 0.1 * before[acts].sum())
+    return count
+
+
+def _allowed(chosen: list[Candidate], effects: list[np.ndarray]) -> float:
+    """The misfit that the found equations' own errors may leave."""
+    return sum(
+        (c.family.form_error**2 * float(e @ e) for c, e in zip(chosen, effects, strict=True)),
+        start=0.0,
+    )
