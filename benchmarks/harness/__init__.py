@@ -1,0 +1,1 @@
+"""What the speed and Monte Carlo benchmarks share: one core, clocks, states, and where results go."""

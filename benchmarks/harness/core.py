@@ -1,0 +1,16 @@
+"""One core for everybody: import this before jax, numpy or Pinocchio, or threads are started that ratios forget."""
+
+import os
+import sys
+
+FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+
+
+def one_core() -> None:
+    """Keep this process, XLA's and BLAS's threads included, on one core where the system allows it."""
+    if "jax" in sys.modules or "numpy" in sys.modules:
+        raise RuntimeError("one_core() comes before jax and numpy are imported")
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FLAGS}".strip()
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -1,0 +1,209 @@
+"""The analytic Jacobian of the measurement against autodiff: ∂g/∂θ alone, and ∂h/∂θ with h through inverse dynamics.
+
+    python benchmarks/jacobian.py [--most 65536] [--budget 0.5]
+
+g is the paper's π = g(θ) (Foster et al., eq. log-cholesky); h(θ) the torque of the humanoid whose torso and forearm
+have the parameters g(θ), so that ∂h/∂θ = Y^est G. Autodiff differentiates that torque itself, forwards (20 tangents)
+and backwards (29 cotangents). Writes results/jacobian.json, figures/jacobian.png and a part of README.md. On a GPU
+the same command; the device is part of what it prints.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.harness.core import one_core
+
+one_core()
+
+import argparse  # noqa: E402
+from collections.abc import Callable  # noqa: E402
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+from benchmarks.harness import results  # noqa: E402
+from benchmarks.harness.clock import compiled, seconds  # noqa: E402
+from benchmarks.harness.states import BODIES, humanoid, states  # noqa: E402
+from jax_inertia import inertia, inverse_dynamics, load_model, torque_regressor  # noqa: E402
+from jax_inertia.robot import Robot  # noqa: E402
+
+BATCHES = (1, 16, 256, 4096, 65536)
+SAMPLES = 256  # for the agreement
+HOW = ("analytic", "jacfwd", "jacrev")
+DTYPES = ("float64", "float32")
+Ways = dict[str, Callable]
+
+
+def of_g() -> Ways:
+    """∂g/∂θ of one body (10 × 10)."""
+    g = inertia.from_log_cholesky
+    return {
+        "analytic": lambda x: inertia.log_cholesky_jacobian(x[0]),
+        "jacfwd": lambda x: jax.jacfwd(g)(x[0]),
+        "jacrev": lambda x: jax.jacrev(g)(x[0]),
+    }
+
+
+def of_h(robot: Robot) -> Ways:
+    """∂h/∂θ of two bodies (29 × 20)."""
+    chosen = tuple(robot.body_index(name) for name in BODIES)
+
+    def h(theta, q, v, a):
+        pi = inertia.from_log_cholesky(theta.reshape(-1, 10))
+        return inverse_dynamics(robot.with_pi(chosen, pi), q, v, a)
+
+    def analytic(x):
+        theta, q, v, a = x
+        y = torque_regressor(robot, q, v, a, chosen)
+        slope = inertia.log_cholesky_jacobian(theta.reshape(-1, 10))
+        return jnp.einsum("vbp,bpj->vbj", y, slope).reshape(robot.nv, -1)
+
+    return {
+        "analytic": analytic,
+        "jacfwd": lambda x: jax.jacfwd(h)(*x),
+        "jacrev": lambda x: jax.jacrev(h)(*x),
+    }
+
+
+def batched(one: Callable, chunk: int) -> Callable:
+    """`one` over a batch, in chunks whose intermediate results stay in the cache (or in a GPU's memory)."""
+    return lambda *x: jax.lax.map(one, x, batch_size=min(chunk, len(x[0])))
+
+
+def agreement(ways: dict[str, Ways], inputs: dict[str, tuple]) -> dict[str, dict[str, float]]:
+    """Largest |J − J*| over largest |J*|, J* the analytic one in float64."""
+    out: dict[str, dict[str, float]] = {}
+    truth = np.asarray(
+        jax.jit(jax.vmap(lambda *x: ways["float64"]["analytic"](x)))(*inputs["float64"])
+    )
+    for dtype, by in ways.items():
+        out[dtype] = {}
+        for how, one in by.items():
+            found = np.asarray(jax.jit(jax.vmap(lambda *x, f=one: f(x)))(*inputs[dtype]), float)
+            out[dtype][how] = float(np.abs(found - truth).max() / np.abs(truth).max())
+    return out
+
+
+def measure(most: int, budget: float) -> dict:
+    """Agreement and times of everything."""
+    jax.config.update("jax_enable_x64", True)
+    model = humanoid()
+    robot = load_model(model)
+    rng = np.random.default_rng(1)
+    nominal = inertia.to_log_cholesky(robot.pi[np.array([robot.body_index(b) for b in BODIES])])
+    count = max(most, SAMPLES)
+    theta = np.asarray(nominal).ravel() + 0.1 * rng.normal(size=(count, 20))
+    chunk = 64 if jax.default_backend() == "cpu" else 8192
+    out: dict = {"about": results.circumstances(), "chunk": chunk, "agreement": {}, "runs": []}
+    subjects = {
+        "g": ({d: of_g() for d in DTYPES}, lambda d: (jnp.asarray(theta[:, :10], d),)),
+        "h": (
+            {d: of_h(robot.astype(d)) for d in DTYPES},
+            lambda d: (jnp.asarray(theta, d), *states(model, count, d)),
+        ),
+    }
+    for subject, (ways, make) in subjects.items():
+        inputs = {d: make(d) for d in DTYPES}
+        few = {d: tuple(x[:SAMPLES] for x in inputs[d]) for d in DTYPES}
+        out["agreement"][subject] = agreement(ways, few)
+        for dtype in DTYPES:
+            for how in HOW:
+                for batch in (b for b in BATCHES if b <= most):
+                    args = tuple(x[:batch] for x in inputs[dtype])
+                    program, compile_s = compiled(batched(ways[dtype][how], chunk), *args)
+                    run_s = seconds(lambda p=program, a=args: p(*a), budget=budget)
+                    row = {"of": subject, "dtype": dtype, "how": how, "batch": batch}
+                    out["runs"].append({**row, "compile_s": compile_s, "run_s": run_s})
+                    print(
+                        row, f"compile {compile_s:.2f} s, {run_s / batch * 1e6:.3f} µs", flush=True
+                    )
+    return out
+
+
+def page(found: dict) -> str:
+    """The page's part."""
+    at = {(r["of"], r["dtype"], r["how"], r["batch"]): r for r in found["runs"]}
+    batches = sorted({r["batch"] for r in found["runs"]})
+    rows = []
+    for subject in ("g", "h"):
+        for dtype in DTYPES:
+            for how in HOW:
+                runs = [at[subject, dtype, how, b] for b in batches]
+                cells = [f"{r['run_s'] / r['batch'] * 1e6:.3g}" for r in runs]
+                compile_s = np.median([r["compile_s"] for r in runs])
+                error = found["agreement"][subject][dtype][how]
+                name = f"∂{subject}/∂θ"
+                rows.append([name, dtype, how, f"{error:.0e}", f"{compile_s:.2f}", *cells])
+    head = ["", "", "", "error", "compile s", *(f"µs, batch {b}" for b in batches)]
+    return "\n\n".join(
+        [
+            "## Jacobian: analytic against autodiff",
+            "g: one body, 10 × 10. h: torque of the humanoid by two bodies, 29 × 20, autodiff through inverse "
+            "dynamics. Error: largest difference from the analytic Jacobian in float64 over its largest entry. "
+            f"Times per sample, median, one core unless a GPU is named, chunks of {found['chunk']}. `python benchmarks/jacobian.py`",
+            results.table(head, rows),
+            results.sentence(found["about"]),
+            "![Time per Jacobian over batch](figures/jacobian.png)",
+        ]
+    )
+
+
+def draw(found: dict, path: Path) -> None:
+    """Time per sample over batch, and compile time."""
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(
+        1, 3, figsize=(11, 3.6), width_ratios=(2, 2, 1.4), layout="constrained"
+    )
+    colours = dict(zip(HOW, ("#1b6ca8", "#d1701a", "#7a4fa3"), strict=True))
+    for ax, subject in zip(axes, ("g", "h"), strict=False):
+        for how in HOW:
+            for dtype, style in zip(DTYPES, ("-o", "--s"), strict=True):
+                runs = [
+                    r
+                    for r in found["runs"]
+                    if (r["of"], r["how"], r["dtype"]) == (subject, how, dtype)
+                ]
+                ax.loglog(
+                    [r["batch"] for r in runs],
+                    [r["run_s"] / r["batch"] * 1e6 for r in runs],
+                    style,
+                    color=colours[how],
+                    ms=4,
+                    label=f"{how}, {dtype}",
+                )
+        ax.set_title(f"∂{subject}/∂θ")
+        ax.set_xlabel("batch")
+        ax.set_ylabel("time per sample [µs]")
+        ax.grid(alpha=0.3)
+    axes[1].legend(fontsize=7)
+    width = 0.25
+    for k, how in enumerate(HOW):
+        heights = [
+            np.median([r["compile_s"] for r in found["runs"] if (r["of"], r["how"]) == (s, how)])
+            for s in ("g", "h")
+        ]
+        axes[2].bar(np.arange(2) + (k - 1) * width, heights, width, color=colours[how], label=how)
+    axes[2].set_xticks([0, 1], ["∂g/∂θ", "∂h/∂θ"])
+    axes[2].set_ylabel("trace and compile [s]")
+    axes[2].legend(fontsize=7)
+    path.parent.mkdir(exist_ok=True)
+    fig.savefig(path, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--most", type=int, default=BATCHES[-1], help="largest batch")
+    parser.add_argument("--budget", type=float, default=0.5, help="seconds for each measurement")
+    args = parser.parse_args()
+    found = measure(args.most, args.budget)
+    results.save_json(results.RESULTS / "jacobian.json", found)
+    draw(found, results.FIGURES / "jacobian.png")
+    results.write_part("jacobian", page(found))
+
+
+if __name__ == "__main__":
+    main()
