@@ -180,7 +180,7 @@ class Standard(Form):
             covariance=p - gain @ ph.T,
             nis=nu @ cho_solve((factor, True), nu),
             log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(factor))),
-            rows=h @ _cholesky(p),
+            rows=h @ cholesky(p),
         )
 
 
@@ -196,7 +196,7 @@ class SquareRoot(Form):
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
         n = len(p)
-        factor = _cholesky(p)
+        factor = cholesky(p)
         rows = h @ factor
         below = jnp.eye(n, n + 1, dtype=p.dtype)
         stacked = jnp.concatenate([jnp.concatenate([rows, nu[:, None]], axis=1), below])
@@ -204,7 +204,7 @@ class SquareRoot(Form):
         root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
         return Correction(
             step=r[:n, n] @ root,
-            covariance=_positive(root.T @ root),
+            covariance=positive(root.T @ root),
             nis=r[n, n] ** 2,
             log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
             rows=rows,
@@ -221,7 +221,7 @@ class Information(Form):
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
         n = len(p)
-        factor = _cholesky(p)
+        factor = cholesky(p)
         rows = h @ factor
         lower = jnp.linalg.cholesky(rows.T @ rows + jnp.eye(n, dtype=p.dtype))
         right = jnp.concatenate([(rows.T @ nu)[:, None], factor.T], axis=1)
@@ -229,7 +229,7 @@ class Information(Form):
         u, root = solved[:, 0], solved[:, 1:]
         return Correction(
             step=u @ root,
-            covariance=_positive(root.T @ root),
+            covariance=positive(root.T @ root),
             nis=jnp.maximum(nu @ nu - u @ u, 0.0),
             log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(lower))),
             rows=rows,
@@ -285,7 +285,7 @@ def update(
     step, covariance = first.step, first.covariance
     mean = project(prior + step)
     if iterations > 1:
-        root = _cholesky(p)
+        root = cholesky(p)
 
         def cost(x: Float[Array, " n"], left: Float[Array, " m"]) -> Float[Array, ""]:
             away = solve_triangular(root, x - prior, lower=True)
@@ -323,7 +323,7 @@ def update(
     return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
 
 
-def _positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """p as it can be stored: symmetric to the last bit, and positive in spite of rounding and underflow.
 
     A Gram matrix rounded entry by entry is indefinite by up to n ε of its diagonal, so that much is added there,
@@ -334,7 +334,7 @@ def _positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return 0.5 * (p + p.T) + jnp.diag(margin)
 
 
-def _cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular."""
     diagonal: Array = jnp.diagonal(p)
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))

@@ -14,7 +14,7 @@ LAYERS: dict[str, str] = {
         _check_channels _check_consistency preflight""",
     "robot": "robot _spec mjcf robots",
     "dynamics": "dynamics",
-    "estimation and simulation": """measurement estimate batch _batch_rows _batch_solve consistency
+    "estimation and simulation": """measurement sequential estimate batch _batch_rows _batch_solve consistency
         handover logfilter priors simulate""",
     "gap": "gap",
     "control": "control",
