@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.paper.brain import MODES, NONE, Settings, make_brain, standing
-from benchmarks.paper.figures import figure, save
+from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.hardware import (
     DUMBBELL,
     DUMBBELL_MASS,
@@ -22,7 +22,7 @@ from benchmarks.paper.hardware import (
     Effects,
     hardware,
 )
-from benchmarks.paper.loop import Run, crew, drive, rms, summary
+from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import NU, Fleet, LinkMass, Sensors, model
 from jax_inertia.mjcf import body_pi
 from jax_inertia.priors import Load, Tolerance
@@ -150,7 +150,7 @@ def results(seeds: np.ndarray, sweep_seeds: np.ndarray) -> dict:
     found = run(seeds)
     on = found.time >= CURL + 3.0
     error = rms((found.series["angle"] - found.series["wanted"])[on])
-    out: dict = {name: summary(error[found.mode == i]) for i, name in enumerate(MODES)}
+    out = by_controller(found.mode, error)
     out["unphysical"] = int(found.unphysical.sum())
     out["estimate"] = figures_of(found, found.mode == 1)
     out["variants"] = []
@@ -196,11 +196,11 @@ def _draw(found: Run) -> None:
         angle = found.series["angle"][:, first & (found.mode == i)]
         axes[0].plot(found.time, angle, lw=1, label=label)
     axes[0].set_ylabel("elbow [rad]")
-    axes[0].legend(loc="lower left", ncols=4)
+    legend(axes[0])
     adaptive = first & (found.mode == 1)
     for name, label, colour in (("mass", "estimate", "C1"), ("true", "true", "k")):
         axes[1].plot(found.time, found.series[name][:, adaptive], lw=1, label=label, color=colour)
     axes[1].set_ylabel("forearm and dumbbell [kg]")
     axes[1].set_xlabel("time [s]")
-    axes[1].legend(loc="lower right", ncols=2)
+    legend(axes[1])
     save(fig, "paper_curl")

@@ -9,8 +9,8 @@ import dataclasses
 import numpy as np
 
 from benchmarks.paper.brain import GAINS, MODES, ORACLE, Settings, make_brain, standing
-from benchmarks.paper.figures import figure, save
-from benchmarks.paper.loop import Run, crew, drive, rms, summary
+from benchmarks.paper.figures import figure, legend, save
+from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import TICK, Fleet, LinkMass, Sensors, model
 from jax_inertia.mjcf import body_pi
 from jax_inertia.priors import Load, Tolerance
@@ -96,8 +96,8 @@ def results(seeds: np.ndarray, sweep_seeds: np.ndarray) -> dict:
     found = run(seeds, late=True)
     on = found.time >= SETTLE
     error = rms(found.series["error"][on])
-    out = {name: summary(error[found.mode == i]) for i, name in enumerate(MODES)}
-    out["oracle, late"] = summary(error[found.mode == len(MODES)])
+    out = by_controller(found.mode, error)
+    out["oracle_late"] = summary(error[found.mode == len(MODES)])
     out["assumed_lag_s"] = LAG
     out["lag_s"] = summary(lag(found, 1))
     steady = on & (found.time < SETTLE + 8.0)
@@ -130,7 +130,7 @@ def _draw(found: Run) -> None:
             lw=1,
         )
     axes[0].set_ylabel("elbow error [rad]")
-    axes[0].legend(loc="upper left", ncols=3)
+    legend(axes[0])
     adaptive = first & (found.mode == 1)
     axes[1].plot(
         found.time - SETTLE, found.series["mass"][:, adaptive], lw=1, color="C1", label="estimate"
@@ -139,6 +139,6 @@ def _draw(found: Run) -> None:
         found.time - SETTLE, found.series["true"][:, adaptive], lw=1, color="k", label="true"
     )
     axes[1].set_ylabel("forearm mass [kg]")
-    axes[1].legend(loc="upper left", ncols=2)
+    legend(axes[1])
     axes[1].set_xlabel("time [s]")
     save(fig, "paper_elbow")

@@ -21,6 +21,11 @@ def figure(rows: int, *, height: float) -> tuple[Figure, list[Axes]]:
     return fig, list(axes[:, 0])
 
 
+def legend(axis: Axes) -> None:
+    """One line above the panel, where it hides nothing."""
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, frameon=False, borderpad=0.1)
+
+
 def save(fig: Figure, name: str) -> Path:
     """Write the figure as PNG and close it."""
     FOLDER.mkdir(exist_ok=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.paper import pelvis
 from benchmarks.paper.brain import ORACLE, Settings
-from benchmarks.paper.figures import figure, save
+from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import TICK, Sensors
 from jax_inertia.kalman import ChiSquaredGate
@@ -42,6 +42,8 @@ def run(seeds: np.ndarray, settings: Settings, *, load: float = 0.0) -> Run:
         duration=DURATION,
         solref=(0.002, 1.0),
         landing_speed=0.4,
+        start=pelvis.START
+        + np.array([np.random.default_rng([int(s), 5]).uniform(0, 0.8) for s in seeds]),
         label="gating",
     )
 
@@ -99,11 +101,11 @@ def _draw(runs: dict[str, Run]) -> None:
     axes[0].plot(first.time, first.series["true"][:, 0], "k", lw=1, label="true")
     axes[0].set_ylabel("torso mass [kg]")
     axes[0].set_ylim(0, 40)
-    axes[0].legend(loc="upper left", ncols=3)
+    legend(axes[0])
     for side, name in enumerate(("left", "right")):
         axes[1].plot(first.time, first.series["load"][:, 0, side], lw=0.8, label=name)
     axes[1].set_ylabel("vertical force [N]")
     axes[1].set_xlabel("time [s]")
     axes[1].set_xlim(6, 16)
-    axes[1].legend(loc="upper left", ncols=2)
+    legend(axes[1])
     save(fig, "paper_gating")

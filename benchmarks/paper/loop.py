@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.paper.brain import Brain, Inputs, Memory, Output, inputs, spread
+from benchmarks.paper.brain import MODES, Brain, Inputs, Memory, Output, inputs, spread
 from benchmarks.paper.plant import TICK, Fleet
 
 FALLEN = 0.6  # m, pelvis over the ground
@@ -126,11 +126,19 @@ def rms(x: np.ndarray) -> np.ndarray:
 
 
 def summary(x: np.ndarray) -> dict[str, float]:
-    """Median over seeds and the range of nine in ten."""
+    """Median over seeds and the range of nine in ten; raises ValueError for numbers that are not finite."""
     x = np.asarray(x, float)
+    if not np.isfinite(x).all():
+        raise ValueError(f"{int((~np.isfinite(x)).sum())} of {x.size} numbers are not finite")
     return {
         "median": float(np.median(x)),
         "low": float(np.quantile(x, 0.05)),
         "high": float(np.quantile(x, 0.95)),
         "seeds": len(x),
     }
+
+
+def by_controller(mode: np.ndarray, error: np.ndarray) -> dict[str, Any]:
+    """Median of each controller by its name, and under `intervals` their `summary`."""
+    rows = {name: summary(error[mode == i]) for i, name in enumerate(MODES)}
+    return {**{name: row["median"] for name, row in rows.items()}, "intervals": rows}

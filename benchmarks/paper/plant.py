@@ -43,6 +43,10 @@ class Sensors:
             [self.base_velocity] * 3 + [self.base_rate] * 3 + [self.joint_velocity] * NU
         )
 
+    def foot_force(self) -> float:
+        """Of one foot's vertical force, four corners together, as `Sensed` gives it [N]."""
+        return 2.0 * self.corner_force / (1.0 if self.sampled_forces else self.window**0.5)
+
 
 @dataclass
 class Sensed:

@@ -33,7 +33,7 @@ def _span(x: dict[str, float], scale: float = 1.0, digits: int = 4) -> str:
 
 
 def _ratio(x: dict[str, Any]) -> str:
-    return f"{x['none']['median'] / x['adaptive']['median']:.0f}×"
+    return f"{x['none'] / x['adaptive']:.0f}×"
 
 
 def _table(head: list[str], rows: list[list[Any]]) -> str:
@@ -64,7 +64,11 @@ def _torso(x: dict[str, Any]) -> str:
 def _elbow(x: dict[str, Any]) -> str:
     rows = [
         ["paper", "1.0956", "0.1499", "", "7.3×"],
-        [f"{x['seeds']} seeds", *(_span(x[m]) for m in ("none", "adaptive", "oracle")), _ratio(x)],
+        [
+            f"{x['run']['seeds']} seeds",
+            *(_span(x["intervals"][m]) for m in ("none", "adaptive", "oracle")),
+            _ratio(x),
+        ],
     ]
     sweep = [
         [f"{r['stiffness']:g}", f"{r['nominal_mass']:.1f}"]
@@ -78,7 +82,7 @@ def _elbow(x: dict[str, Any]) -> str:
         "RMSE of the elbow's angle [rad].\n\n"
         + _table(["", "none", "adaptive", "oracle", "none / adaptive"], rows)
         + f"\nWhat lag contributes: the estimate reaches 63 % of a jump after {lag:.1f} ms; a controller that is told "
-        f"the exact mass {1000 * x['assumed_lag_s']:.0f} ms late has {_span(x['oracle, late'])} rad. The mass's own "
+        f"the exact mass {1000 * x['assumed_lag_s']:.0f} ms late has {_span(x['oracle_late'])} rad. The mass's own "
         f"RMSE is {_span(x['mass_rmse_kg']['sine'], digits=2)} kg on the sine and "
         f"{_span(x['mass_rmse_kg']['square'], digits=2)} kg on the square.\n\n"
         "Sweep over the arm's stiffness [1/s²] and over what the robot takes the forearm to weigh [kg]:\n\n"
@@ -91,11 +95,11 @@ def _pelvis(x: dict[str, Any]) -> str:
     rows = [
         ["paper, RMSE", "35.2", "15.7", "", "2.2×"],
         [
-            f"{x['seeds']} seeds, RMSE",
-            *(_span(x[m], 1000, 2) for m in ("none", "adaptive", "oracle")),
+            f"{x['run']['seeds']} seeds, RMSE",
+            *(_span(x["intervals"][m], 1000, 2) for m in ("none", "adaptive", "oracle")),
             _ratio(x),
         ],
-        ["falls", *(x["falls"][m] for m in ("none", "adaptive", "oracle")), ""],
+        ["falls", *(x["falls_by_controller"][m] for m in ("none", "adaptive", "oracle")), ""],
     ]
     sweep = [
         [f"{r['stiffness']:g}", f"{r['nominal_mass']:.1f}"]
@@ -138,7 +142,10 @@ def _blind(x: dict[str, Any]) -> str:
 
 def _curl(x: dict[str, Any]) -> str:
     rows = [
-        [f"{x['seeds']} seeds", *(_span(x[m], digits=3) for m in ("none", "adaptive", "oracle"))]
+        [
+            f"{x['run']['seeds']} seeds",
+            *(_span(x["intervals"][m], digits=3) for m in ("none", "adaptive", "oracle")),
+        ]
     ]
     variants = [
         [

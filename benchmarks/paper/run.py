@@ -1,9 +1,10 @@
 """Rerun the paper's experiments and write down what came out.
 
-    python -m benchmarks.paper [--seeds N] [--jobs J] [--only NAME ...]
+    python -m benchmarks.paper [--seeds N] [--jobs J] [--only NAME ...] [--resume]
 
-Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`. With
-`--only` the other experiments keep the numbers of the last run.
+Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`, after every
+experiment. With `--only` the other experiments keep the numbers of the last run; `--resume` leaves out what has run
+with these seeds before, so that a run that was cut off goes on where it was.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import time
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[1] / "results" / "paper.json"
-NAMES = ("pelvis", "elbow", "curl", "blind", "gating", "torso")
+NAMES = ("elbow", "pelvis", "curl", "gating", "torso", "blind")
 WITH_SWEEP = ("pelvis", "elbow", "curl")
 
 
@@ -27,6 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=0, help="tuning used 1000 and on (0)")
     parser.add_argument("--jobs", type=int, default=1, help="experiments at a time (1)")
     parser.add_argument("--only", nargs="*", choices=NAMES, default=list(NAMES))
+    parser.add_argument("--resume", action="store_true", help="keep what has run with these seeds")
     parser.add_argument("--no-film", action="store_true", help="leave the animated figure out")
     options = parser.parse_args(arguments)
     if options.seeds < 1 or options.sweep_seeds < 1 or options.jobs < 1:
@@ -35,12 +37,18 @@ def main(arguments: list[str] | None = None) -> int:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    work = [(name, options.seeds, options.sweep_seeds, options.first_seed) for name in options.only]
+    settings = {
+        "seeds": options.seeds,
+        "sweep_seeds": options.sweep_seeds,
+        "first_seed": options.first_seed,
+    }
+    done = [n for n in NAMES if found.get(n, {}).get("run") == settings] if options.resume else []
+    work = [(name, *settings.values()) for name in options.only if name not in done]
     context = multiprocessing.get_context("spawn")
-    with context.Pool(min(options.jobs, len(work)), maxtasksperchild=1) as pool:
+    with context.Pool(max(min(options.jobs, len(work)), 1), maxtasksperchild=1) as pool:
         for name, seconds, result in pool.imap_unordered(_experiment, work):
             print(f"{name}: {seconds:.0f} s", file=sys.stderr, flush=True)
-            found[name] = {**result, "wall_s": seconds, "seeds": options.seeds}
+            found[name] = {**result, "wall_s": round(seconds), "run": settings}
             _write(found)
     if not options.no_film:
         from benchmarks.paper import film
@@ -71,7 +79,7 @@ def _write(found: dict) -> None:
 
     found = {**found, "unphysical": unphysical(found)}
     RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+    RESULTS.write_text(json.dumps(found, indent=1, sort_keys=True, allow_nan=False) + "\n")
     (Path(__file__).parent / "RESULTS.md").write_text(report(found))
 
 

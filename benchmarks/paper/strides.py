@@ -36,8 +36,13 @@ def walk_figures(
     knows_ground: bool = True,
     landing_speed: float = 0.2,
     crouch: float = 0.03,
+    force_noise: float = 2.0,
 ) -> Walk:
-    """The humanoid's walk; `crouch` [m] lowers the pelvis from the home pose, for steps down."""
+    """The humanoid's walk; `crouch` [m] lowers the pelvis from the home pose, for steps down.
+
+    `force_noise` [N] is the standard deviation of a foot's measured vertical force: one that is taken for a touchdown
+    in mid-swing makes the robot fall.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
@@ -55,7 +60,7 @@ def walk_figures(
         "landing_speed": landing_speed,
         "feedback": 3.0,
         "height_rate": 8.0,
-        "touchdown_force": 20.0,
+        "touchdown_force": max(20.0, 8.0 * force_noise),
     }
     half = np.array([(SOLE_X[1] - SOLE_X[0]) / 2 - 0.015, SOLE_HALF_WIDTH - 0.01])
     return Walk(

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.paper import pelvis
 from benchmarks.paper.brain import ORACLE, Settings
-from benchmarks.paper.figures import figure, save
+from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from jax_inertia.charts import Chart, Linear, LogCholesky
 from jax_inertia.priors import Load
@@ -70,6 +70,6 @@ def _draw(runs: dict[str, Run]) -> None:
         axis.set_ylabel("mass [kg]" if name == "mass" else f"I{name[1:]} [kg m²]")
     for axis in axes[1:]:
         axis.axhline(0.0, color="r", lw=0.6)
-    axes[0].legend(loc="upper right", ncols=3)
+    legend(axes[0])
     axes[-1].set_xlabel("time [s]")
     save(fig, "paper_torso")
