@@ -1,8 +1,8 @@
 """Innovation gating: walking in place with hard touchdowns and contact forces that are sampled, not averaged.
 
-Touchdowns then appear in the residual as shocks that no torso explains. The same walk is estimated without a gate, with
-the paper's fixed γ, and with the χ² gate that reopens; in a last run a load comes in mid-walk, and every gate must let
-it through.
+Touchdowns then appear in the residual as shocks that no torso explains. The same walk is estimated without a gate and
+with the χ² gate that reopens; in the end a load comes in mid-walk, and the gate must let it through. The truth steers,
+so that all filters see the same walk; each seed meets the load elsewhere in its step.
 """
 
 import dataclasses
@@ -18,12 +18,15 @@ from jax_inertia.kalman import ChiSquaredGate
 from jax_inertia.priors import Load, Tolerance
 
 DURATION, PICK_UP, NOMINAL, LOAD = 20.0, 12.0, 13.5, 10.0
-SENSORS = Sensors(sampled_forces=True)
+# Over 18 ms rather than 9: a noisy acceleration biases inertia, and with it mass (errors in variables).
+SENSORS = Sensors(sampled_forces=True, window=18)
 SETTINGS = Settings(
     bodies=(pelvis.TORSO,),
     prior=Load(8.0, 0.2),
     drift=Tolerance(mass=0.1, com=0.01, spread=0.02),
     iterations=2,
+    # Sampled forces jitter within the window that torques are averaged over: what seeds from 1000 on showed.
+    model_error=(5.0, 3.0, 3.0, 0.2),
 )
 GATED = dataclasses.replace(SETTINGS, gate=ChiSquaredGate(0.999, 29), reopen_after=0.1)
 KINDS = {"no gate": SETTINGS, "gate": GATED}
@@ -63,7 +66,7 @@ def spikes(found: Run) -> np.ndarray:
 
 
 def found_after(found: Run, tolerance: float = 1.0) -> np.ndarray:
-    """Time from the pick-up until the estimate stays within `tolerance` [kg] for a second, per robot [s]."""
+    """Time from the pick-up until the estimate stays within `tolerance` [kg] for a second, per robot [s]; ∞: never."""
     away = np.abs(found.series["mass"] - found.series["true"]) < tolerance
     begin, hold = round(PICK_UP / TICK), round(1.0 / TICK)
     out = []
@@ -85,12 +88,21 @@ def results(seeds: np.ndarray) -> dict:
             "spike_kg": summary(spikes(found)),
             "bias_kg": summary(mass.mean(axis=0) - NOMINAL),
             "rejected": float(1.0 - found.series["accepted"][walking].mean()),
-            "load_found_s": summary(found_after(found)),
+            "load_found_within_1s": int((found_after(found) <= 1.0).sum()),
+            "load_found_s": _where_finite(found_after(found)),
+            "spread_kg": summary(mass.std(axis=0)),
             "fell": int(np.isfinite(found.fell).sum()),
         }
-    out["times_smaller"] = out["no gate"]["spike_kg"]["median"] / out["gate"]["spike_kg"]["median"]
+    out["spikes_times_smaller"] = (
+        out["no gate"]["spike_kg"]["median"] / out["gate"]["spike_kg"]["median"]
+    )
     _draw(runs)
     return out
+
+
+def _where_finite(x: np.ndarray) -> dict | None:
+    """`summary`, or None where some load was never found."""
+    return summary(x) if np.isfinite(x).all() else None
 
 
 def _draw(runs: dict[str, Run]) -> None:

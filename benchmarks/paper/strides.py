@@ -35,7 +35,7 @@ def walk_figures(
     start: float = 1.0,
     knows_ground: bool = True,
     landing_speed: float = 0.2,
-    crouch: float = 0.03,
+    crouch: float = 0.05,
     force_noise: float = 2.0,
 ) -> Walk:
     """The humanoid's walk; `crouch` [m] lowers the pelvis from the home pose, for steps down.

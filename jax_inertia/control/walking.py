@@ -159,8 +159,9 @@ def walking(
     target = jnp.where(single, target, jnp.concatenate([nominal[:2], target[2:]]))
 
     foot = _swing(walk, plan, target)
-    support = jnp.minimum(ground, target[2] - walk.sole_depth)
-    support = jnp.where(time < walk.start, ground, support)
+    # Rising before the rear foot has left the ground would stretch its leg.
+    lowest = jnp.where(single, target[2], swing[2]) - walk.sole_depth
+    support = jnp.where(time < walk.start, ground, jnp.minimum(ground, lowest))
     goal = support + walk.pelvis_height
     rate = walk.height_rate
     up = rate**2 * (goal - plan.height[0]) - 2.0 * rate * plan.height[1]
