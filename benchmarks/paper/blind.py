@@ -6,8 +6,8 @@ from benchmarks.paper import pelvis
 from benchmarks.paper.brain import ADAPTIVE
 from benchmarks.paper.loop import summary
 
-DURATION = 30.0
-AMPLITUDES = (0.01, 0.015, 0.02)  # m
+DURATION = 20.0
+AMPLITUDES = (0.01, 0.02)  # m
 
 
 def results(seeds: np.ndarray, duration: float = DURATION) -> dict:

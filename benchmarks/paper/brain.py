@@ -22,7 +22,7 @@ from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import body_jacobian, body_poses, mass_matrix
-from jax_inertia.estimate import Estimator, State, make_estimator
+from jax_inertia.estimate import Estimator, State, Step, make_estimator
 from jax_inertia.handover import Slew
 from jax_inertia.inertia import is_physical
 from jax_inertia.kalman import CorrelatedNoise, Gate
@@ -98,9 +98,7 @@ class Brain(eqx.Module):
     def tick(self, memory: Memory, x: Inputs) -> tuple[Memory, Output]:
         """One robot, one tick."""
         bodies = self.estimator.bodies
-        running, step = self.estimator.step(memory.filter, self.observation(x), TICK)
-        running = jax.tree.map(lambda a, b: jnp.where(x.on > 0, a, b), running, memory.filter)
-        pi = self.estimator.chart.to_pi(running.belief.mean.reshape(-1, 10))
+        running, step, pi = self.follow(memory.filter, x)
         handed = self.slew.step(memory.handed, pi, TICK)
         told = jnp.stack([self.robot.pi[np.array(bodies)], handed, x.truth])[x.mode]
         now = self.controller.terms(self.robot.with_pi(bodies, told), x.q, x.v)
@@ -117,6 +115,12 @@ class Brain(eqx.Module):
             record,
         )
         return Memory(running, handed, plan, memory.time + TICK), out
+
+    def follow(self, state: State, x: Inputs) -> tuple[State, Step, Float[Array, "n 10"]]:
+        """The filter's part of a tick: its state, what the sample gave, and π of the bodies."""
+        running, step = self.estimator.step(state, self.observation(x), TICK)
+        running = jax.tree.map(lambda a, b: jnp.where(x.on > 0, a, b), running, state)
+        return running, step, self.estimator.chart.to_pi(running.belief.mean.reshape(-1, 10))
 
     def observation(self, x: Inputs) -> Observation:
         """The window's means as the estimator reads them, corner forces as wrenches on the feet."""

@@ -47,6 +47,7 @@ def run(seeds: np.ndarray, settings: Settings, *, load: float = 0.0) -> Run:
         landing_speed=0.4,
         start=pelvis.START
         + np.array([np.random.default_rng([int(s), 5]).uniform(0, 0.8) for s in seeds]),
+        keep_inputs=True,
         label="gating",
     )
 
@@ -80,7 +81,8 @@ def found_after(found: Run, tolerance: float = 1.0) -> np.ndarray:
 def results(seeds: np.ndarray) -> dict:
     """Spike sizes, bias from rejected samples, share rejected, and how soon a new load is found."""
     out: dict = {}
-    runs = {name: run(seeds, settings, load=LOAD) for name, settings in KINDS.items()}
+    walked = run(seeds, SETTINGS, load=LOAD)
+    runs = {name: pelvis.refiltered(walked, settings, SENSORS) for name, settings in KINDS.items()}
     for name, found in runs.items():
         walking = (found.time > 4.0) & (found.time < PICK_UP)
         mass = found.series["mass"][walking].astype(float)

@@ -1,5 +1,6 @@
 """The closed loop of a fleet, and what is made of its runs: medians over seeds with the range of nine seeds in ten."""
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable
@@ -13,6 +14,8 @@ import numpy as np
 
 from benchmarks.paper.brain import MODES, Brain, Inputs, Memory, Output, inputs, spread
 from benchmarks.paper.plant import TICK, Fleet
+from jax_inertia.estimate import State
+from jax_inertia.inertia import is_physical
 
 FALLEN = 0.6  # m, pelvis over the ground
 
@@ -36,6 +39,8 @@ class Run:
     unphysical: np.ndarray
     """Number of estimates that are no physical body."""
     wall: float
+    inputs: list[Inputs]
+    """Of every tick, where they were to be kept: for `replay`."""
 
 
 def drive(
@@ -50,6 +55,7 @@ def drive(
     plan: Any = None,
     on: Callable[[float], bool] = lambda t: True,
     calibrate: tuple[tuple[float, float], np.ndarray] | None = None,
+    keep_inputs: bool = False,
     label: str = "",
 ) -> Run:
     """Run the loop for `duration` [s]. `truth(t)` sets the plant's masses and returns π that `ORACLE` is told.
@@ -64,6 +70,7 @@ def drive(
     unsolved, unphysical = np.zeros(fleet.size), np.zeros(fleet.size)
     rows, times = [], []
     kept: list[Inputs] = []
+    every: list[Inputs] = []
     ticks = round(duration / TICK)
     for k in range(ticks):
         t = k * TICK
@@ -75,6 +82,8 @@ def drive(
             elif t >= end and kept:
                 memory = _calibrated(brain, memory, kept, chosen)
                 kept = []
+        if keep_inputs:
+            every.append(x)
         memory, out = _tick(brain, memory, x)
         out = jax.tree.map(np.asarray, out)
         up = np.isinf(fell)
@@ -100,7 +109,37 @@ def drive(
         unsolved / ticks,
         unphysical,
         time.monotonic() - started,
+        every,
     )
+
+
+@eqx.filter_jit
+def _follow(brain: Brain, state: State, x: Inputs) -> tuple:
+    def one(state, x):
+        state, step, pi = brain.follow(state, x)
+        return state, (pi[0], is_physical(pi)[0], step.innovation.accepted, step.innovation.nis)
+
+    return jax.vmap(one)(state, x)
+
+
+def replay(brain: Brain, found: Run) -> Run:
+    """The same run as another filter saw it; only for runs that no filter steered, and that kept their inputs."""
+    state = spread(brain.estimator.initial(), len(found.seed))
+    rows = []
+    for x in found.inputs:
+        state, row = _follow(brain, state, x)
+        rows.append([np.asarray(part) for part in row])
+    pi, physical, accepted, nis = (np.stack(part) for part in zip(*rows, strict=True))
+    up = found.time[:, None] <= found.fell
+    changed = {
+        "mass": pi[..., 0],
+        "inertia": pi[..., (4, 7, 9)],
+        "physical": physical,
+        "accepted": accepted,
+        "nis": nis,
+    }
+    unphysical = (up & ~physical).sum(axis=0)
+    return dataclasses.replace(found, series={**found.series, **changed}, unphysical=unphysical)
 
 
 def _calibrated(brain: Brain, memory: Memory, kept: list[Inputs], chosen: np.ndarray) -> Memory:

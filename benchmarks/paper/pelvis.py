@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.paper.brain import GAINS, MODES, Settings, make_brain
 from benchmarks.paper.figures import figure, legend, save
-from benchmarks.paper.loop import Run, by_controller, crew, drive, summary
+from benchmarks.paper.loop import Run, by_controller, crew, drive, replay, summary
 from benchmarks.paper.plant import Fleet, LinkMass, Sensors, model
 from benchmarks.paper.strides import begin_at_home, boxes, strolling, walk_figures
 from jax_inertia.control.walking import Ground
@@ -68,6 +68,7 @@ def walk(
     landing_speed: float = 0.2,
     start: float | np.ndarray = START,
     keep_path: bool = False,
+    keep_inputs: bool = False,
     label: str = "walk",
 ) -> Run:
     """Walk over each seed's own boxes; series of pelvis height and its reference, estimated mass, forces.
@@ -119,7 +120,23 @@ def walk(
             "steps": out.record[:, 4],
         }
 
-    return drive(brain, fleet, mode, seed, duration, watch, truth=truth, plan=plan, label=label)
+    return drive(
+        brain,
+        fleet,
+        mode,
+        seed,
+        duration,
+        watch,
+        truth=truth,
+        plan=plan,
+        keep_inputs=keep_inputs,
+        label=label,
+    )
+
+
+def refiltered(found: Run, settings: Settings, sensors: Sensors = SENSORS) -> Run:
+    """A walk that the truth steered and that kept its inputs, as a filter of other settings saw it."""
+    return replay(make_brain(model(), settings, sensors, strolling), found)
 
 
 def errors(found: Run, start: float = START) -> np.ndarray:

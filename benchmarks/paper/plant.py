@@ -163,13 +163,13 @@ class Fleet:
         mean_q[:, 3:7] /= np.linalg.norm(mean_q[:, 3:7], axis=1, keepdims=True)
         force = self.force_window
         return Sensed(
-            q=self.q_window[:, -1],
-            v=self.v_window[:, -1],
+            q=self.q_window[:, -1].copy(),
+            v=self.v_window[:, -1].copy(),
             mean_q=mean_q,
             mean_v=np.einsum("bwn,w->bn", self.v_window, weight),
             a=(self.v_window[:, -1] - self.v_window[:, 0]) / (w * STEP),
             tau=self.tau_window.mean(axis=1),
-            force=force[:, -1] if self.sensors.sampled_forces else force.mean(axis=1),
+            force=force[:, -1].copy() if self.sensors.sampled_forces else force.mean(axis=1),
         )
 
     def step(self, torque: np.ndarray) -> None:

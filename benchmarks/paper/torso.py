@@ -24,22 +24,27 @@ NOMINAL = 13.5  # kg
 PI = ("mass", "ixx", "iyy", "izz")
 
 
-def run(seeds: np.ndarray, chart: Chart, duration: float = DURATION) -> Run:
-    """A walk on level ground with the nominal torso, estimated in this chart."""
-    return pelvis.walk(
+def run(seeds: np.ndarray, duration: float = DURATION) -> dict[str, Run]:
+    """A walk on level ground with the nominal torso, estimated in each chart."""
+    walked = pelvis.walk(
         seeds,
         (ORACLE,),
         amplitude=0.0,
         mass=lambda t: NOMINAL,
-        settings=dataclasses.replace(SETTINGS, chart=chart),
+        settings=SETTINGS,
         duration=duration,
-        label=f"torso, {type(chart).__name__}",
+        keep_inputs=True,
+        label="torso",
     )
+    return {
+        name: pelvis.refiltered(walked, dataclasses.replace(SETTINGS, chart=chart))
+        for name, chart in CHARTS.items()
+    }
 
 
 def results(seeds: np.ndarray, duration: float = DURATION) -> dict:
     """Counts of estimates that no body has, and how far mass and inertia stray."""
-    runs = {name: run(seeds, chart, duration) for name, chart in CHARTS.items()}
+    runs = run(seeds, duration)
     out: dict = {"samples": len(runs["kf"].time) * len(seeds)}
     for name, found in runs.items():
         late = found.time > 3.0
