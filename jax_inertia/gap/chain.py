@@ -10,6 +10,7 @@ alone. Columns with corners (sign, clip, |τ|) are formed on the fast grid and f
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ from scipy import ndimage, signal
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation, central_differences
+from jax_inertia.gap.chunks import over_samples
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
 from jax_inertia.robot import Robot
@@ -65,8 +67,7 @@ class Prepared(eqx.Module):
 
     def finish(self, x: Float[np.ndarray, "T *c"]) -> Float[np.ndarray, "R *c"]:
         """The chain's last low-pass, then its slow grid; leading axis time."""
-        sos = signal.butter(3, self.settings.after, fs=self.rate, output="sos")
-        smooth = signal.sosfiltfilt(sos, x, axis=0)
+        smooth = signal.sosfiltfilt(_last_filter(self.settings.after, self.rate), x, axis=0)
         return smooth[self.kept]
 
     def finish_torque(
@@ -119,7 +120,7 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         after=min(settings.after, 0.1 * rate),
         decimated=min(settings.decimated, 0.5 * rate),
     )
-    inverse = np.asarray(needed_torques(robot, observation))
+    inverse = needed_torques(robot, observation)
     tau = np.asarray(observation.motion.tau)
     # The first low-pass carries what was bridged about a period of its cut-off outwards.
     reach = 2 * round(rate / cutoff) + 1
@@ -128,14 +129,14 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     return Prepared(robot, observation, tau, inverse, measured, settings, rate)
 
 
-@eqx.filter_jit
-def needed_torques(robot: Robot, observation: Observation) -> jax.Array:
-    """Torque that the model needs for the motion, in chunks that stay in cache."""
+def needed_torques(robot: Robot, observation: Observation) -> Float[np.ndarray, "T nv"]:
+    """Torque that the model needs for the motion."""
+    return _needed_torques(robot, observation)
 
-    def one(o: Observation):
-        return needed_torque(robot, o.motion.q, o.motion.v, o.a, o)
 
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, observation), batch_size=64)
+@over_samples
+def _needed_torques(robot: Robot, o: Observation) -> jax.Array:
+    return needed_torque(robot, o.motion.q, o.motion.v, o.a, o)
 
 
 def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
@@ -147,6 +148,11 @@ def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
             robot, q, jnp.asarray(motion.wrench), motion.contact_bodies
         )
     return out
+
+
+@functools.cache
+def _last_filter(cutoff: float, rate: float) -> np.ndarray:
+    return np.asarray(signal.butter(3, cutoff, fs=rate, output="sos"))
 
 
 def _centred(x) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy import signal
 
 from jax_inertia import dynamics
 from jax_inertia.gap.chain import Prepared, needed_torque, needed_torques
+from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE, Robot
@@ -28,6 +29,10 @@ class Context:
         self.q, self.v = np.asarray(motion.q), np.asarray(motion.v)
         self.a = np.asarray(prepared.observation.a)
         self.tau, self.inverse = prepared.tau, prepared.inverse
+        # As NumPy: an element of a JAX array costs a dispatch, and families read them shape by shape.
+        r = prepared.robot
+        self.armature, self.damping = np.asarray(r.armature), np.asarray(r.damping)
+        self.stiffness, self.frictionloss = np.asarray(r.stiffness), np.asarray(r.frictionloss)
         self.contacts = motion.contact_bodies
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
@@ -71,7 +76,7 @@ class Context:
     @functools.cached_property
     def regressor(self) -> np.ndarray:
         """Torque regressor of all bodies (T, nv, nb, 10)."""
-        return np.asarray(_regressor(self.robot, self.q, self.v, self.a))
+        return _regressor(self.robot, (self.q, self.v, self.a))
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -79,8 +84,7 @@ class Context:
 
         Dry friction apart: it depends on the side of a velocity, whose error does not change it.
         """
-        dq, dv, da = _sensitivity(self._frictionless, self.prepared.observation)
-        return np.asarray(dq), np.asarray(dv), np.asarray(da)
+        return _sensitivity(self._frictionless, self.prepared.observation)
 
     @functools.cached_property
     def link_torque(self) -> np.ndarray:
@@ -88,8 +92,8 @@ class Context:
 
         A model has one of each per joint; those of a geared joint sit on the motor.
         """
-        needed = np.asarray(needed_torques(self._frictionless, self.prepared.observation))
-        rotor = np.asarray(self.robot.armature) * self.a + np.asarray(self.robot.damping) * self.v
+        needed = needed_torques(self._frictionless, self.prepared.observation)
+        rotor = self.armature * self.a + self.damping * self.v
         return needed - rotor
 
     @functools.cached_property
@@ -100,12 +104,12 @@ class Context:
     @functools.cached_property
     def tilt(self) -> np.ndarray:
         """∂(needed torque)/∂(rotation of gravity about world x and y) (T, nv, 2)."""
-        return np.asarray(_tilt(self.robot, self.q))
+        return _tilt(self.robot, self.q)
 
     @functools.cached_property
     def force_rows(self) -> np.ndarray:
         """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3)."""
-        return np.asarray(_force_rows(self.robot, self.q)[0])
+        return _force_rows(self.robot, self.q)
 
     @functools.cached_property
     def com_velocity(self) -> np.ndarray:
@@ -115,7 +119,7 @@ class Context:
     @functools.cached_property
     def contact_rows(self) -> np.ndarray:
         """Torque of each contact's measured wrench (T, C, nv)."""
-        return np.asarray(_contact_rows(self.robot, self.q, self.wrench, self.contacts))
+        return _contact_rows((self.robot, self.contacts), (self.q, self.wrench))
 
     @functools.cache  # noqa: B019 (lives as long as its log)
     def bristle(self, row: int, reach: float) -> np.ndarray:
@@ -142,8 +146,8 @@ class Context:
     def separate(self, row: int, couplings: list[Coupling]) -> None:
         """`separation` of many couplings at once; every later call finds them."""
         dq, dv, da = self.sensitivity
-        inertia = np.maximum(da[:, row, row] - float(self.robot.armature[row]), 1e-9)
-        damping = dv[:, row, row] - float(self.robot.damping[row])
+        inertia = np.maximum(da[:, row, row] - self.armature[row], 1e-9)
+        damping = dv[:, row, row] - self.damping[row]
         paths = separation(
             self.time,
             self.link_torque[:, row],
@@ -165,13 +169,13 @@ class Context:
         return signal.convolve(core * 1.0, kernel, mode="same") > 0.5
 
 
-@eqx.filter_jit
-def _regressor(robot, q, v, a):
-    return jax.lax.map(lambda x: dynamics.torque_regressor(robot, *x), (q, v, a), batch_size=64)
+@over_samples
+def _regressor(robot, x):
+    return dynamics.torque_regressor(robot, *x)
 
 
-@eqx.filter_jit
-def _sensitivity(robot, observation):
+@over_samples
+def _sensitivity(robot, o):
     rows = np.array(
         [
             [d, k]
@@ -183,62 +187,49 @@ def _sensitivity(robot, observation):
     ).reshape(-1, 2)
     dofs, adrs = rows[:, 0], rows[:, 1]
 
-    def one(o):
-        q, v, a = o.motion.q, o.motion.v, o.a
-        wide = jax.jacfwd(lambda x: needed_torque(robot, q.at[adrs].add(x), v, a, o))(
-            jnp.zeros(len(adrs), q.dtype)
-        )
-        dq = jnp.zeros((robot.nv, robot.nv), q.dtype).at[:, dofs].set(wide)
-        dv = jax.jacfwd(lambda x: needed_torque(robot, q, x, a, o))(v)
-        return dq, dv, dynamics.mass_matrix(robot, q)
-
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, observation), batch_size=32)
+    q, v, a = o.motion.q, o.motion.v, o.a
+    wide = jax.jacfwd(lambda x: needed_torque(robot, q.at[adrs].add(x), v, a, o))(
+        jnp.zeros(len(adrs), q.dtype)
+    )
+    dq = jnp.zeros((robot.nv, robot.nv), q.dtype).at[:, dofs].set(wide)
+    dv = jax.jacfwd(lambda x: needed_torque(robot, q, x, a, o))(v)
+    return dq, dv, dynamics.mass_matrix(robot, q)
 
 
-@eqx.filter_jit
+@over_samples
 def _tilt(robot, q):
     g = robot.gravity
     turns = jnp.stack([jnp.cross(jnp.array(e), g) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
 
-    def one(q):
-        zero = jnp.zeros(robot.nv, q.dtype)
+    zero = jnp.zeros(robot.nv, q.dtype)
 
-        def needed(dg):
-            turned = eqx.tree_at(lambda r: r.gravity, robot, g + dg)
-            return dynamics.inverse_dynamics(turned, q, zero, zero)
+    def needed(dg):
+        turned = eqx.tree_at(lambda r: r.gravity, robot, g + dg)
+        return dynamics.inverse_dynamics(turned, q, zero, zero)
 
-        return jax.jacfwd(needed)(jnp.zeros(3, q.dtype)) @ turns.T
-
-    return jax.lax.map(one, q, batch_size=64)
+    return jax.jacfwd(needed)(jnp.zeros(3, q.dtype)) @ turns.T
 
 
-@eqx.filter_jit
+@over_samples
 def _force_rows(robot, q):
     com = centre_of_mass(robot.pi)
-
-    def one(q):
-        rotation, _ = dynamics.body_poses(robot, q)
-        jacobians = jnp.stack([dynamics.body_jacobian(robot, q, i) for i in range(robot.nb)])
-        lever = jnp.einsum("bij,bj->bi", rotation, com)
-        # Velocity of the CoM: linear + ω × lever.
-        angular = jacobians[:, 3:]
-        linear = jacobians[:, :3] + jnp.cross(
-            jnp.swapaxes(angular, 1, 2), lever[:, None, :]
-        ).swapaxes(1, 2)
-        return jnp.swapaxes(linear, 1, 2), rotation
-
-    return jax.lax.map(one, q, batch_size=64)
+    rotation, _ = dynamics.body_poses(robot, q)
+    jacobians = jnp.stack([dynamics.body_jacobian(robot, q, i) for i in range(robot.nb)])
+    lever = jnp.einsum("bij,bj->bi", rotation, com)
+    # Velocity of the CoM: linear + ω × lever.
+    angular = jacobians[:, 3:]
+    linear = jacobians[:, :3] + jnp.cross(jnp.swapaxes(angular, 1, 2), lever[:, None, :]).swapaxes(
+        1, 2
+    )
+    return jnp.swapaxes(linear, 1, 2)
 
 
-@eqx.filter_jit
-def _contact_rows(robot, q, wrench, bodies):
-    def one(x):
-        q, w = x
-        return jnp.stack(
-            [
-                dynamics.contact_torque(robot, q, w[i : i + 1], bodies[i : i + 1])
-                for i in range(len(bodies))
-            ]
-        )
-
-    return jax.lax.map(one, (q, wrench), batch_size=64)
+@over_samples
+def _contact_rows(shared, x):
+    robot, bodies = shared
+    q, w = x
+    rows = [
+        dynamics.contact_torque(robot, q, w[i : i + 1], bodies[i : i + 1])
+        for i in range(len(bodies))
+    ]
+    return jnp.stack(rows)

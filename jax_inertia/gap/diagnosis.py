@@ -15,16 +15,18 @@ import numpy as np
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.intervals import Interval, intervals
+from jax_inertia.gap.noise import stated
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Candidate, Pool, effect_torque
-from jax_inertia.gap.search import find, finder
-from jax_inertia.gap.select import STOP, misfit
+from jax_inertia.gap.search import Search, find, finder
+from jax_inertia.gap.select import STOP, misfit, propose
 from jax_inertia.gap.shrink import OtherMotion, Shrink, what_is_left, without_harm
 from jax_inertia.gap.trace import Trace, collect
-from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
+from jax_inertia.gap.verdict import Verdict, judge, probabilities, second_look, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -119,30 +121,20 @@ def diagnose(
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
     pool, floor, misfits, verdict = search.pool, search.floor, search.misfits, search.verdict
-    context, ranking = pool.context, search.ranking
-    odds = probabilities(ranking, misfits, search.noise)
+    context = pool.context
     progress("checking on held-out stretches and on the other motion")
     other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search.white)
     chosen, heldout, trial = without_harm(search, other)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
+        if not chosen:
+            verdict = judge(first.misfits[:1], first.floor, 0.0, stated(log))
     elif trial is not None and chosen and not any(c.family.passing for c in chosen):
         # A wrong cause may fit one motion; it seldom fits two.
         verdict = second_look(verdict, trial.misfit)
     numbers = intervals(pool, chosen, misfits[-1] / max(search.noise, 1.0))
     findings = tuple(
-        Finding(
-            family=c.family.name,
-            place=c.place,
-            parameters=numbers[i],
-            explained=_explained(pool, chosen, i, floor),
-            probability=odds.get(c.key, 0.5) if i == 0 else 0.5,
-            equivalent=tuple(
-                Tie(t.family.name, t.place, _tie_kind(pool, c, t))
-                for t in (ties(c, ranking, misfits, search.noise) if i == 0 else ())
-            ),
-        )
-        for i, c in enumerate(chosen)
+        _finding(search, chosen, i, numbers[i], misfits, floor) for i in range(len(chosen))
     )
     # How large the gap is, and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
@@ -153,8 +145,8 @@ def diagnose(
     label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
     return Diagnosis(
         verdict=verdict,
-        confidence=float(odds.get(chosen[0].key, 0.5))
-        if chosen
+        confidence=findings[0].probability
+        if findings
         else verdict.confidence(first.misfits, first.floor),
         chi2=float(np.sum(raw**2) / evidence.rows),
         noise_floor=float(first.floor / evidence.rows),
@@ -165,7 +157,7 @@ def diagnose(
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=tuple(log.notes),
+        notes=(*log.notes, *_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
@@ -175,6 +167,55 @@ def diagnose(
             search.replicas,
         ),
     )
+
+
+def _finding(
+    search: Search,
+    chosen: list[Candidate],
+    i: int,
+    numbers: dict[str, Interval],
+    misfits: list[float],
+    floor: float,
+) -> Finding:
+    """The i-th effect beside its rivals, given the others."""
+    pool, c = search.pool, chosen[i]
+    others = [x for k, x in enumerate(chosen) if k != i]
+    rivals = propose(pool, others, search.noise) if others else search.ranking
+    odds = probabilities(rivals, misfits, search.noise)
+    return Finding(
+        family=c.family.name,
+        place=c.place,
+        parameters=numbers,
+        explained=_explained(pool, chosen, i, floor),
+        probability=odds.get(c.key, 0.5),
+        equivalent=tuple(
+            Tie(t.family.name, t.place, _tie_kind(pool, c, t))
+            for t in ties(c, rivals, misfits, search.noise)
+        ),
+    )
+
+
+# A free function says something of what is left from this share of it.
+TELLING = 0.3
+
+
+def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict) -> list[str]:
+    """What the log says of an effect that is not in the library."""
+    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
+        return []
+    if search.rival is not None:
+        c, hidden = search.rival
+        return [
+            f"a free function of {hidden.joint}'s {hidden.of} fits better than {c.family.name} at {c.place.name}: "
+            "the cause depends on it and is not in the library"
+        ]
+    hidden, share = leans_on(search.pool, chosen)
+    if share < TELLING:
+        return []
+    return [
+        f"a free function of {hidden.joint}'s {hidden.of} takes {share:.0%} of what is left "
+        "(energy against the noise): look there for what is not in the library"
+    ]
 
 
 def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> float:

@@ -6,6 +6,8 @@ so that from then on it is ordinary least squares.
 """
 
 import functools
+import itertools
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import scipy.fft
@@ -15,6 +17,9 @@ from jaxtyping import Float
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import ORDER, Whitener
+
+# Shapes that go through the filters at once: more would leave the cache.
+WIDE = 16
 
 
 class Evidence:
@@ -48,6 +53,14 @@ class Evidence:
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""
         return self.charge(self._whiten(columns))
+
+    def of_many(self, shapes: Iterable[Columns]) -> Iterator[Float[np.ndarray, "n k"]]:
+        """`column` of columns alike in form and row, some at a time: filters and products like them wide."""
+        shapes = iter(shapes)
+        while batch := list(itertools.islice(shapes, WIDE)):
+            wide = np.concatenate([c.values for c in batch], axis=-1)
+            parts = self.column(Columns(wide, batch[0].row))
+            yield from np.split(parts, len(batch), axis=1)
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""

@@ -120,6 +120,25 @@ def stated(log: Log) -> bool:
     return log.sigma_tau is not None and log.sigma_qpos is not None
 
 
+# Noise is forgotten after this [s]; what a motion brings about lasts longer, or returns.
+FORGOTTEN, RETURNS = 0.15, 0.4
+MEMORY = 0.02
+
+
+def memoryless(rows: Float[np.ndarray, "R nv"], period: float) -> bool:
+    """Whether rows, `period` seconds apart, look like noise: no correlation between moments 0.15 to 0.4 s apart.
+
+    Where a log does not state its noise, a motor may have missed its command at random by more than the log can show;
+    that is no gap that a model could close.
+    """
+    energy = np.sum(rows**2, axis=0)
+    lags = np.arange(round(FORGOTTEN / period), round(RETURNS / period) + 1)
+    products = np.array([np.sum(rows[k:] * rows[:-k], axis=0) for k in lags])
+    # Chance alone leaves 1/n in each squared correlation.
+    squares = (products / np.maximum(energy, 1e-300)) ** 2 - 1.0 / len(rows)
+    return float(squares.mean(axis=0) @ energy) < MEMORY * float(energy.sum())
+
+
 def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:
     """Standard deviation of one sample of each channel: as stated, or from its third differences.
 

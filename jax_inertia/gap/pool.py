@@ -8,6 +8,7 @@ added once more, shows both, and the moments are corrected by it (errors in vari
 """
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import scipy.optimize
@@ -106,25 +107,30 @@ class Pool:
     def _enter(self, family: Family) -> None:
         for place in family.places(self.context):
             shapes = list(family.shapes(self.context, place))
-            for context in (
-                (self.context, self.echo.context) if family.noisy(self.context) else (self.context,)
-            ):
-                family.prepare(context, place, shapes)
-            blocks = [self.block(family, place, shape) for shape in shapes]
             blocks = [
-                b for b in blocks if np.isfinite(b.columns).all() and np.sum(b.columns**2) > 1e-12
+                b
+                for b in self.blocks(family, place, shapes)
+                if np.isfinite(b.columns).all() and np.sum(b.columns**2) > 1e-12
             ]
             if blocks:
                 self.entries.append((family, place, blocks))
 
-    def block(self, family: Family, place: Place, shape: Shape) -> Block:
+    def blocks(self, family: Family, place: Place, shapes: list[Shape]) -> list[Block]:
         """A family's columns at a place, for given nonlinear numbers."""
-        columns = self.evidence.column(family.columns(self.context, place, shape))
+
+        def columns(context: Context) -> Iterator[np.ndarray]:
+            family.prepare(context, place, shapes)
+            return self.evidence.of_many(family.columns(context, place, s) for s in shapes)
+
         if not family.noisy(self.context):
-            return Block(shape, columns)
-        again = self.evidence.column(family.columns(self.echo.context, place, shape))
-        noise = again - columns
-        return Block(shape, columns, noise.T @ noise, noise.T @ self.echo.noise)
+            return [Block(s, x) for s, x in zip(shapes, columns(self.context), strict=True)]
+        out = []
+        for s, x, again in zip(
+            shapes, columns(self.context), columns(self.echo.context), strict=True
+        ):
+            noise = again - x
+            out.append(Block(s, x, noise.T @ noise, noise.T @ self.echo.noise))
+        return out
 
     def best(
         self, residual: Float[np.ndarray, " n"], chosen: Float[np.ndarray, "n s"], noise: float
@@ -167,7 +173,7 @@ class Pool:
                 def cost(x, axis=axis):
                     nonlocal best
                     shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
-                    block = self.block(family, place, shape)
+                    [block] = self.blocks(family, place, [shape])
                     fitted = self._fit(family, place, block, basis, target)
                     if fitted is None:
                         return 0.0
@@ -188,7 +194,7 @@ class Pool:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
         basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
         target = residual - basis @ (basis.T @ residual) if basis.shape[1] else residual
-        block = self.block(candidate.family, candidate.place, candidate.shape)
+        [block] = self.blocks(candidate.family, candidate.place, [candidate.shape])
         fitted = self._fit(candidate.family, candidate.place, block, basis, target)
         if fitted is None:
             return None

@@ -12,9 +12,10 @@ import numpy as np
 from jax_inertia.gap import nuisance
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.context import Context
+from jax_inertia.gap.doubt import Hidden, better_than
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Columns, Family
-from jax_inertia.gap.noise import Whitener, stated, whitener
+from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Candidate, Echo, Pool, effect_torque
 from jax_inertia.gap.select import remaining, row_energy, select
@@ -40,6 +41,8 @@ class Search:
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
     verdict: Verdict
+    rival: tuple[Candidate, Hidden] | None
+    """A found effect, and the free function of the state that fits better in its place."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,10 +70,19 @@ class Finder:
         against = floor if noise is None else noise
         chosen, ranking, misfits = select(pool, self.max_effects, against)
         allowed = _allowed(chosen, [c.effect for c in chosen])
+        if not self.stated and misfits[-1] > floor:
+            left = evidence.unflatten(remaining(pool, chosen))
+            if memoryless(left, 1.0 / context.prepared.settings.decimated):
+                floor = misfits[-1]
         verdict = judge(misfits, floor, allowed, self.stated)
         if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= max(2, len(chosen) / 2):
             verdict = Verdict.PARTLY
-        return Search(pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict)
+        rival = better_than(pool, chosen, against)
+        if rival is not None:
+            verdict = Verdict.UNKNOWN
+        return Search(
+            pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival
+        )
 
 
 def finder(
@@ -108,7 +120,9 @@ def find(finder: Finder) -> tuple[Search, Search]:
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = _allowed(second.chosen, effects)
     verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
-    if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
+    if second.rival is not None:
+        verdict = Verdict.UNKNOWN
+    elif verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
     return first, dataclasses.replace(second, verdict=verdict)
 

@@ -26,15 +26,13 @@ def select(
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        # Whitening is itself estimated: once a cause is found, structure in a hundredth of the noise is none.
-        if not step or step[0].score < STOP + (0.01 * floor if chosen else 0.0):
+        if not step or step[0].score < _toll(step[0], chosen, floor):
             break
         trial = settle(pool, [*chosen, step[0]])
         if len(trial) > 1:
             trial = swap(pool, prune(pool, trial, floor), floor)
-            after = misfit(pool, trial)
             # Significance is not materiality: beside a large effect, the error of its own equation is significant.
-            if len(trial) <= len(chosen) or misfits[-1] - after < allowance(pool, chosen, trial):
+            if len(trial) <= len(chosen) or material(pool, chosen, trial) < STOP:
                 break
         chosen = trial
         misfits.append(misfit(pool, chosen))
@@ -43,7 +41,7 @@ def select(
 
 def remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
     """What the chosen effects leave, in the charged metric."""
-    columns, target = _stacked(pool, chosen)
+    columns, target = stacked(pool, chosen)
     if not columns.shape[1]:
         return target
     return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
@@ -61,19 +59,35 @@ def _redness(pool: Pool, chosen: list[Candidate], added: Candidate) -> float:
     return (1 + rho) / (1 - rho)
 
 
-def allowance(pool: Pool, chosen: list[Candidate], trial: list[Candidate]) -> float:
-    """Misfit that the equations of the `chosen` may leave in the rows where what is new in `trial` acts."""
-    old = {c.key for c in chosen}
-    new = [row_energy(pool, c) for c in trial if c.key not in old]
-    if not new:
-        return np.inf
-    acts = np.max(new, axis=0) > 0.05 * np.max(new)
-    total = 0.0
-    for c in chosen:
-        energy = row_energy(pool, c)
-        share = energy[acts].sum() / max(energy.sum(), 1e-300)
-        total += c.family.form_error**2 * share * float(c.effect @ c.effect)
-    return total
+def _toll(added: Candidate, chosen: list[Candidate], floor: float) -> float:
+    """The score that an effect must bring, beside noise that is itself estimated.
+
+    Once a cause is found, structure in a hundredth of the noise is none; a burst in a tenth of it is no push, since
+    spikes, or a reversal of friction, are as much.
+    """
+    share = 0.1 if added.family.passing else 0.01 if chosen else 0.0
+    return STOP + share * floor
+
+
+def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
+    """Drop of the misfit from `fewer` effects to `more` that errors of the shared effects' equations cannot buy.
+
+    Row by row: what rattles at one joint excuses nothing at another.
+    """
+    unflatten = pool.evidence.unflatten
+    before, after = (
+        np.sum(unflatten(remaining(pool, chosen)) ** 2, axis=0) for chosen in (fewer, more)
+    )
+    keys = {c.key for c in more}
+    allowed = sum(
+        (
+            c.family.form_error**2 * np.sum(unflatten(c.effect) ** 2, axis=0)
+            for c in fewer
+            if c.key in keys
+        ),
+        start=np.zeros_like(before),
+    )
+    return float(np.sum(np.maximum(before - after - allowed, 0.0)))
 
 
 def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
@@ -83,7 +97,7 @@ def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
 
 def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
     """Candidates to add, best first, the leading ones refined; simpler families first where they do as well."""
-    columns, target = _stacked(pool, chosen)
+    columns, target = stacked(pool, chosen)
     n = pool.evidence.rows
     own = {c.key for c in chosen}
     ranked = [c for c in pool.best(target, columns, 1.0) if c.key not in own]
@@ -120,11 +134,11 @@ def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
     for _ in range(3 if len(chosen) > 1 else 1):
         for i, c in enumerate(chosen):
             others = [x for k, x in enumerate(chosen) if k != i]
-            columns, target = _stacked(pool, others)
+            columns, target = stacked(pool, others)
             refit = pool.fit_again(c, target, columns)
             if refit is not None:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
-        columns, target = _stacked(pool, chosen)
+        columns, target = stacked(pool, chosen)
         theta = np.linalg.lstsq(columns, target, rcond=None)[0]
         parts = np.split(theta, np.cumsum([len(c.theta) for c in chosen])[:-1])
         if all(
@@ -145,8 +159,7 @@ def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
         for i, c in enumerate(chosen):
             rest = [x for k, x in enumerate(chosen) if k != i]
             price = c.size * np.log(pool.evidence.rows)
-            drop = misfit(pool, rest) - full - allowance(pool, rest, chosen)
-            worth.append(drop / noise - price)
+            worth.append(material(pool, rest, chosen) / noise - price)
         weakest = int(np.argmin(worth))
         if worth[weakest] >= STOP:
             break
@@ -173,14 +186,15 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
 
 def misfit(pool: Pool, chosen: list[Candidate]) -> float:
     """J with all θ free and the shapes as they are."""
-    columns, target = _stacked(pool, chosen)
+    columns, target = stacked(pool, chosen)
     if not columns.shape[1]:
         return float(target @ target)
     theta = np.linalg.lstsq(columns, target, rcond=None)[0]
     return float(np.sum((target - columns @ theta) ** 2))
 
 
-def _stacked(pool: Pool, chosen: list[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+def stacked(pool: Pool, chosen: list[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of all θ together, and what they should come to: y less the offsets."""
     y = pool.evidence.y
     if not chosen:
         return np.zeros((len(y), 0)), y

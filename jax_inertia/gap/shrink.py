@@ -11,9 +11,10 @@ from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.pool import Candidate, effect_torque
+from jax_inertia.gap.pool import Candidate, Pool, effect_torque
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.verdict import Tried
+from jax_inertia.gap.select import stacked
+from jax_inertia.gap.verdict import NOISE_ERROR, Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -47,26 +48,38 @@ def held_out(prepared, context, pool, chosen, replicas) -> Shrink:
     return Shrink(_rms(y, rest), _rms(after, rest), noise)
 
 
-def what_is_left(prepared, context, pool, chosen, folds: int = 5) -> np.ndarray:
+def what_is_left(prepared, context, pool, chosen) -> np.ndarray:
     """Missing torque that remains (R, nv), each fold predicted from the others; a push as it was fitted."""
     y = prepared.finish_torque(prepared.missing)
-    after = y.copy()
-    if chosen:
-        flat = np.repeat(np.arange(len(y)) * folds // len(y), y.shape[1])
-        columns = np.concatenate([c.columns for c in chosen], axis=1)
-        target = pool.evidence.y - np.sum([c.offset for c in chosen], axis=0)
-        full = [prepared.finish_torque(effect_torque(context, c)) for c in chosen]
-        own = np.concatenate([c.theta for c in chosen])
-        for fold in range(folds):
-            train = flat != fold
-            theta = np.linalg.lstsq(columns[train], target[train], rcond=None)[0]
-            scale = _share_of(theta, own, chosen)
+    parts = [prepared.finish_torque(effect_torque(context, c)) for c in chosen]
+    return y - _predicted(pool, chosen, parts, np.zeros_like(y))
+
+
+def misfit_held_out(pool: Pool, chosen: list[Candidate]) -> float:
+    """Charged misfit J, each fold predicted from the others."""
+    unflatten = pool.evidence.unflatten
+    y = unflatten(pool.evidence.y)
+    parts = [unflatten(c.effect) for c in chosen]
+    return float(np.sum((y - _predicted(pool, chosen, parts, np.zeros_like(y))) ** 2))
+
+
+def _predicted(
+    pool: Pool, chosen: list[Candidate], parts: list[np.ndarray], out: np.ndarray, folds: int = 5
+) -> np.ndarray:
+    """Σ effects, each as large on a fifth of the log as the other four say."""
+    if not chosen:
+        return out
+    columns, target = stacked(pool, chosen)
+    fold_of = np.arange(len(out)) * folds // len(out)
+    flat = np.repeat(fold_of, out.shape[1])
+    own = np.concatenate([c.theta for c in chosen])
+    for fold in range(folds):
+        train = flat != fold
+        theta = np.linalg.lstsq(columns[train], target[train], rcond=None)[0]
+        for part, c, share in zip(parts, chosen, _share_of(theta, own, chosen), strict=True):
             # What happened once, in this fold, cannot be predicted from the others.
-            scale = [1.0 if c.family.passing else s for c, s in zip(chosen, scale, strict=True)]
-            rows = np.arange(len(y)) * folds // len(y) == fold
-            for part, s in zip(full, scale, strict=True):
-                after[rows] -= s * part[rows]
-    return after
+            out[fold_of == fold] += (1.0 if c.family.passing else share) * part[fold_of == fold]
+    return out
 
 
 def _share_of(theta: np.ndarray, own: np.ndarray, chosen: list[Candidate]) -> list[float]:
@@ -129,35 +142,41 @@ class OtherMotion:
         )
 
 
-# Chance and the nominal model's own errors may undo a small true effect in N m; more than this is no cause.
-WORSE = 1.1
+# A share of the misfit that chance may add, and of the missing torque that the nominal model's own errors may: an
+# effect may be true and yet undo some of them. More is no cause.
+WORSE, WORSE_TORQUE = 1.1, 1.3
 
 
 def without_harm(
     search: Search, other: OtherMotion | None
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
-    """The effects but for those that leave more torque missing than the model alone, held out or on another motion.
+    """The effects but for those that fit worse than the model alone, held out or on another motion.
 
     With them, the shrink on the log itself and the trial on the other motion.
     """
     pool = search.pool
     prepared, context = pool.context.prepared, pool.context
     chosen = search.chosen
+    alone = float(pool.evidence.y @ pool.evidence.y)
 
-    def shrinks(effects: list[Candidate]) -> tuple[Shrink, Trial | None]:
+    def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
         own = held_out(prepared, context, pool, effects, search.replicas)
-        return own, None if other is None else other.trial(effects)
-
-    def harm(found: tuple[Shrink, Trial | None]) -> float:
-        own, trial = found
-        ratios = [own.after / own.before]
+        trial = None if other is None else other.trial(effects)
+        harm = [
+            misfit_held_out(pool, effects) / alone / WORSE,
+            own.after / own.before / WORSE_TORQUE,
+        ]
         if trial is not None:
-            ratios.append(trial.shrink.after / trial.shrink.before)
-        return max(ratios)
+            # Within the noise, up and down are chance.
+            least = NOISE_ERROR * trial.misfit.floor
+            harm += [
+                trial.misfit.after / max(trial.misfit.before, least) / WORSE,
+                trial.shrink.after / trial.shrink.before / WORSE_TORQUE,
+            ]
+        return max(harm), own, trial
 
-    now = shrinks(chosen)
-    while chosen and harm(now) > WORSE:
+    now = tried(chosen)
+    while chosen and now[0] > 1.0:
         fewer = [[x for k, x in enumerate(chosen) if k != i] for i in range(len(chosen))]
-        tried = [(rest, shrinks(rest)) for rest in fewer]
-        chosen, now = min(tried, key=lambda option: harm(option[1]))
-    return chosen, *now
+        chosen, now = min(((rest, tried(rest)) for rest in fewer), key=lambda x: x[1][0])
+    return chosen, *now[1:]

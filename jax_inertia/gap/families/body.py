@@ -125,6 +125,10 @@ class Drag(Family):
         return {"coefficient": Parameter(theta[0], "N s²/m²")}
 
 
+# A person, or a light collision [N].
+HARDEST_PUSH = 700.0
+
+
 class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a bump over a short window", "body"
     passing, form_error = True, 0.1
@@ -152,7 +156,7 @@ class Push(Family):
         return Columns(np.einsum("tjc,tk->tjkc", rows, bumps).reshape(*rows.shape[:2], 6))
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta[:3]) < 2000)
+        return bool(np.linalg.norm(theta[:3]) < HARDEST_PUSH)
 
     def parameters(self, context, place, shape, theta):
         start, stop = shape

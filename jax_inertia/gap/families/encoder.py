@@ -33,8 +33,8 @@ class Encoder(Family):
         mass = da[:, :, j].copy()
         drag = dv[:, :, j].copy()
         if self.motor_side:
-            mass[:, j] -= float(context.robot.armature[j])
-            drag[:, j] -= float(context.robot.damping[j])
+            mass[:, j] -= context.armature[j]
+            drag[:, j] -= context.damping[j]
         e = dq[:, :, j] * delta[:, None] + drag * rate[:, None] + mass * twice[:, None]
         return Columns(e[:, :, None])
 
@@ -94,7 +94,8 @@ class TwoMass(Encoder):
 
 class JointElasticity(TwoMass):
     name, equation = "joint_elasticity", "q_motor = q + δ, K δ + D δ̇ transmitted"
-    free_shape, form_error = 1, 0.2
+    # How a resonance decays is not in the equation.
+    free_shape, form_error = 1, 0.3
 
     def grid(self, context, place):
         return (self.stiffnesses(context, place, 28), (0.01, 0.03, 0.08, 0.25))
@@ -109,7 +110,8 @@ class JointElasticity(TwoMass):
 class Backlash(TwoMass):
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    free_shape, form_error = 2, 0.3
+    # Teeth that rattle do so at other moments than computed.
+    free_shape, form_error = 2, 0.5
 
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)

@@ -48,7 +48,7 @@ class ViscousFriction(Joint):
         return Columns(-context.v[:, place.index, None], place.index)
 
     def physical(self, context, place, shape, theta):
-        return theta[0] + float(context.robot.damping[place.index]) >= -1e-9
+        return theta[0] + context.damping[place.index] >= -1e-9
 
     def parameters(self, context, place, shape, theta):
         return {"damping": Parameter(theta[0], "N m s/rad")}
@@ -61,7 +61,7 @@ class CoulombFriction(DryFriction):
         return Columns(-self.direction(context, place, shape)[:, None], place.index)
 
     def physical(self, context, place, shape, theta):
-        return theta[0] + float(context.robot.frictionloss[place.index]) >= -1e-9
+        return theta[0] + context.frictionloss[place.index] >= -1e-9
 
     def parameters(self, context, place, shape, theta):
         return {"coulomb": Parameter(theta[0], "N m")}
@@ -76,7 +76,7 @@ class AsymmetricCoulomb(DryFriction):
         return Columns(-np.stack([np.maximum(s, 0), np.minimum(s, 0)], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        return min(theta) + float(context.robot.frictionloss[place.index]) >= -1e-9
+        return min(theta) + context.frictionloss[place.index] >= -1e-9
 
     def parameters(self, context, place, shape, theta):
         return {
@@ -120,7 +120,7 @@ class LoadFriction(DryFriction):
         return Columns(-np.stack([s, s * load], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        own = float(context.robot.frictionloss[place.index])
+        own = context.frictionloss[place.index]
         return theta[0] + own > -0.02 * context.peak[place.index] and 0.005 < theta[1] < 0.6
 
     def parameters(self, context, place, shape, theta):
@@ -144,7 +144,7 @@ class FrictionDrift(Joint):
         return Columns(-np.stack([v, v * np.exp(-context.time / shape[0])], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        own = float(context.robot.damping[place.index])
+        own = context.damping[place.index]
         return theta[1] > 0 and theta[0] + own > -0.3 * theta[1]
 
     def parameters(self, context, place, shape, theta):
@@ -163,7 +163,7 @@ class Armature(Joint):
         return Columns(-context.a[:, place.index, None], place.index)
 
     def physical(self, context, place, shape, theta):
-        own = float(context.robot.armature[place.index])
+        own = context.armature[place.index]
         # Exactly minus the model's own would be a motor that is not connected.
         return theta[0] > -0.95 * own - 1e-9
 
@@ -180,7 +180,7 @@ class JointSpring(Joint):
         return Columns(np.stack([-q, np.ones_like(q)], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        return theta[0] + float(context.robot.stiffness[place.index]) > 0
+        return theta[0] + context.stiffness[place.index] > 0
 
     def parameters(self, context, place, shape, theta):
         return {
