@@ -8,6 +8,7 @@ import pytest
 from conftest import FAST
 
 from jax_inertia.control import walking as w
+from jax_inertia.control.terms import Terms
 
 OMEGA = jnp.asarray(3.1)
 
@@ -145,3 +146,35 @@ def test_a_foot_lands_by_force_late_in_its_swing_or_by_the_clock(time, force, la
     assert float(after.stance) == (0.0 if lands else 1.0)
     if lands:  # p starts from the foot that carried so far
         np.testing.assert_allclose(after.zmp, [0.053, -0.13])
+
+
+@pytest.mark.parametrize(("single", "rises"), [(0.0, False), (1.0, True)])
+def test_the_pelvis_rises_only_once_the_rear_foot_has_left(single, rises):
+    """A step up of 6 cm from a long stride would stretch the rear knee before it can leave the ground."""
+    one, three, nv = jnp.zeros(()), jnp.zeros(3), 29
+    now = Terms(
+        mass=jnp.zeros((nv, nv)),
+        bias=jnp.zeros(nv),
+        weight=one,
+        com=jnp.array([0.15, 0.0, 0.95]),
+        com_velocity=three,
+        com_jacobian=jnp.zeros((3, nv)),
+        com_bias=three,
+        momentum=three,
+        momentum_jacobian=jnp.zeros((3, nv)),
+        momentum_bias=three,
+        rotation=jnp.zeros((4, 3, 3)),
+        position=jnp.array([[0, 0, 1], [0, 0, 1], [0.3, 0.13, 0.143], [0, -0.13, 0.083]]),
+        velocity=jnp.zeros((4, 6)),
+        jacobian=jnp.zeros((4, 6, nv)),
+        jacobian_bias=jnp.zeros((4, 6)),
+    )
+    begun = plan(
+        single=single, stance=0.0, time=0.1, double=0.2, height=jnp.array([1.02, 0.0]),
+        target=jnp.array([0.55, -0.13, 0.143]), lifted=jnp.array([0.0, -0.13, 0.083]),
+    )  # fmt: skip
+    force, figures = jnp.array([900.0, 0.0 if single else 400.0]), walk(np.full((9, 6), 0.06))
+    walking = jax.jit(lambda p: w.walking(figures, p, now, force, jnp.asarray(5.0), 0.003))
+    height = walking(begun)[1].height
+    assert (float(height[2]) > 1.0) == rises
+    assert float(height[0]) == pytest.approx(1.02, abs=1e-3)

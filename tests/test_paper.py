@@ -133,6 +133,25 @@ def test_summary_is_the_median_and_nine_in_ten():
     assert (found["low"], found["median"], found["high"]) == (5.0, 50.0, 95.0)
 
 
+def test_ripple_in_step_with_the_curl_leaves_noise_out():
+    time = np.arange(0.0, 9.0, 0.003)
+    noise = np.random.default_rng(0).normal(size=(len(time), 1))
+    wave = 0.3 * np.sin(2 * np.pi * curl.FREQUENCY * time + 1.0)[:, None]
+    assert curl.in_step(time, 6.0 + wave) == pytest.approx(0.3, abs=0.01)
+    assert curl.in_step(time, 6.0 + wave + noise) == pytest.approx(0.3, abs=0.1)
+    assert curl.in_step(time, 6.0 + noise) < 0.1
+
+
+def test_sensed_values_are_not_overwritten_by_later_ticks(plant):
+    fleet = Fleet(plant, np.array([0]), Sensors(sampled_forces=True))
+    sensed = fleet.sense()
+    kept = [np.array(x) for x in vars(sensed).values()]
+    for _ in range(3):
+        fleet.step(np.zeros((1, 23)))
+    for before, after in zip(kept, vars(sensed).values(), strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
 def test_report_writes_what_the_last_run_found():
     path = ROOT / "benchmarks" / "results" / "paper.json"
     if not path.exists():
