@@ -1,0 +1,159 @@
+"""One closed-loop trial in MJX: an arm picks something up, weighs it, and its controller takes the filter's word.
+
+The law is computed torque with the *estimated* parameters of the hand, so that the estimator is inside the loop. All
+that is random hangs on the seed and the trial's own number, never on how trials are batched.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float, Int
+from mujoco import mjx
+
+from jax_inertia import inverse_dynamics, load_model
+from jax_inertia.charts import LogCholeskyUUt
+from jax_inertia.differences import Observation
+from jax_inertia.dynamics import passive_torque
+from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.inertia import is_physical
+from jax_inertia.kalman import ChiSquaredGate
+from jax_inertia.motion import Motion
+from jax_inertia.priors import Load
+from jax_inertia.robots.arm import HAND, arm_mjcf
+
+STEP, PER_TICK, PICK_UP = 0.002, 2, 0.6  # s, steps, s
+TICK = STEP * PER_TICK
+SIGMA_TAU, SIGMA_V = 0.5, 1e-3  # N m, rad/s
+STIFFNESS, DAMPING = 60.0, 15.0  # 1/s², 1/s
+KEPT = 25  # entries of the mass's course that are kept
+
+
+class Outcome(eqx.Module):
+    """What is kept of a trial."""
+
+    index: Int[Array, "*n"]
+    load: Float[Array, "*n"]
+    mass: Float[Array, "*n course"]
+    """Estimated mass of the hand, evenly over the trial [kg]."""
+    error: Float[Array, "*n"]
+    """Estimated less true mass at the end [kg]."""
+    sigma: Float[Array, "*n"]
+    tracking: Float[Array, "*n"]
+    """Root mean square joint error after the pick-up [rad]."""
+    nis_over_rows: Float[Array, "*n"]
+    rejected: Float[Array, "*n"]
+    physical: Float[Array, "*n"]
+    """Share of samples whose estimate is a body that can exist."""
+
+
+class ArmTrial(eqx.Module):
+    """What all trials share."""
+
+    estimator: Estimator
+    model: mjx.Model
+    start: mjx.Data
+    limit: Float[Array, "7"]
+    hand: int = eqx.field(static=True)
+    ticks: int = eqx.field(static=True)
+
+    def __call__(self, seed: Int[Array, ""], index: Int[Array, ""]) -> Outcome:
+        """Trial number `index`."""
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), index), 4)
+        load = jax.random.uniform(keys[0], minval=0.5, maxval=3.0)
+        rate = 2.0 * jnp.pi * jax.random.uniform(keys[1], (7,), minval=0.2, maxval=0.7)
+        phase = jax.random.uniform(keys[2], (7,), maxval=2.0 * jnp.pi)
+        robot, nominal = self.estimator.robot, self.estimator.robot.pi
+
+        def wanted(t):
+            return jnp.stack(
+                [
+                    0.4 * jnp.sin(rate * t + phase),
+                    0.4 * rate * jnp.cos(rate * t + phase),
+                    -0.4 * rate**2 * jnp.sin(rate * t + phase),
+                ]
+            )
+
+        def tick(carry, k):
+            data, state, v_before = carry
+            t = k * TICK
+            want, noise = wanted(t), jax.random.normal(jax.random.fold_in(keys[3], k), (2, 7))
+            told = self.estimator.chart.to_pi(state.belief.mean.reshape(-1, 10))
+            known = robot.with_pi(self.estimator.bodies, told)
+            a = want[2] + STIFFNESS * (want[0] - data.qpos) + DAMPING * (want[1] - data.qvel)
+            tau = inverse_dynamics(known, data.qpos, data.qvel, a)
+            tau = tau - passive_torque(known, data.qpos, data.qvel)
+            tau = jnp.clip(tau, -self.limit, self.limit)
+            carried = jnp.where(t >= PICK_UP, load, 0.0)
+            model = self.model.replace(
+                body_mass=self.model.body_mass.at[self.hand].add(carried),
+                body_inertia=self.model.body_inertia.at[self.hand].add(0.4 * carried * 0.05**2),
+            )
+            held = data.replace(ctrl=tau)
+            after = jax.lax.fori_loop(0, PER_TICK, lambda _, d: mjx.step(model, d), held)
+            v_after = after.qvel + SIGMA_V * noise[0]
+            motion = Motion(
+                time=t,
+                q=0.5 * (data.qpos + after.qpos),
+                v=0.5 * (v_before + v_after),
+                tau=tau + SIGMA_TAU * noise[1],
+                valid=jnp.ones(7, bool),
+            )
+            seen = Observation(motion, (v_after - v_before) / TICK)
+            state, step = self.estimator.step(state, seen, TICK)
+            pi = self.estimator.chart.to_pi(state.belief.mean.reshape(-1, 10))[0]
+            made = step.innovation
+            off = jnp.mean((after.qpos - wanted(t + TICK)[0]) ** 2)
+            record = (pi[0], made.nis / 7, made.accepted, off, is_physical(pi))
+            return (after, state, v_after), record
+
+        at_start = self.start.replace(qpos=wanted(0.0)[0], qvel=wanted(0.0)[1])
+        begin = (at_start, self.estimator.initial(), at_start.qvel)
+        numbers = jnp.arange(self.ticks)
+        (_, state, _), (mass, nis, used, off, physical) = jax.lax.scan(tick, begin, numbers)
+        loaded = (numbers * TICK > PICK_UP + 0.3).astype(mass.dtype)
+        share = loaded / jnp.sum(loaded)
+        own = self.estimator.estimate(state.belief)
+        return Outcome(
+            index=index,
+            load=load,
+            mass=mass[np.linspace(0, self.ticks - 1, KEPT).astype(int)],
+            error=mass[-1] - nominal[self.estimator.bodies[0], 0] - load,
+            sigma=own.sigma_pi[0, 0],
+            tracking=jnp.sqrt(share @ off),
+            nis_over_rows=share @ nis,
+            rejected=1.0 - jnp.mean(used.astype(mass.dtype)),
+            physical=jnp.mean(physical.astype(mass.dtype)),
+        )
+
+
+def arm_trial(seconds: float) -> ArmTrial:
+    """A trial of so many seconds."""
+    model = mujoco.MjModel.from_xml_string(arm_mjcf())
+    model.opt.timestep = STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_EULERDAMP | off.mjDSBL_CONSTRAINT)
+    # Nothing touches, and MJX has no collision of a cylinder with a box even so.
+    model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    robot = load_model(model).astype("float32")
+    estimator = make_estimator(
+        robot,
+        [HAND],
+        sigma_tau=SIGMA_TAU,
+        prior=Load(2.0, 0.1),
+        drift=Load(0.05, 0.05),
+        chart=LogCholeskyUUt(),
+        gate=ChiSquaredGate(0.999, robot.nv),
+        reopen_after=0.05,
+    )
+    ported = mjx.put_model(model)
+    return ArmTrial(
+        estimator=estimator,
+        model=ported,
+        start=mjx.put_data(model, mujoco.MjData(model)),
+        limit=jnp.asarray(model.actuator_ctrlrange[:, 1]),
+        hand=model.body(HAND).id,
+        ticks=round(seconds / TICK),
+    )
