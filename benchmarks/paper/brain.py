@@ -160,10 +160,10 @@ def measurement_noise(
     Rows that the chosen bodies do not move matter too: they share the noise of those that do. Without the model's own
     error in R, friction in a knee would be read as noise of the ground's force, and so as mass.
     """
-    q = jnp.asarray(q)
+    pose = jnp.asarray(q)
     span = sensors.window * STEP
     acceleration = np.sqrt(2.0) * sensors.velocity() / span
-    m = np.asarray(mass_matrix(robot, q))
+    m = np.asarray(mass_matrix(robot, pose))
     r = (m * acceleration**2) @ m.T
     samples = 1 if sensors.sampled_forces else sensors.window
     torque = np.full(robot.nv, sensors.torque**2 / sensors.window)
@@ -175,10 +175,10 @@ def measurement_noise(
     for side, name in enumerate(FEET):
         lever = np.zeros((4, 6, 3))
         lever[:, :3] = np.eye(3)
-        rotation = np.asarray(body_poses(robot, q)[0][robot.body_index(name)])
+        rotation = np.asarray(body_poses(robot, pose)[0][robot.body_index(name)])
         lever[:, 3:] = np.asarray(spatial.skew(jnp.asarray(POINTS[side] @ rotation.T)))
         wrench = np.einsum("kij,klj->il", lever, lever) * sensors.corner_force**2 / samples
-        j = np.asarray(body_jacobian(robot, q, name))
+        j = np.asarray(body_jacobian(robot, pose, name))
         r = r + j.T @ wrench @ j
     return CorrelatedNoise(jnp.asarray(r))
 
@@ -247,18 +247,9 @@ def make_brain(
 def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:
     """`Inputs` of the whole fleet."""
     size = len(mode)
-    return Inputs(
-        sensed.q,
-        sensed.v,
-        sensed.mean_q,
-        sensed.mean_v,
-        sensed.a,
-        sensed.tau,
-        sensed.force,
-        mode,
-        np.broadcast_to(truth, (size, *truth.shape[-2:])),
-        np.full(size, float(on)),
-    )
+    state = (sensed.q, sensed.v, sensed.mean_q, sensed.mean_v, sensed.a, sensed.tau, sensed.force)
+    told = np.broadcast_to(truth, (size, *truth.shape[-2:]))
+    return Inputs(*(jnp.asarray(x) for x in (*state, mode, told, np.full(size, float(on)))))
 
 
 def spread(tree: Any, size: int) -> Any:
@@ -280,7 +271,7 @@ class Standing(eqx.Module):
 
     height: Float[Array, ""]
     com: Float[Array, "3"]
-    posture: eqx.Module
+    posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]]
 
     def __call__(self, plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
         want = self.posture(time)
@@ -298,7 +289,9 @@ class Standing(eqx.Module):
         return plan, reference, want[0]
 
 
-def standing(model: mujoco.MjModel, posture: eqx.Module | None = None) -> Standing:
+def standing(
+    model: mujoco.MjModel, posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]] | None = None
+) -> Standing:
     """Stand where the model's home pose stands."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)

@@ -31,8 +31,10 @@ SENSORS = Sensors()
 
 def waveform(t: float) -> float:
     """Table I: 4.5 kg, amplitude 3 kg, 1 Hz, a sine and from 8 s on a square wave [kg]."""
-    wave = np.sin(2 * np.pi * t)
-    return 4.5 + 3.0 * (wave if t < 8.0 else np.where(wave >= 0, 1.0, -1.0))
+    wave = float(np.sin(2 * np.pi * t))
+    if t >= 8.0:
+        wave = 1.0 if wave >= 0 else -1.0
+    return 4.5 + 3.0 * wave
 
 
 def run(
@@ -61,7 +63,7 @@ def run(
 
     def truth(t: float) -> np.ndarray:
         if t >= SETTLE:
-            link.set(float(waveform(t - SETTLE)))
+            link.set(waveform(t - SETTLE))
         told.append(body_pi(plant, body))
         old = told[max(0, len(told) - 1 - round(LAG / TICK))]
         return np.where((group == len(modes))[:, None, None], old, told[-1])

@@ -54,7 +54,8 @@ class Loop(eqx.Module):
         """So many ticks of one robot, and its positions after each."""
 
         def one(carry, _):
-            memory, data = self.tick(*carry, truth)
+            memory, data = carry
+            memory, data = self.tick(memory, data, truth)
             return (memory, data), data.qpos
 
         (memory, data), path = jax.lax.scan(one, (memory, data), None, length=ticks)
