@@ -127,7 +127,7 @@ def _pelvis(x: dict[str, Any]) -> str:
         + f"\nDistance walked: {x['distance_m']['adaptive']:.1f} m (adaptive). Torso mass RMSE: "
         f"{_span(x['mass_rmse_kg'], digits=2)} kg. Ticks whose program did not converge: "
         f"{100 * x['unsolved']:.3f} % in the worst run.\n\n"
-        "Sweep over the height task's stiffness [1/s²] and the nominal mass [kg], 20 s, RMSE [mm]:\n\n"
+        "Sweep over the height task's stiffness [1/s²] and the nominal mass [kg], 15 s, RMSE [mm]:\n\n"
         + _table(
             ["stiffness", "nominal mass", "none", "adaptive", "oracle", "ratio", "falls"], sweep
         )
