@@ -143,7 +143,8 @@ def page(found: dict) -> str:
             "## Jacobian: analytic against autodiff",
             "g: one body, 10 × 10. h: torque of the humanoid by two bodies, 29 × 20, autodiff through inverse "
             "dynamics. Error: largest difference from the analytic Jacobian in float64 over its largest entry. "
-            f"Times per sample, median, one core unless a GPU is named, chunks of {found['chunk']}. `python benchmarks/jacobian.py`",
+            "Times per sample, median, one core unless a GPU is named, chunks of "
+            f"{found['chunk']}. `python benchmarks/jacobian.py`",
             results.table(head, rows),
             results.sentence(found["about"]),
             "![Time per Jacobian over batch](figures/jacobian.png)",

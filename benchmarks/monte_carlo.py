@@ -33,7 +33,7 @@ from jax.sharding import PartitionSpec as Spec  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: E402
 
-from benchmarks.harness.arm_trial import arm_trial  # noqa: E402
+from benchmarks.harness.arm_trial import ROBOTS, arm_trial  # noqa: E402
 from benchmarks.harness.shards import Shards  # noqa: E402
 
 
@@ -43,6 +43,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("out", type=Path)
     parser.add_argument("--rollouts", type=int, default=4096)
     parser.add_argument("--shard", type=int, default=512, help="rollouts to a file")
+    parser.add_argument("--robot", choices=list(ROBOTS), default="arm")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated, each")
     parser.add_argument("--lanes", type=int, default=16, help="rollouts side by side on a device")
@@ -59,7 +60,7 @@ def main() -> int:
             jax.config.update("jax_cpu_collectives_implementation", "gloo")
         jax.distributed.initialize(args.coordinator, args.hosts, args.host)
     first = jax.process_index() == 0
-    asked = {"trial": "arm", "seed": args.seed, "seconds": args.seconds, "lanes": args.lanes}
+    asked = {"robot": args.robot, "seed": args.seed, "seconds": args.seconds, "lanes": args.lanes}
     shards = None
     if first:
         try:
@@ -89,7 +90,7 @@ def work(args: argparse.Namespace, shards: Shards | None, numbers: np.ndarray) -
     """Make the shards of these numbers."""
     mesh = Mesh(np.array(jax.devices()), ("device",))
     split = NamedSharding(mesh, Spec("device"))
-    trial, seed = arm_trial(args.seconds), jnp.asarray(args.seed)
+    trial, seed = arm_trial(args.robot, args.seconds), jnp.asarray(args.seed)
 
     def share(indices):
         groups = indices.reshape(-1, args.lanes)

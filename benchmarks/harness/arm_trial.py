@@ -30,6 +30,18 @@ STIFFNESS, DAMPING = 60.0, 15.0  # 1/s², 1/s
 KEPT = 25  # entries of the mass's course that are kept
 
 
+_SMALL = """
+<mujoco><option timestep="0.002"/><worldbody>
+  <body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.3" armature="0.02"/>
+    <inertial pos="0.01 0 -0.2" mass="2.1" diaginertia="0.03 0.03 0.004"/>
+    <body name="hand" pos="0 0 -0.4"><joint name="b" axis="1 1 0" damping="0.2" armature="0.02"/>
+      <inertial pos="0.02 0.01 -0.15" mass="1.1" diaginertia="0.01 0.011 0.002"/></body></body>
+</worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>
+"""
+ROBOTS = {"small": lambda: _SMALL, "arm": arm_mjcf}
+"""Two hinges, quick to compile, and the arm of seven; both carry the load in a body `hand`."""
+
+
 class Outcome(eqx.Module):
     """What is kept of a trial."""
 
@@ -54,17 +66,18 @@ class ArmTrial(eqx.Module):
     estimator: Estimator
     model: mjx.Model
     start: mjx.Data
-    limit: Float[Array, "7"]
+    limit: Float[Array, "n"]
     hand: int = eqx.field(static=True)
     ticks: int = eqx.field(static=True)
 
     def __call__(self, seed: Int[Array, ""], index: Int[Array, ""]) -> Outcome:
         """Trial number `index`."""
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), index), 4)
-        load = jax.random.uniform(keys[0], minval=0.5, maxval=3.0)
-        rate = 2.0 * jnp.pi * jax.random.uniform(keys[1], (7,), minval=0.2, maxval=0.7)
-        phase = jax.random.uniform(keys[2], (7,), maxval=2.0 * jnp.pi)
         robot, nominal = self.estimator.robot, self.estimator.robot.pi
+        joints = robot.nv
+        load = jax.random.uniform(keys[0], minval=0.5, maxval=3.0)
+        rate = 2.0 * jnp.pi * jax.random.uniform(keys[1], (joints,), minval=0.2, maxval=0.7)
+        phase = jax.random.uniform(keys[2], (joints,), maxval=2.0 * jnp.pi)
 
         def wanted(t):
             return jnp.stack(
@@ -78,7 +91,7 @@ class ArmTrial(eqx.Module):
         def tick(carry, k):
             data, state, v_before = carry
             t = k * TICK
-            want, noise = wanted(t), jax.random.normal(jax.random.fold_in(keys[3], k), (2, 7))
+            want, noise = wanted(t), jax.random.normal(jax.random.fold_in(keys[3], k), (2, joints))
             told = self.estimator.chart.to_pi(state.belief.mean.reshape(-1, 10))
             known = robot.with_pi(self.estimator.bodies, told)
             a = want[2] + STIFFNESS * (want[0] - data.qpos) + DAMPING * (want[1] - data.qvel)
@@ -98,14 +111,14 @@ class ArmTrial(eqx.Module):
                 q=0.5 * (data.qpos + after.qpos),
                 v=0.5 * (v_before + v_after),
                 tau=tau + SIGMA_TAU * noise[1],
-                valid=jnp.ones(7, bool),
+                valid=jnp.ones(joints, bool),
             )
             seen = Observation(motion, (v_after - v_before) / TICK)
             state, step = self.estimator.step(state, seen, TICK)
             pi = self.estimator.chart.to_pi(state.belief.mean.reshape(-1, 10))[0]
             made = step.innovation
             off = jnp.mean((after.qpos - wanted(t + TICK)[0]) ** 2)
-            record = (pi[0], made.nis / 7, made.accepted, off, is_physical(pi))
+            record = (pi[0], made.nis / joints, made.accepted, off, is_physical(pi))
             return (after, state, v_after), record
 
         at_start = self.start.replace(qpos=wanted(0.0)[0], qvel=wanted(0.0)[1])
@@ -128,9 +141,9 @@ class ArmTrial(eqx.Module):
         )
 
 
-def arm_trial(seconds: float) -> ArmTrial:
-    """A trial of so many seconds."""
-    model = mujoco.MjModel.from_xml_string(arm_mjcf())
+def arm_trial(name: str, seconds: float) -> ArmTrial:
+    """A trial of so many seconds with one of `ROBOTS`."""
+    model = mujoco.MjModel.from_xml_string(ROBOTS[name]())
     model.opt.timestep = STEP
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     off = mujoco.mjtDisableBit
@@ -149,11 +162,12 @@ def arm_trial(seconds: float) -> ArmTrial:
         reopen_after=0.05,
     )
     ported = mjx.put_model(model)
+    limited = model.actuator_ctrllimited.astype(bool)
     return ArmTrial(
         estimator=estimator,
         model=ported,
         start=mjx.put_data(model, mujoco.MjData(model)),
-        limit=jnp.asarray(model.actuator_ctrlrange[:, 1]),
+        limit=jnp.where(limited, model.actuator_ctrlrange[:, 1], jnp.inf),
         hand=model.body(HAND).id,
         ticks=round(seconds / TICK),
     )
