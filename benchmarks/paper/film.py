@@ -57,6 +57,7 @@ def make() -> Path:
         plot.set(xlim=(0, SECONDS), ylim=(0, 45), xlabel="time [s]", title="torso mass [kg]")
         plot.legend(loc="lower right")
 
+    draw(0)  # labels first, so that the layout leaves room for them
     fig.tight_layout()
     film = animation.FuncAnimation(fig, draw, frames=list(frames), interval=1000 / RATE)
     FOLDER.mkdir(exist_ok=True)
