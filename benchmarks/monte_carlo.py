@@ -27,6 +27,7 @@ import math  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from jax._src import distributed  # noqa: E402  (no public barrier without a collective)
 from jax.experimental import multihost_utils  # noqa: E402
 from jax.sharding import Mesh, NamedSharding  # noqa: E402
 from jax.sharding import PartitionSpec as Spec  # noqa: E402
@@ -116,6 +117,7 @@ def work(args: argparse.Namespace, shards: Shards | None, numbers: np.ndarray) -
             placed = jax.make_array_from_callback((width,), split, lambda at, x=indices: x[at])
             out = run(placed)
             if args.hosts > 1:
+                meet(jax.block_until_ready(out), int(number))
                 out = multihost_utils.process_allgather(out, tiled=True)
             arrays = {name: np.asarray(x)[:held] for name, x in vars(out).items()}
             if shards is not None:
@@ -123,6 +125,13 @@ def work(args: argparse.Namespace, shards: Shards | None, numbers: np.ndarray) -
             progress.advance(task, held)
             speed = progress.tasks[0].speed
             progress.update(task, rate=f"{speed:.0f}/s" if speed else "")
+
+
+def meet(_: object, number: int) -> None:
+    """Wait for the other processes, an hour if need be: collectives give up after half a minute."""
+    client = distributed.global_state.client
+    if client is not None:
+        client.wait_at_barrier(f"shard {number}", 3_600_000)
 
 
 def bar(watched: bool) -> Progress:

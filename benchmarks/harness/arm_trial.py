@@ -36,7 +36,8 @@ _SMALL = """
     <inertial pos="0.01 0 -0.2" mass="2.1" diaginertia="0.03 0.03 0.004"/>
     <body name="hand" pos="0 0 -0.4"><joint name="b" axis="1 1 0" damping="0.2" armature="0.02"/>
       <inertial pos="0.02 0.01 -0.15" mass="1.1" diaginertia="0.01 0.011 0.002"/></body></body>
-</worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>
+</worldbody><actuator><motor joint="a" ctrlrange="-60 60" ctrllimited="true"/>
+<motor joint="b" ctrlrange="-30 30" ctrllimited="true"/></actuator></mujoco>
 """
 ROBOTS = {"small": lambda: _SMALL, "arm": arm_mjcf}
 """Two hinges, quick to compile, and the arm of seven; both carry the load in a body `hand`."""
