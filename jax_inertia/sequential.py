@@ -17,7 +17,8 @@ class Sequential(Form):
     """The same as `kalman.Standard`, one whitened row after the other: P ← P − P h hᵀ P / (hᵀ P h + 1).
 
     `touched` are the rows of H that may differ from zero; the others count in `nis` alone. Whitening must not mix
-    rows then: independent noise. The difference loses digits as (σ prior/σ after)², as `Information` does.
+    rows then: independent noise. The difference loses digits as (σ prior/σ after)², as `Information` does: in float32
+    a log of 1332 samples ended 18 kg off, so keep it to float64, or to short runs.
     """
 
     touched: tuple[int, ...] = eqx.field(static=True)
