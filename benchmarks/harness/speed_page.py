@@ -169,6 +169,8 @@ def draw(found: dict, path: Path) -> None:
             axes[1].loglog(bodies, [r[key] for r in rows], "-o", ms=4, label=label)
     first = rows[0]["us_per_sample"]
     axes[1].loglog(bodies, [first * n / bodies[0] for n in bodies], "k:", label="linear")
+    axes[1].set_xticks(bodies, [str(n) for n in bodies])
+    axes[1].minorticks_off()
     axes[1].set_xlabel("bodies in a chain")
     axes[1].set_ylabel("µs a sample")
     axes[1].legend(fontsize=7)
