@@ -36,7 +36,9 @@ def _ran(found: dict[str, Any]) -> str:
         if x is not None
     ]
     head = ["experiment", "seeds", "seeds of each sweep or variant", "first seed", "time [s]"]
-    return "## What ran\n\n" + _table(head, rows)
+    left = [name for name in _SECTIONS if name not in found]
+    note = f"\nNot run yet: {', '.join(left)}.\n" if left else ""
+    return "## What ran\n\n" + _table(head, rows) + note
 
 
 def _span(x: dict[str, float], scale: float = 1.0, digits: int = 4) -> str:
