@@ -181,17 +181,19 @@ def _finding(
     pool, c = search.pool, chosen[i]
     others = [x for k, x in enumerate(chosen) if k != i]
     rivals = propose(pool, others, search.noise) if others else search.ranking
-    odds = probabilities(rivals, misfits, search.noise)
+    equivalent = {
+        t.key: Tie(t.family.name, t.place, _tie_kind(pool, c, t))
+        for t in ties(c, rivals, misfits, search.noise)
+    }
+    # The same torque under another name takes nothing from the odds.
+    rivals = [r for r in rivals if r.key not in equivalent or equivalent[r.key].kind != "exact"]
     return Finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
         explained=_explained(pool, chosen, i, floor),
-        probability=odds.get(c.key, 0.5),
-        equivalent=tuple(
-            Tie(t.family.name, t.place, _tie_kind(pool, c, t))
-            for t in ties(c, rivals, misfits, search.noise)
-        ),
+        probability=probabilities(rivals, misfits, search.noise).get(c.key, 0.5),
+        equivalent=tuple(equivalent.values()),
     )
 
 
@@ -227,7 +229,11 @@ def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> flo
 
 
 def _tie_kind(pool: Pool, a: Candidate, b: Candidate) -> str:
-    """'exact' where the two effects are the same torque to within rounding on this log, whatever its motion."""
+    """'exact' where the two effects are the same torque whatever the motion: a load on bodies welded to each other."""
+    if a.family is b.family and a.family.rigid:
+        moved = pool.context.robot.topology.body_dof
+        if np.array_equal(moved[a.place.index], moved[b.place.index]):
+            return "exact"
     gap = np.linalg.norm(a.effect - b.effect) / max(np.linalg.norm(a.effect), 1e-300)
     return "exact" if gap < 1e-6 else "motion_limited"
 

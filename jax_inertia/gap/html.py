@@ -131,7 +131,8 @@ def _cards(about: Page) -> list[_Card]:
     ]
     for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
         if s is not None and found.findings:
-            out.append(_Card(title, f"−{_percent(s.share)}", _detail(s)))
+            sign = "−" if s.share >= 0 else "+"
+            out.append(_Card(title, f"{sign}{_percent(abs(s.share))}", _detail(s)))
         elif s is not None:
             detail = f"rms; noise {_number(s.noise)} N m"
             out.append(_Card(title, f"{_number(s.before)} N m", detail))

@@ -61,6 +61,8 @@ class Family(abc.ABC):
     slow: ClassVar[bool] = False
     """Whether only the motion's own band is evidence. Above it, a column of accelerations meets its own noise in y; and
     a controller that feeds encoder noise back correlates the torque it asks for with that noise."""
+    rigid: ClassVar[bool] = False
+    """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None
     """For equations without θ, e = A(shape): how far from one a size let free may come out. None for all others."""
     size: ClassVar[int | None] = None

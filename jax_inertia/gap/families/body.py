@@ -19,6 +19,7 @@ class Inertial(Family):
 
 class Payload(Inertial):
     name, equation, size = "payload", "π + [m, m c, m (c·c 1 − c cᵀ)]", 4
+    rigid = True
     # A real load is no point: its own inertia is left.
     form_error = 0.05
 
