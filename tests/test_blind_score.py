@@ -186,6 +186,13 @@ def test_the_summary_has_every_rate_with_bounds():
         assert got[f"{name}_low"] <= got[f"{name}_high"]
 
 
+def test_what_was_not_reached_is_left_out_and_what_failed_is_not(tmp_path):
+    for name in ("done", "failed"):
+        (tmp_path / "results" / name).mkdir(parents=True)
+    kept = score.reached({"seed": 1, "logs": dict.fromkeys(("done", "failed", "waits"))}, tmp_path)
+    assert (list(kept["logs"]), kept["sealed"], kept["seed"]) == (["done", "failed"], 3, 1)
+
+
 @pytest.mark.parametrize("draw", [2, 5])  # One at each joint, both strong.
 def test_the_rivals_know_friction_where_it_is(draw, tmp_path):
     """Strong Coulomb friction on an arm: both blame that joint, from the files alone."""

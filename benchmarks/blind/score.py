@@ -1,10 +1,11 @@
 """Opens the answers of a sealed set, checks the commitment and every log, and writes the tables.
 
     python benchmarks/blind/score.py LOGS SEALED FOUND --commitment HEX --out OUT \\
-        [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json]
+        [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json] [--partial]
 
 FOUND is what `solve.py` wrote, each FOLDER what `rivals.py` did. HEX is the commitment as it was published before
-any diagnosis. Writes OUT/RESULTS.md, OUT/rows.json and OUT/figures.
+any diagnosis. Writes OUT/RESULTS.md, OUT/rows.json and OUT/figures. A log without a report counts as wrong; with
+`--partial`, logs that `solve.py` has not reached are left out, and the page says how many.
 """
 
 from __future__ import annotations
@@ -36,6 +37,12 @@ def marked(answers: dict, found: Path) -> list[dict]:
     return [{"log": name} | mark(answer, said[name]) for name, answer in answers["logs"].items()]
 
 
+def reached(answers: dict, found: Path) -> dict:
+    """The answers to logs that were diagnosed, or failed to be; `sealed` keeps how many there were."""
+    logs = {n: a for n, a in answers["logs"].items() if (found / "results" / n).exists()}
+    return answers | {"logs": logs, "sealed": len(answers["logs"])}
+
+
 def seconds(found: Path) -> list[float]:
     files = sorted(found.glob("results/*/run.json"))
     every = [json.loads(f.read_text())["seconds"] for f in files]
@@ -57,6 +64,12 @@ def results(
         f"Seed `{answers['seed']}` (generator at {answers['commit'][:10]}): `seal.py --seed` makes these logs again.",
         "",
     ]
+    if (sealed := answers.get("sealed", len(rows))) > len(rows):
+        head[4:4] = [
+            f"{len(rows)} of {sealed} sealed logs were diagnosed before the answers were opened; the others were not "
+            "reached and are not counted. Which ones did not depend on the answers: small robots came first.",
+            "",
+        ]
     for run in runs:
         versions = ", ".join(f"{k} {v}" for k, v in run["versions"].items() if v)
         head.append(
@@ -96,6 +109,7 @@ def main() -> None:
     parser.add_argument("--baseline", action="append", default=[], metavar="NAME=FOLDER")
     parser.add_argument("--left-out", type=Path, help="what left_out.py wrote")
     parser.add_argument("--summary", type=Path, help="file for the machine-readable rates")
+    parser.add_argument("--partial", action="store_true", help="leave out logs not reached yet")
     args = parser.parse_args()
     told = Path(args.commitment)
     promise = told.read_text() if told.exists() else args.commitment
@@ -103,6 +117,8 @@ def main() -> None:
         answers = vault.unseal(args.sealed, promise, args.logs, args.key)
     except vault.SealBroken as error:
         raise SystemExit(f"score: {error}") from None
+    if args.partial:
+        answers = reached(answers, args.found)
     score(answers, promise, args.logs, args.found, args.out, _pairs(args.baseline), args.left_out)
     if args.summary:
         rows = json.loads((args.out / "rows.json").read_text())
