@@ -38,6 +38,7 @@ class Context:
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
         self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
+        self._bristles: dict[tuple[int, float], np.ndarray] = {}
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
@@ -121,21 +122,16 @@ class Context:
         """Torque of each contact's measured wrench (T, C, nv)."""
         return _contact_rows((self.robot, self.contacts), (self.q, self.wrench))
 
-    @functools.cache  # noqa: B019 (lives as long as its log)
     def bristle(self, row: int, reach: float) -> np.ndarray:
         """Friction direction of a joint with presliding (Dahl 1968): dz/dx = (1 − z sign ẋ)/reach, z in [−1, 1] (T,).
 
         After a reversal the direction turns over a displacement of about `reach` [rad], not at once.
         """
-        x = self.joint_position[:, row]
-        out = np.empty(len(x))
-        out[0] = z = np.sign(self.v[0, row])
-        moves = np.diff(x)
-        sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
-        for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
-            z = side + (z - side) * stay
-            out[k + 1] = z
-        return out
+        if (row, reach) not in self._bristles:
+            self._bristles[row, reach] = _bristle(
+                self.joint_position[:, row], float(np.sign(self.v[0, row])), reach
+            )
+        return self._bristles[row, reach]
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
         """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
@@ -167,6 +163,17 @@ class Context:
         kernel = np.ones((width, 1))
         core = signal.convolve(still * 1.0, kernel, mode="same") > width - 0.5
         return signal.convolve(core * 1.0, kernel, mode="same") > 0.5
+
+
+def _bristle(x: np.ndarray, start: float, reach: float) -> np.ndarray:
+    out = np.empty(len(x))
+    out[0] = z = start
+    moves = np.diff(x)
+    sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
+    for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
+        z = side + (z - side) * stay
+        out[k + 1] = z
+    return out
 
 
 @over_samples
