@@ -7,8 +7,8 @@ from jax_inertia.log import Log, TorqueUnit
 from jax_inertia.preflight import Finding, Severity
 from jax_inertia.robot import Robot
 
-# A slope that is not this many standard errors from zero is no gain.
-SURE = 10.0
+# A slope this many standard errors from zero is a gain; where no joint has one, the best does from fewer on.
+SURE, LEAST = 10.0, 2.0
 
 
 def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...]]:
@@ -23,7 +23,7 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
     prepared = prepare(robot, log)
     rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
     v = np.asarray(prepared.observation.motion.v)
-    gains, sure = [], []
+    gains, clarity = [], []
     for name in log.joint_names:
         row = rows[name]
         speed = v[:, row]
@@ -38,8 +38,9 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
         left = current - used @ fit
         error = np.sqrt(np.mean(left**2) * np.linalg.pinv(used.T @ used)[0, 0])
         # Neighbouring samples go together: about ten of them count as one.
-        sure.append(bool(fit[0] > SURE * error * np.sqrt(10.0)))
+        clarity.append(float(fit[0] / max(error * np.sqrt(10.0), 1e-300)))
         gains.append(1.0 / fit[0])
+    sure = [x > min(SURE, max(max(clarity) * 0.99, LEAST)) for x in clarity]
     if not any(sure):
         raise ValueError(
             f"tau is in {log.tau_unit_text!r} and no joint's gain can be told from this log; give torques in N m"
@@ -51,6 +52,8 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
         f"tau is in {log.tau_unit_text!r}: drive gains were taken from this log and the model, {text} N m per unit; "
         "a torque gain cannot be found beside them"
     )
+    if max(clarity) < SURE:
+        message += f"; known to some {100 / max(clarity):.0f} % only"
     if unsure := [n for n, s in zip(log.joint_names, sure, strict=True) if not s]:
         message += (
             f"; {', '.join(unsure)} carry too little to tell, so the others' median stands in"
