@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import interpolate, ndimage, signal
 
+from jax_inertia._findings import run_bounds
 from jax_inertia.log import AnyArray, Log
 
 _GAP_PERIODS, _GAP_SECONDS = 3.0, 0.01
@@ -130,13 +131,12 @@ def bridged_smoothly(source: Masked, ends: float | int = 0.02) -> Masked:
         return source
     time, valid = np.asarray(source.log.time), source.motion_valid
     reach = max(2, round(ends / (time[1] - time[0])))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~valid, [False]]).astype(int)))
     changes = {}
     for name in ("qpos", "base_pos", "base_quat"):
         if (value := getattr(source.log, name)) is None:
             continue
         x = np.array(value, dtype=float)
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        for start, stop in run_bounds(~valid):
             before = _line(time, x, valid, np.arange(max(start - reach, 0), start))
             after = _line(time, x, valid, np.arange(stop, min(stop + reach, time.size)))
             if before is None or after is None:

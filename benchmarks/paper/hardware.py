@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import mujoco
 
-from benchmarks.paper.plant import STEP
-from jax_inertia.robots import HumanoidOptions, Terrain, humanoid_mjcf
+from benchmarks.paper.plant import mjcf
+from jax_inertia.robots import Terrain
 
 FOREARM = "left_elbow_pitch_link"
 DUMBBELL = "dumbbell"
@@ -35,17 +35,7 @@ def hardware(
     effects: Effects, *, terrain: Terrain = Terrain.FLAT, solref: tuple[float, float] = (0.006, 1.0)
 ) -> mujoco.MjModel:
     """The plant with these effects, and a dumbbell on the left forearm (`LinkMass` takes it off)."""
-    options = HumanoidOptions(
-        terrain=terrain,
-        timestep=STEP,
-        solver_iterations=30,
-        line_search_iterations=30,
-        solref=solref,
-        corner_forces=True,
-        corner_positions=True,
-        visual=False,
-    )
-    spec = mujoco.MjSpec.from_string(humanoid_mjcf(options))
+    spec = mujoco.MjSpec.from_string(mjcf(terrain=terrain, solref=solref))
     ball = 0.4 * 0.05**2  # kg m² per kg, a ball of 5 cm
 
     def lump(parent: str, name: str, mass: float, pos: tuple[float, float, float]) -> None:

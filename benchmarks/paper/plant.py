@@ -61,9 +61,7 @@ class Sensed:
     force: np.ndarray  # (robots, 8, 3), world axes
 
 
-def model(
-    *, terrain: Terrain = Terrain.FLAT, solref: tuple[float, float] = (0.006, 1.0)
-) -> mujoco.MjModel:
+def mjcf(*, terrain: Terrain = Terrain.FLAT, solref: tuple[float, float] = (0.006, 1.0)) -> str:
     """The humanoid for the plant: Newton to convergence, corner sensors, nothing to draw."""
     options = HumanoidOptions(
         terrain=terrain,
@@ -75,7 +73,14 @@ def model(
         corner_positions=True,
         visual=False,
     )
-    return mujoco.MjModel.from_xml_string(humanoid_mjcf(options))
+    return humanoid_mjcf(options)
+
+
+def model(
+    *, terrain: Terrain = Terrain.FLAT, solref: tuple[float, float] = (0.006, 1.0)
+) -> mujoco.MjModel:
+    """The plant's humanoid without anything that its model lacks."""
+    return mujoco.MjModel.from_xml_string(mjcf(terrain=terrain, solref=solref))
 
 
 class LinkMass:

@@ -121,7 +121,7 @@ def published_left(case: Case, files: Files, robot: Robot) -> list[tuple[np.ndar
         prepared = prepare(robot, log if case.gains is None else log.with_torque_gains(case.gains))
         v, a = np.asarray(prepared.observation.motion.v), np.asarray(prepared.observation.a)
         left = prepared.finish(prepared.missing + case.law(v, a))
-        rest = Context(prepared).at_rest[prepared.kept] | ~prepared.valid
+        rest = Context(prepared).unpredicted
         out.append((left, ~rest))
     return out
 

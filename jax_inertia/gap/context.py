@@ -155,6 +155,11 @@ class Context:
         self._separations |= {(row, c): x for c, x in zip(couplings, paths, strict=True)}
 
     @functools.cached_property
+    def unpredicted(self) -> np.ndarray:
+        """Rows of the slow grid that no model predicts: at rest, where friction is arbitrary, or unmeasured (R, nv)."""
+        return self.at_rest[self.prepared.kept] | ~self.prepared.valid
+
+    @functools.cached_property
     def at_rest(self) -> np.ndarray:
         """Where a joint stands still: |v| < 0.012 rad/s for more than 40 ms (T, nv)."""
         still = np.abs(self.v) < 0.012

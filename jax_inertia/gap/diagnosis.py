@@ -120,7 +120,7 @@ def diagnose(
     library = [f for f in LIBRARY if f.name not in exclude]
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
-    pool, floor, misfits, verdict = search.pool, search.floor, search.misfits, search.verdict
+    pool, verdict = search.pool, search.verdict
     context = pool.context
     progress("checking on held-out stretches and on the other motion")
     other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search.white)
@@ -132,10 +132,8 @@ def diagnose(
     elif trial is not None and chosen and not any(c.family.passing for c in chosen):
         # A wrong cause may fit one motion; it seldom fits two.
         verdict = second_look(verdict, trial.misfit)
-    numbers = intervals(pool, chosen, misfits[-1] / max(search.noise, 1.0))
-    findings = tuple(
-        _finding(search, chosen, i, numbers[i], misfits, floor) for i in range(len(chosen))
-    )
+    numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
+    findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
     # How large the gap is, and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
     raw = evidence.unflatten(evidence.raw[:, 0])
@@ -161,9 +159,7 @@ def diagnose(
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
-            tuple(
-                what_is_left(prepared, context, pool, chosen[: k + 1]) for k in range(len(chosen))
-            ),
+            tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             search.replicas,
         ),
     )
@@ -174,8 +170,6 @@ def _finding(
     chosen: list[Candidate],
     i: int,
     numbers: dict[str, Interval],
-    misfits: list[float],
-    floor: float,
 ) -> Finding:
     """The i-th effect beside its rivals, given the others."""
     pool, c = search.pool, chosen[i]
@@ -183,7 +177,7 @@ def _finding(
     rivals = propose(pool, others, search.noise) if others else search.ranking
     equivalent = {
         t.key: Tie(t.family.name, t.place, _tie_kind(pool, c, t))
-        for t in ties(c, rivals, misfits, search.noise)
+        for t in ties(c, rivals, search.misfits, search.noise)
     }
     # The same torque under another name takes nothing from the odds.
     rivals = [r for r in rivals if r.key not in equivalent or equivalent[r.key].kind != "exact"]
@@ -191,8 +185,8 @@ def _finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
-        explained=_explained(pool, chosen, i, floor),
-        probability=probabilities(rivals, misfits, search.noise).get(c.key, 0.5),
+        explained=_explained(pool, chosen, i, search.floor),
+        probability=probabilities(rivals, search.misfits, search.noise).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
     )
 

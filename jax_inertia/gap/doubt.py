@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.pool import Candidate, Pool
+from jax_inertia.gap.pool import Candidate, Pool, beside
 from jax_inertia.gap.select import STOP, remaining, stacked
 
 KNOTS = 24
@@ -56,11 +56,9 @@ def better_than(
             for k, x in enumerate(chosen)
             if k != i and not (c.family.passing and x.family.passing)
         ]
-        columns, target = stacked(pool, others)
-        basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
-        target = target - basis @ (basis.T @ target)
+        basis, target = beside(*stacked(pool, others))
         size = c.size * (len(chosen) - len(others))
-        allowed = c.family.form_error**2 * float(c.effect @ c.effect)
+        allowed = c.excuses(c.effect)
         if c.family.passing:
             # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there.
             allowed = min(allowed, max(now - noise, 0.0))

@@ -66,9 +66,9 @@ class Evidence:
         """A finished torque on all rows, in the charged metric."""
         return self.charge((self.whitener(y) * self.used).reshape(-1, 1))[:, 0]
 
-    def noise_energy(self, noise: Float[np.ndarray, "R nv"]) -> float:
-        """Charged misfit of a replica of the noise, finished but not whitened."""
-        return float(np.sum(self.charged(noise) ** 2))
+    def noise_energy(self, replicas: Float[np.ndarray, "K R nv"]) -> float:
+        """Charged misfit of noise alone: the mean over its replicas, finished but not whitened."""
+        return float(np.mean([np.sum(self.charged(x) ** 2) for x in replicas]))
 
     @functools.cached_property
     def slow_modes(self) -> int:

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia._findings import run_bounds
 from jax_inertia.gap.evidence import Evidence
 
 
@@ -34,7 +35,9 @@ def windows(
     levels = [k * usual for k in (3.0, 8.0, 20.0, 60.0, 200.0)]
     levels += [k * float(smooth.max()) for k in (0.03, 0.1, 0.3)]
     for level in levels:
-        for start, stop in _runs(_closed(smooth > max(level, 3.0 * usual), round(0.15 / step))):
+        for start, stop in run_bounds(
+            _closed(smooth > max(level, 3.0 * usual), round(0.15 / step))
+        ):
             inside = total[start:stop].sum() - usual * (stop - start)
             if shortest < (stop - start) * step < longest and inside > 0.5 * excess:
                 found.add((time[start] - 0.04, time[min(stop, len(time) - 1)] + 0.04))
@@ -50,7 +53,7 @@ def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[lis
     smooth = np.convolve(total, np.ones(width) / width, mode="same")
     level = max(3.0 * evidence.used.shape[1], 0.25 * smooth.max())
     loud = _closed(smooth > level, round(0.3 / step))
-    runs = [(a, b) for a, b in _runs(loud) if (b - a) * step > 0.05]
+    runs = [(a, b) for a, b in run_bounds(loud) if (b - a) * step > 0.05]
     return [[float(time[a]), float(time[min(b, len(time) - 1)])] for a, b in runs]
 
 
@@ -62,13 +65,7 @@ def _time(evidence: Evidence) -> np.ndarray:
 def _closed(mask: np.ndarray, gap: int) -> np.ndarray:
     """Fill gaps shorter than `gap` samples between loud stretches."""
     out = mask.copy()
-    for (_, stop), (start, _) in itertools.pairwise(_runs(mask)):
+    for (_, stop), (start, _) in itertools.pairwise(run_bounds(mask)):
         if start - stop < gap:
             out[stop:start] = True
     return out
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """[start, stop) of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

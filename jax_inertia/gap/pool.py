@@ -47,6 +47,10 @@ class Candidate:
         """e in the charged metric."""
         return self.offset + self.columns @ self.theta
 
+    def excuses(self, effect: Float[np.ndarray, " n"]) -> float:
+        """Misfit that errors of the family's own equation may leave of its effect on some log."""
+        return self.family.form_error**2 * float(effect @ effect)
+
     @property
     def size(self) -> int:
         """Numbers that were free: θ and the shape, details such as presliding apart."""
@@ -71,6 +75,14 @@ class Block:
     columns: Float[np.ndarray, "n k"]
     gram: Float[np.ndarray, "k k"] | float = 0.0
     cross: Float[np.ndarray, " k"] | float = 0.0
+
+
+def beside(
+    columns: Float[np.ndarray, "n s"], target: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, " n"]]:
+    """An orthonormal basis of the columns, and what they cannot reach of the target."""
+    basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
+    return basis, target - basis @ (basis.T @ target)
 
 
 def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
@@ -137,8 +149,7 @@ class Pool:
     ) -> list[Candidate]:
         """Every candidate fitted to a residual beside the chosen columns, best score first."""
         n = self.evidence.rows
-        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
-        target = residual - basis @ (basis.T @ residual)
+        basis, target = beside(chosen, residual)
         out = []
         for family, place, blocks in self.entries:
             fits = [self._fit(family, place, block, basis, target) for block in blocks]
@@ -160,8 +171,7 @@ class Pool:
         family, place = candidate.family, candidate.place
         if not candidate.shape:
             return candidate
-        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
-        target = residual - basis @ (basis.T @ residual)
+        basis, target = beside(chosen, residual)
         best = candidate
         for _ in range(2):
             before = best.aim
@@ -192,8 +202,7 @@ class Pool:
 
     def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
-        basis = np.linalg.qr(chosen)[0] if chosen.shape[1] else chosen
-        target = residual - basis @ (basis.T @ residual) if basis.shape[1] else residual
+        basis, target = beside(chosen, residual)
         [block] = self.blocks(candidate.family, candidate.place, [candidate.shape])
         fitted = self._fit(candidate.family, candidate.place, block, basis, target)
         if fitted is None:

@@ -14,7 +14,7 @@ from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Columns, Family
+from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Candidate, Echo, Pool, effect_torque
@@ -62,14 +62,14 @@ class Finder:
         """One pass, against the noise of a whitener."""
         context = self.context
         evidence = Evidence(context.prepared, white, self.nuisances)
-        floor = float(np.mean([evidence.noise_energy(x) for x in self.replicas]))
+        floor = evidence.noise_energy(self.replicas)
         again = evidence.charged(self.again.finish_torque(self.again.missing))
         pool = Pool(
             context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
         )
         against = floor if noise is None else noise
         chosen, ranking, misfits = select(pool, self.max_effects, against)
-        allowed = _allowed(chosen, [c.effect for c in chosen])
+        allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
         if not self.stated and misfits[-1] > floor:
             left = evidence.unflatten(remaining(pool, chosen))
             if memoryless(left, 1.0 / context.prepared.settings.decimated):
@@ -107,18 +107,19 @@ def find(finder: Finder) -> tuple[Search, Search]:
         or first.misfits[-1] < WORSE * first.noise
     ):
         return first, first
-    evidence = first.pool.evidence
+    evidence, prepared = first.pool.evidence, finder.context.prepared
+    # Charged twice: what is left once the nuisances, too, are at their best.
     left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
     second = finder.search(finder.white.then(left), noise=float(evidence.rows))
     if not second.chosen:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
     effects = [
-        evidence.column(Columns(effect_torque(finder.context, c)[:, :, None]))[:, 0]
+        evidence.charged(prepared.finish_torque(effect_torque(finder.context, c)))
         for c in second.chosen
     ]
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
-    allowed = _allowed(second.chosen, effects)
+    allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
     if second.rival is not None:
         verdict = Verdict.UNKNOWN
@@ -142,11 +143,3 @@ def _rows_explained(pool: Pool, chosen: list[Candidate]) -> int:
         acts = energy > 0.05 * energy.max()
         count += bool(after[acts].sum() < 0.1 * before[acts].sum())
     return count
-
-
-def _allowed(chosen: list[Candidate], effects: list[np.ndarray]) -> float:
-    """The misfit that the found equations' own errors may leave."""
-    return sum(
-        (c.family.form_error**2 * float(e @ e) for c, e in zip(chosen, effects, strict=True)),
-        start=0.0,
-    )

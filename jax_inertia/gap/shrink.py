@@ -8,7 +8,6 @@ from jax_inertia.gap import nuisance
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Candidate, Pool, effect_torque
@@ -34,24 +33,28 @@ class Shrink:
         return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
 
 
-def _rms(x: np.ndarray, rest: np.ndarray) -> float:
-    """Over rows in motion: friction at rest is arbitrary, and no model's to predict."""
-    return float(np.sqrt(np.mean(x[~rest] ** 2)))
+def _shrink(context: Context, before: np.ndarray, after: np.ndarray, replicas) -> Shrink:
+    """Finished torques on all rows to one number each, over rows that a model should predict."""
+    counted = ~context.unpredicted
+
+    def rms(x: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(x[..., counted] ** 2)))
+
+    return Shrink(rms(before), rms(after), rms(np.asarray(replicas)))
 
 
-def held_out(prepared, context, pool, chosen, replicas) -> Shrink:
+def held_out(pool: Pool, chosen: list[Candidate], replicas) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
-    rest = context.at_rest[prepared.kept] | ~prepared.valid
-    y = prepared.finish_torque(prepared.missing)
-    noise = float(np.sqrt(np.mean(np.asarray(replicas)[:, ~rest] ** 2)))
-    after = what_is_left(prepared, context, pool, chosen)
-    return Shrink(_rms(y, rest), _rms(after, rest), noise)
+    prepared = pool.context.prepared
+    before = prepared.finish_torque(prepared.missing)
+    return _shrink(pool.context, before, what_is_left(pool, chosen), replicas)
 
 
-def what_is_left(prepared, context, pool, chosen) -> np.ndarray:
+def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
     """Missing torque that remains (R, nv), each fold predicted from the others; a push as it was fitted."""
+    prepared = pool.context.prepared
     y = prepared.finish_torque(prepared.missing)
-    parts = [prepared.finish_torque(effect_torque(context, c)) for c in chosen]
+    parts = [prepared.finish_torque(effect_torque(pool.context, c)) for c in chosen]
     return y - _predicted(pool, chosen, parts, np.zeros_like(y))
 
 
@@ -119,24 +122,18 @@ class OtherMotion:
     def trial(self, chosen: list[Candidate]) -> Trial:
         """Missing torque and misfit with and without the effects."""
         prepared, context, evidence = self._prepared, self._context, self._evidence
-        rest = context.at_rest[prepared.kept] | ~prepared.valid
-        y = prepared.finish_torque(prepared.missing)
         lasting = [c for c in chosen if not c.family.passing]
-        effects = [effect_torque(context, c) for c in lasting]
-        after = y - sum((prepared.finish_torque(e) for e in effects), np.zeros_like(y))
-        noise = float(np.sqrt(np.mean(np.asarray(self._replicas)[:, ~rest] ** 2)))
-        charged = [evidence.column(Columns(e[:, :, None]))[:, 0] for e in effects]
+        effects = [prepared.finish_torque(effect_torque(context, c)) for c in lasting]
+        charged = [evidence.charged(e) for e in effects]
+        y = prepared.finish_torque(prepared.missing)
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
         return Trial(
-            shrink=Shrink(_rms(y, rest), _rms(after, rest), noise),
+            shrink=_shrink(context, y, y - sum(effects, np.zeros_like(y)), self._replicas),
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),
-                floor=float(np.mean([evidence.noise_energy(x) for x in self._replicas])),
-                allowed=sum(
-                    c.family.form_error**2 * float(e @ e)
-                    for c, e in zip(lasting, charged, strict=True)
-                ),
+                floor=evidence.noise_energy(self._replicas),
+                allowed=sum((c.excuses(e) for c, e in zip(lasting, charged, strict=True)), 0.0),
                 stated=self._stated,
             ),
         )
@@ -155,12 +152,11 @@ def without_harm(
     With them, the shrink on the log itself and the trial on the other motion.
     """
     pool = search.pool
-    prepared, context = pool.context.prepared, pool.context
     chosen = search.chosen
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
-        own = held_out(prepared, context, pool, effects, search.replicas)
+        own = held_out(pool, effects, search.replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
             misfit_held_out(pool, effects) / alone / WORSE,

@@ -63,7 +63,7 @@ def collect(
         q=prepared.finish(context.joint_position),
         v=prepared.finish(context.v),
         tau=prepared.finish(context.tau),
-        rest=context.at_rest[prepared.kept] | ~prepared.valid,
+        rest=context.unpredicted,
         missing=missing,
         effects=effects,
         left=left,

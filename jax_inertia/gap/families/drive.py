@@ -1,5 +1,7 @@
 """Effects between the logged torque and the joint: gain, bias, limit, delay, lag."""
 
+import abc
+
 import numpy as np
 from scipy import signal
 
@@ -78,8 +80,9 @@ class _Late(Family):
         out[:, rows, 0] = change
         return Columns(out)
 
-    def late(self, tau, time, by):
-        raise NotImplementedError
+    @abc.abstractmethod
+    def late(self, tau, time, by) -> np.ndarray:
+        """The torque, later by a delay or time constant `by` [s] (T, k)."""
 
     def physical(self, context, place, shape, theta):
         return True

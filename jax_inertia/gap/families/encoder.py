@@ -4,6 +4,8 @@ Each is a small error δ(t) = q_logged − q of one joint. The needed torque was
 its derivative along δ: y = ∂ID/∂q δ + ∂ID/∂v δ̇ + ∂ID/∂a δ̈, on every row that the joint carries.
 """
 
+import abc
+
 import numpy as np
 
 from jax_inertia.gap.context import Context
@@ -20,9 +22,9 @@ class Encoder(Family):
     motor_side = False
     """Whether the rotor turns with what the encoder saw, so that its inertia felt no error."""
 
+    @abc.abstractmethod
     def path(self, context, place, shape) -> np.ndarray:
         """δ(t) for θ = 1 (T,)."""
-        raise NotImplementedError
 
     def columns(self, context, place, shape):
         dq, dv, da = context.sensitivity
@@ -73,9 +75,9 @@ class TwoMass(Encoder):
     def noisy(self, context):
         return True
 
+    @abc.abstractmethod
     def coupling(self, shape: Shape) -> tuple[float, float, float]:
         """(K, ζ, b) of a shape."""
-        raise NotImplementedError
 
     def prepare(self, context, place, shapes):
         context.separate(place.index, [self.coupling(shape) for shape in shapes])
