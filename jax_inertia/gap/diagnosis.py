@@ -17,7 +17,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
-from jax_inertia.gap.families.base import Parameter, Place
+from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import stated
 from jax_inertia.gap.nuisance import Tolerance
@@ -96,18 +96,21 @@ def diagnose(
     *,
     test_log: Log | None = None,
     exclude: Sequence[str] = (),
+    extra: Sequence[Family] = (),
     max_effects: int = 3,
     nominal_uncertainty: Tolerance | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Diagnosis:
     """Find the effects that the model lacks; see the module's text for the method.
 
-    `exclude` removes families from the library, `nominal_uncertainty` states what the nominal model may be off by.
-    `test_log`, another motion, only validates. Raises ValueError for an unknown family and LogError for a log that
-    does not fit the robot.
+    `exclude` removes families from the library, `extra` adds some of your own, `nominal_uncertainty` states what the
+    nominal model may be off by. `test_log`, another motion, only validates. Raises ValueError for an unknown family,
+    or one that the library has already, and LogError for a log that does not fit the robot.
     """
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
+    if taken := sorted({f.name for f in extra} & set(NAMES)):
+        raise ValueError(f"the library has families {taken} already; give yours another name")
     if max_effects < 1:
         raise ValueError(f"max_effects is {max_effects}; at least one")
     tolerance = Tolerance() if nominal_uncertainty is None else nominal_uncertainty
@@ -117,7 +120,7 @@ def diagnose(
         raise ValueError(
             f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering; at least 100 are needed"
         )
-    library = [f for f in LIBRARY if f.name not in exclude]
+    library = [*(f for f in LIBRARY if f.name not in exclude), *extra]
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
     pool, verdict = search.pool, search.verdict
