@@ -14,6 +14,7 @@ from rich.table import Table
 
 from jax_inertia._estimate_run import Result
 from jax_inertia.consistency import consistency
+from jax_inertia.identifiability import Source
 from jax_inertia.inertia import PI_NAMES, is_physical
 
 _SCHEMA = 1
@@ -38,7 +39,7 @@ def write(folder: Path, args: argparse.Namespace, result: Result) -> None:
 
 def report(args: argparse.Namespace, result: Result) -> dict:
     """The report as plain numbers and text; keys carry units."""
-    trace, fit, seen = result.trace, result.fit, result.identifiability
+    trace, fit, seen = result.trace, result.fit, result.known.alone
     innovation = trace.innovation
     enough = len(result.time) >= 20
     checks = consistency(innovation) if enough else None
@@ -92,7 +93,8 @@ def report(args: argparse.Namespace, result: Result) -> dict:
             "invisible": _named(seen.names, seen.invisible),
             "only_in_combination": _named(seen.names, ~seen.determined & ~seen.invisible),
             "combinations": seen.combinations,
-            "left_to_the_prior": result.prior_bound,
+            "left_to_the_prior": result.known.of(Source.PRIOR) + result.known.of(Source.NOTHING),
+            "determined": [c.text for c in result.known.combinations],
         },
     }
 
@@ -137,12 +139,13 @@ def show(result: Result, out: Path) -> None:
     ):
         rows.add_row(name, *(f"{x:.3g}" for x in values))
     console.print(rows)
-    invisible = _named(result.identifiability.names, result.identifiability.invisible)
-    bound = [name for name in result.prior_bound if name not in invisible]
-    if invisible:
-        console.print(f"This log says nothing about: {', '.join(invisible)}")
-    if bound and not result.changed:
+    if unsaid := result.known.of(Source.NOTHING):
+        console.print(f"This log says nothing about: {', '.join(unsaid)}")
+    if (bound := result.known.of(Source.PRIOR)) and not result.changed:
         console.print(f"Little more than the prior speaks in: {', '.join(bound)}")
+        sums = [c.text for c in result.known.combinations if " " in c.text]
+        if sums:
+            console.print(f"of which the log determines only: {'; '.join(sums)}")
     for note in result.notes:
         console.print(f"Note: {note}.")
     console.print(

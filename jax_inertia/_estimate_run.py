@@ -16,8 +16,8 @@ from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.estimate import Estimate, Trace
-from jax_inertia.inertia import PI_NAMES, is_physical
-from jax_inertia.least_squares import Identifiability, weighted_least_squares
+from jax_inertia.identifiability import Knowledge, knowledge
+from jax_inertia.inertia import is_physical
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.mjcf import load_model
 from jax_inertia.motion import suggestion
@@ -59,9 +59,8 @@ class Result:
     prior: Load
     gate: float
     changed: bool
-    identifiability: Identifiability
-    prior_bound: tuple[str, ...]
-    """Parameters that the whole log narrows by less than half: what is said of them is the prior's."""
+    known: Knowledge
+    """Whose word each parameter is: the log's, the prior's, or nobody's."""
     row_names: tuple[str, ...]
 
     @property
@@ -172,9 +171,8 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     elif references:
         notes.append("intervals take the calibration for exact; with one body they do not")
     stage("what the log can tell")
-    seen = _identifiability(robot, observation, args.bodies, bias, fit)
-    ratio = np.asarray(fit.estimate.sigma_pi) / np.asarray(prior.sigma_pi())
-    names = [f"{body}.{name}" for body in args.bodies for name in PI_NAMES]
+    floor = np.maximum(fit.noise, 1e-9)
+    known = knowledge(robot, observation, args.bodies, floor, prior=prior, bias=bias)
     return Result(
         bodies=tuple(args.bodies),
         robot=robot,
@@ -193,8 +191,7 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
         prior=prior,
         gate=gate,
         changed=changed,
-        identifiability=seen,
-        prior_bound=tuple(n for n, r in zip(names, ratio.ravel(), strict=True) if r > 0.5),
+        known=known,
         row_names=_row_names(robot),
     )
 
@@ -271,14 +268,6 @@ def _load_with_calibration(
     """The load fitted in one problem with all that the calibration fits: its interval knows what that leaves open."""
     carried = batch.Carried(args.bodies[0], (len(references),), prior)
     return _calibrate(args, inputs, [*references, raw], gains, carried)
-
-
-def _identifiability(robot: Robot, observation: Observation, bodies, bias, fit) -> Identifiability:
-    y, delta, valid = logfilter.regressors(robot, observation, bodies, bias)
-    weight = np.where(valid, 1.0 / np.maximum(fit.noise, 1e-9) ** 2, 0.0)
-    names = [f"{body}.{name}" for body in bodies for name in PI_NAMES]
-    rows = y.reshape(-1, y.shape[2])
-    return weighted_least_squares(rows, delta.ravel(), weight.ravel(), names=names).identifiability
 
 
 def _row_names(robot: Robot) -> tuple[str, ...]:

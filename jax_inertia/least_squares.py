@@ -94,27 +94,37 @@ def weighted_least_squares(
         null_space=null,
         determined=np.linalg.norm(null, axis=1) < 1e-6,
         invisible=invisible,
-        combinations=_combinations(scaled, scale, rank, names, invisible),
+        combinations=tuple(combinations(scaled, 1.0 / scale, rank, names)),
     )
     return LinearFit(value, root_covariance @ root_covariance.T, cost, report)
 
 
-def _combinations(
-    scaled: np.ndarray, scale: np.ndarray, rank: int, names: tuple[str, ...], invisible: np.ndarray
-) -> tuple[str, ...]:
-    """Base parameters by pivoted QR (Gautier 1991): each independent column with what is regrouped into it."""
+def combinations(
+    scaled: Float[np.ndarray, "rows p"],
+    unit: Float[np.ndarray, " p"],
+    rank: int,
+    names: Sequence[str],
+    *,
+    least: float = 1e-6,
+) -> dict[str, Float[np.ndarray, " p"]]:
+    """Base parameters by pivoted QR (Gautier 1991): each independent column with what is regrouped into it.
+
+    Text such as 'b.hz +0.31 b.m', and its coefficients. Column k of `scaled` is that of parameter k in units of
+    `unit`; of what is regrouped, terms below `least` of those units are left out.
+    """
     if rank == 0:
-        return ()
+        return {}
     r, order = (np.asarray(x) for x in scipy.linalg.qr(scaled, mode="r", pivoting=True))
     regroup = scipy.linalg.solve_triangular(r[:rank, :rank], r[:rank, rank:])
-    # In units of the parameters: column k of the dependent ones adds regroup · scale_k / scale_i to base i.
-    regroup = regroup * scale[order[rank:]] / scale[order[:rank], None]
-    out = []
-    for i, base in enumerate(order[:rank]):
-        terms = [names[base]]
+    out = {}
+    for i in range(rank):
+        base = int(order[i])
+        text, weight = [names[base]], np.zeros(len(names))
+        weight[base] = 1.0
         for k in np.argsort(-np.abs(regroup[i])):
-            relative = abs(regroup[i, k]) * scale[base] / scale[order[rank + k]]
-            if relative > 1e-6 and not invisible[order[rank + k]]:
-                terms.append(f"{regroup[i, k]:+.4g} {names[order[rank + k]]}")
-        out.append(" ".join(terms))
-    return tuple(out)
+            if abs(regroup[i, k]) > least:
+                other = int(order[rank + k])
+                weight[other] = regroup[i, k] * unit[base] / unit[other]
+                text.append(f"{weight[other]:+.4g} {names[other]}")
+        out[" ".join(text)] = weight
+    return out

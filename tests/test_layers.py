@@ -15,7 +15,8 @@ LAYERS: dict[str, str] = {
     "robot": "robot _spec mjcf robots",
     "dynamics": "dynamics",
     "estimation and simulation": """measurement sequential estimate batch _batch_rows _batch_solve consistency
-        handover logfilter priors simulate""",
+        handover logfilter priors identifiability
+        simulate""",
     "gap": "gap",
     "control": "control",
     "command line": """_console _diagnose_command _diagnose_run _estimate_command _estimate_run
