@@ -52,7 +52,9 @@ def check_structure(fields: Mapping) -> None:
             )
 
 
-def fields_of(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> dict[str, Any]:
+def fields_of(
+    arrays: Mapping[str, np.ndarray], others: Sequence[str], notes: Sequence[str] = ()
+) -> dict[str, Any]:
     """Check a reader's arrays (numbers float64, text str) and turn them into the fields of a
     `Log`.
     """
@@ -82,7 +84,7 @@ def fields_of(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> dict[s
         "tau_kind": TorqueKind(kind),
         "tau_unit": TorqueUnit.parse(unit),
         "tau_unit_text": unit,
-        "notes": _notes(arrays, others),
+        "notes": (*notes, *_notes(arrays, others)),
     }
     _check_time(fields["time"])
     check_structure(fields)

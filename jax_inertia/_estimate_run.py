@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia import batch, charts, logfilter
 from jax_inertia._console import warn
+from jax_inertia._names import suggestion
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
@@ -20,7 +21,6 @@ from jax_inertia.identifiability import Knowledge, knowledge
 from jax_inertia.inertia import is_physical
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.mjcf import load_model
-from jax_inertia.motion import suggestion
 from jax_inertia.preflight import Finding, Severity, preflight
 from jax_inertia.priors import Load, Tolerance
 from jax_inertia.robot import Robot

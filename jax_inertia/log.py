@@ -9,10 +9,9 @@ in the body).
 
 import dataclasses
 import os
-import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -21,8 +20,14 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from jax_inertia._contract import CHANNELS, SHAPES, TEXTS, check_structure, fields_of
+from jax_inertia._files import whole_file
+from jax_inertia._names import listed
 from jax_inertia._npz import LogError, read_npz
 from jax_inertia._torque_unit import TorqueKind, TorqueUnit
+from jax_inertia.readers.bag import bag_parts, read_bag
+from jax_inertia.readers.delimited import read_csv
+from jax_inertia.readers.options import Contents, Options, applied
+from jax_inertia.readers.parquet import read_dataset, read_parquet
 
 __all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log"]
 
@@ -148,29 +153,84 @@ class Log(eqx.Module):
         return text + (f"; {len(self.notes)} notes)" if self.notes else ")")
 
 
-def read_log(path: str | os.PathLike, *, max_bytes: int = 4 << 30) -> Log:
-    """Read a log from an .npz file, which is not trusted: no pickles, no memory beyond `max_bytes`.
+@runtime_checkable
+class JointNames(Protocol):
+    """What a robot calls its joints; `Robot` satisfies it."""
 
-    Raises `LogError` with one line (what, where, what would be right) for a file that is not a
-    sound log: missing or misshapen arrays, other dtypes, repeated names, stamps that do not
-    increase. Samples may be NaN (a sensor that dropped out); stamps and noise may not. Arrays
-    outside the contract are left alone and named in `Log.notes`.
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+    @property
+    def joint_type(self) -> tuple[str, ...]: ...
+
+
+def read_log(
+    path: str | os.PathLike,
+    *,
+    options: Options | None = None,
+    names: JointNames | None = None,
+    max_bytes: int = 4 << 30,
+) -> Log:
+    """Read a log of any kind that people have: .npz, .csv, .parquet, .bag, .mcap, .db3, or the folder of a ROS 2 bag
+    or of a LeRobot dataset. `options` say what the file does not; see `jax_inertia.readers`.
+
+    With `names` (a `Robot`), joints that the robot does not have are left out where all those that it needs are
+    there. Nothing in the file is trusted: no pickles, no memory beyond `max_bytes`. Raises `LogError` with one line
+    (what, where, what would be right) for a file that is not a sound log: missing or misshapen arrays, other dtypes,
+    repeated names, stamps that do not increase. Samples may be NaN (a sensor that dropped out); stamps and noise may
+    not. What is outside the contract is left alone and named in `Log.notes`.
     """
-    path = Path(path)
+    path, options = Path(path), options or Options()
     try:
-        if not path.is_file():
-            raise LogError("no such file")
-        if path.suffix.lower() not in _READERS:
-            raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
-        arrays, others = _READERS[path.suffix.lower()](path, (*SHAPES, *TEXTS), max_bytes)
-        return Log(**fields_of(arrays, others))
+        contents = applied(_reader(path)(path, options, max_bytes), options)
+        log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
+        return log if names is None else _of_robot(log, names)
     except (LogError, OSError) as error:
-        raise LogError(f"{path}: {error}") from None
+        # Names from the file are quoted in messages; they may hold line breaks or move the terminal's cursor.
+        text = " ".join(f"{path}: {error}".split())
+        raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 
-# A reader yields the contract's arrays by name (numbers float64, text str) and the names of all
-# others.
-_READERS = {".npz": read_npz}
+def _of_robot(log: Log, names: JointNames) -> Log:
+    """Leave out what the robot has no joint for, where all of its joints are there: else it may be misspelt."""
+    kinds = zip(names.joint_names, names.joint_type, strict=True)
+    wanted = {name for name, kind in kinds if kind != "free"}
+    extra = [name for name in log.joint_names if name not in wanted]
+    if not extra or not wanted <= set(log.joint_names):
+        return log
+    note = f"left out, not in the model: {listed(extra)}"
+    kept = log.select([name for name in log.joint_names if name in wanted])
+    return dataclasses.replace(kept, notes=(*log.notes, note))
+
+
+def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
+    options.check("an .npz file", ())
+    return Contents(*read_npz(path, (*SHAPES, *TEXTS), max_bytes))
+
+
+# A reader yields the contract's arrays by name (numbers float64, text str) and the names of all others.
+_READERS: Mapping[str, Callable[[Path, Options, int], Contents]] = {
+    ".npz": _npz,
+    ".csv": read_csv,
+    ".tsv": read_csv,
+    ".parquet": read_parquet,
+    ".bag": read_bag,
+    ".mcap": read_bag,
+    ".db3": read_bag,
+}
+
+
+def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
+    if path.is_dir():
+        if (path / "meta" / "info.json").is_file():
+            return read_dataset
+        if bag_parts(path):
+            return read_bag
+        raise LogError("no such file, but a folder without a ROS 2 bag or a LeRobot dataset in it")
+    if not path.is_file():
+        raise LogError("no such file")
+    if path.suffix.lower() not in _READERS:
+        raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
+    return _READERS[path.suffix.lower()]
 
 
 def write_log(log: Log, path: str | os.PathLike) -> None:
@@ -190,12 +250,5 @@ def write_log(log: Log, path: str | os.PathLike) -> None:
     }
     if log.contact_bodies:
         arrays["contact_bodies"] = np.array(log.contact_bodies)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with open(part, "xb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -4,7 +4,6 @@
 `Robot` satisfies `Joints`, the little that is needed of it here.
 """
 
-import difflib
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
@@ -12,6 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jax_inertia._names import suggestion
 from jax_inertia.log import AnyArray, Log, LogError
 from jax_inertia.signals import Masked, centred_slopes, continuous_signs, mask
 
@@ -106,12 +106,6 @@ def generalised(
         quaternions=_quaternions(robot),
         notes=data.notes + notes,
     )
-
-
-def suggestion(name: str, known: Sequence[str]) -> str:
-    """A few words that name what may have been meant, or all that there is."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?" if close else f"valid names: {', '.join(known)}"
 
 
 def body_rates(

@@ -15,8 +15,8 @@ import numpy as np
 from jax_inertia import _check_channels as channels
 from jax_inertia import _check_consistency as consistency
 from jax_inertia._findings import Finding, Severity
+from jax_inertia._names import suggestion
 from jax_inertia.log import Log, LogError, TorqueUnit
-from jax_inertia.motion import suggestion
 from jax_inertia.signals import gap_limit, mask
 
 __all__ = ["Finding", "Names", "Preflight", "Severity", "preflight"]

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # From the ground up. A folder stands for all that is in it.
 LAYERS: dict[str, str] = {
     "maths": "spatial inertia charts kalman least_squares",
-    "logs": """_npz _torque_unit _contract log _findings signals motion differences
+    "logs": """_npz _names _files _torque_unit _contract readers log _findings signals motion differences
         _check_channels _check_consistency preflight""",
     "robot": "robot _spec mjcf robots",
     "dynamics": "dynamics",
