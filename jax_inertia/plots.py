@@ -12,6 +12,8 @@ from matplotlib.ticker import NullFormatter
 from jax_inertia._estimate_run import Result
 from jax_inertia.estimate import Trace
 from jax_inertia.inertia import PI_NAMES
+from jax_inertia.motion_limits import Limits
+from jax_inertia.suggest_motion import Suggestion
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
     "#0072B2",
@@ -175,3 +177,43 @@ def limits(axes: Axes, value: Float[np.ndarray, "T *k"], sigma: Float[np.ndarray
     low, high = np.nanpercentile(value, [1, 99])
     margin = max(3 * float(np.nanmedian(sigma)), 0.15 * (high - low), 1e-9)
     axes.set_ylim(low - margin, high + margin)
+
+
+def suggestion_figure(found: Suggestion, bounds: Limits) -> Figure:
+    """A suggested motion beside its limits, and what a log of it would leave open."""
+    figure = Figure(figsize=(10.5, 6.4), layout="constrained")
+    left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[1.35, 1]))
+    top, middle, bottom = left.subplots(3, 1, sharex=True)
+    colours = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
+    for j, name in enumerate(found.joint_names):
+        style = {"color": colours[j % 7], "ls": ("-", "--", ":")[j // 7 % 3], "lw": 1.2}
+        top.plot(found.time, found.q[:, j], label=name, **style)
+        middle.plot(found.time, found.v[:, j] / bounds.velocity[j], **style)
+        size = bounds.torque[j] if np.isfinite(bounds.torque[j]) else np.abs(found.tau[:, j]).max()
+        bottom.plot(found.time, found.tau[:, j] / max(size, 1e-12), **style)
+    for axes in (middle, bottom):
+        axes.axhline(1.0, color=GREY, lw=0.8, ls=":")
+        axes.axhline(-1.0, color=GREY, lw=0.8, ls=":")
+    top.set_ylabel("position [rad, m]")
+    middle.set_ylabel("velocity / limit")
+    bottom.set(ylabel="torque / limit", xlabel="time [s]")
+    if len(found.joint_names) <= 14:
+        legend_above(top, min(4, len(found.joint_names)))
+    known = found.known
+    names = [f"{body}.{name}" for body in known.bodies for name in PI_NAMES]
+    at = np.arange(len(names))
+    axes = right.subplots()
+    prior = known.prior_sigma.ravel()
+    shares = [(found.random.sigma.ravel() / prior, GREY, "s", "a random motion")]
+    shares.append((known.sigma.ravel() / prior, BLUE, "o", "the suggested one"))
+    axes.hlines(at, shares[1][0], shares[0][0], color="#bbbbbb", lw=1.0)
+    for value, colour, marker, label in shares:
+        axes.plot(value, at, marker, color=colour, label=label, ms=6)
+    axes.axvline(1.0, color=GREY, ls=":", lw=1.0)
+    axes.set_xscale("log")
+    axes.set_yticks(at, names, fontsize=8 if len(names) <= 30 else 5)
+    axes.invert_yaxis()
+    axes.grid(axis="x", which="major", color="#dddddd", lw=0.6)
+    axes.set_xlabel("σ left, as a share of the prior's")
+    legend_above(axes, 2)
+    return figure

@@ -15,12 +15,12 @@ LAYERS: dict[str, str] = {
     "robot": "robot _spec mjcf robots",
     "dynamics": "dynamics",
     "estimation and simulation": """measurement sequential estimate batch _batch_rows _batch_solve consistency
-        handover logfilter priors identifiability
+        handover logfilter priors identifiability motion_limits suggest_motion
         simulate""",
     "gap": "gap",
     "control": "control",
     "command line": """_console _diagnose_command _diagnose_run _estimate_command _estimate_run
-        _estimate_output plots demo cli
+        _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }
 RANK = {name: rank for rank, names in enumerate(LAYERS.values()) for name in names.split()}
