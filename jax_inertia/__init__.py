@@ -11,10 +11,13 @@ from jax_inertia.dynamics import (
     torque_regressor,
 )
 from jax_inertia.inertia import from_log_cholesky, is_physical, to_log_cholesky
+from jax_inertia.log import Log, LogError, read_log, write_log
 from jax_inertia.mjcf import ModelError, ModelWarning, load_model
 from jax_inertia.robot import Robot
 
 __all__ = [
+    "Log",
+    "LogError",
     "ModelError",
     "ModelWarning",
     "Robot",
@@ -28,6 +31,8 @@ __all__ = [
     "load_model",
     "mass_matrix",
     "passive_torque",
+    "read_log",
     "to_log_cholesky",
     "torque_regressor",
+    "write_log",
 ]

@@ -53,6 +53,11 @@ def warnings_as_lines() -> Iterator[None]:
         yield
 
 
+def folder_for(log: Path) -> Path:
+    """Where the results of a log go when nothing is said: out/<its name>, and never above out."""
+    return Path("out") / (log.stem.strip(". ") or "log")
+
+
 @contextlib.contextmanager
 def output_folder(out: Path) -> Iterator[Path]:
     """A temporary folder inside `out` whose files move up to `out` at the end, if all went well.

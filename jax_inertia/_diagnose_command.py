@@ -23,6 +23,8 @@ examples:
 No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.
 """
 
+_LOG_HELP = ".npz, .csv, .parquet, ROS bag or MCAP (what needs options: see jax-inertia convert)"
+
 
 def add_parser(subparsers) -> None:
     """Add `diagnose` to the command line."""
@@ -34,7 +36,7 @@ def add_parser(subparsers) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("log", metavar="LOG", type=Path, help=".npz with time, joint_names, qpos, tau ...")
+    add("log", metavar="LOG", type=Path, help=_LOG_HELP)
     add("--model", type=Path, required=True, help="MJCF or URDF, the robot as modelled")
     test_help = "another motion of the same robot, used to validate only"
     add("--test-log", type=Path, metavar="LOG2", help=test_help)
@@ -50,9 +52,9 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where log or model cannot be used."""
     from jax_inertia import _diagnose_run as pipeline
-    from jax_inertia._console import output_folder, stages
+    from jax_inertia._console import folder_for, output_folder, stages
 
-    out = args.out if args.out is not None else Path("out") / args.log.stem
+    out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
         inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude)
         with output_folder(out) as folder:

@@ -60,7 +60,7 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
     logs, quality = [], []
     gains, unit = [], ""
     for path in (log, *([] if test_log is None else [test_log])):
-        one = read_log(path)
+        one = read_log(path, names=robot)
         found = preflight(one, robot)
         try:
             found.raise_for_errors()

@@ -24,6 +24,8 @@ examples:
 No log at hand? jax-inertia demo --out demo   makes one, and prints the command for it.
 """
 
+_LOG_HELP = ".npz, .csv, .parquet, ROS bag or MCAP (what needs options: see jax-inertia convert)"
+
 
 def add_parser(subparsers) -> None:
     """Add `estimate` to the command line."""
@@ -35,7 +37,7 @@ def add_parser(subparsers) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("log", metavar="LOG", type=Path, help=".npz with time, joint_names, qpos, tau (qvel ...)")
+    add("log", metavar="LOG", type=Path, help=_LOG_HELP)
     add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
     add("--bodies", nargs="+", required=True, metavar="B", help="bodies to estimate, by name")
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
@@ -138,9 +140,9 @@ def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where log, model or settings cannot be used."""
     from jax_inertia import _estimate_output as output
     from jax_inertia import _estimate_run as pipeline
-    from jax_inertia._console import output_folder, stages
+    from jax_inertia._console import folder_for, output_folder, stages
 
-    out = args.out if args.out is not None else Path("out") / args.log.stem
+    out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
         inputs = pipeline.read(args)
         with output_folder(out) as folder:

@@ -87,7 +87,7 @@ def read(args: argparse.Namespace) -> Inputs:
                 f"{args.model} has no moving body {name!r}; {suggestion(name, robot.body_names)}"
             )
     resolve_bodies(robot, args.bodies)
-    log, *references = [read_log(path) for path in (args.log, *(args.calibrate or ()))]
+    log, *references = [read_log(path, names=robot) for path in (args.log, *(args.calibrate or ()))]
     findings = []
     for path, one in zip((args.log, *(args.calibrate or ())), (log, *references), strict=True):
         found = preflight(one, robot)

@@ -10,10 +10,21 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from jax_inertia import _diagnose_command, _estimate_command, _suggest_motion_command
+from jax_inertia import (
+    _convert_command,
+    _diagnose_command,
+    _estimate_command,
+    _suggest_motion_command,
+)
 from jax_inertia.demo import command as demo_command
 
-_COMMANDS = (_diagnose_command, _estimate_command, _suggest_motion_command, demo_command)
+_COMMANDS = (
+    _convert_command,
+    _diagnose_command,
+    _estimate_command,
+    _suggest_motion_command,
+    demo_command,
+)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -26,6 +26,7 @@ from jax_inertia._npz import LogError, read_npz
 from jax_inertia._torque_unit import TorqueKind, TorqueUnit
 from jax_inertia.readers.bag import bag_parts, read_bag
 from jax_inertia.readers.delimited import read_csv
+from jax_inertia.readers.export import write_table
 from jax_inertia.readers.options import Contents, Options, applied
 from jax_inertia.readers.parquet import read_dataset, read_parquet
 
@@ -234,12 +235,10 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
 
 
 def write_log(log: Log, path: str | os.PathLike) -> None:
-    """Write a log that `read_log` reads back, whole or not at all (a temporary file takes the name
-    at the end).
+    """Write a log that `read_log` reads back, as .npz, .csv or .parquet: whole or not at all (a temporary file takes
+    the name at the end). Raises ValueError for another suffix.
     """
     path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise ValueError(f"cannot write {path}: a log is written as .npz")
     arrays = {
         name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
     }
@@ -250,5 +249,10 @@ def write_log(log: Log, path: str | os.PathLike) -> None:
     }
     if log.contact_bodies:
         arrays["contact_bodies"] = np.array(log.contact_bodies)
-    with whole_file(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    if path.suffix.lower() in (".csv", ".parquet"):
+        write_table(arrays, path)
+    elif path.suffix.lower() == ".npz":
+        with whole_file(path) as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+    else:
+        raise ValueError(f"cannot write {path}: a log is written as .npz, .csv or .parquet")

@@ -13,13 +13,13 @@ LAYERS: dict[str, str] = {
     "logs": """_npz _names _files _torque_unit _contract readers log _findings signals motion differences
         _check_channels _check_consistency preflight""",
     "robot": "robot _spec mjcf robots",
-    "dynamics": "dynamics",
+    "dynamics": "dynamics wrench_axes",
     "estimation and simulation": """measurement sequential estimate batch _batch_rows _batch_solve consistency
         handover logfilter priors identifiability motion_limits suggest_motion
         simulate""",
     "gap": "gap",
     "control": "control",
-    "command line": """_console _diagnose_command _diagnose_run _estimate_command _estimate_run
+    "command line": """_console _convert_command _diagnose_command _diagnose_run _estimate_command _estimate_run
         _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }

@@ -424,7 +424,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
     assert (tmp_path / "log.npz").read_bytes() == before
     with pytest.raises(ValueError, match=r"written as \.npz"):
-        write_log(example(), tmp_path / "log.csv")
+        write_log(example(), tmp_path / "log.mat")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real logs (../shared/data) are not here")

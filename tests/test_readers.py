@@ -161,8 +161,8 @@ def test_csv_names_what_is_wrong_with_its_columns(tmp_path):
     log = read_log(without("tau.knee", "qvel.knee"))
     assert log.joint_names == ("hip",)
     assert "without torque: knee" in said(log)
-    assert "joint_topic does not apply to a CSV file" in refusal(
-        without(), Options(joint_topic="/x")
+    assert "topic_joints does not apply to a CSV file" in refusal(
+        without(), Options(topic_joints="/x")
     )
 
 
@@ -361,7 +361,7 @@ def test_odometry_and_wrenches_have_stamps_of_their_own(tmp_path, ros, kind):
     plain = read_log(path)
     assert plain.base_pos is None
     assert "/odom (nav_msgs/msg/Odometry)" in said(plain)
-    options = Options(base_topic="/odom", wrench_topics={"foot": "/ft"})
+    options = Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
     log = read_log(path, options=options)
     t = log.time
     np.testing.assert_allclose(log.base_pos[:, 0], t, atol=1e-8)
@@ -374,7 +374,7 @@ def test_odometry_and_wrenches_have_stamps_of_their_own(tmp_path, ros, kind):
     assert log.contact_bodies == ("foot",)
     np.testing.assert_allclose(log.contact_wrench[:, 0, 0], t, atol=1e-8)
     np.testing.assert_allclose(log.contact_wrench[:, 0, 1:], np.tile([2, 3, 4, 5, 6], (60, 1)))
-    flipped = read_log(path, options=Options(wrench_topics={"foot": "/ft"}, flip_wrenches=True))
+    flipped = read_log(path, options=Options(topic_wrenches={"foot": "/ft"}, flip_wrenches=True))
     np.testing.assert_allclose(flipped.contact_wrench, -log.contact_wrench)
 
 
@@ -384,21 +384,21 @@ def test_bags_say_what_is_missing(tmp_path, ros):
     wrench = ("/ft", maker.wrench(START, (0, 0, 0), (0, 0, 0), "ft_link"), START)
     path = write_bag(tmp_path / "log", [*states, wrench], "mcap")
     assert "on topic '/joint_state'; did you mean '/joint_states'?" in refusal(
-        path, Options(joint_topic="/joint_state")
+        path, Options(topic_joints="/joint_state")
     )
     assert "no nav_msgs/msg/Odometry on topic '/odom'; the bag has none" in refusal(
-        path, Options(base_topic="/odom")
+        path, Options(topic_base="/odom")
     )
     assert "axes of 'ft_link', not of the world; give --wrench-axes body" in refusal(
-        path, Options(wrench_topics={"foot": "/ft"})
+        path, Options(topic_wrenches={"foot": "/ft"})
     )
-    body = Options(wrench_topics={"foot": "/ft"}, wrench_axes=WrenchAxes.BODY)
+    body = Options(topic_wrenches={"foot": "/ft"}, wrench_axes=WrenchAxes.BODY)
     assert "axes of their bodies" in said(read_log(path, options=body))
     assert "episode does not apply to a bag" in refusal(path, Options(episode=1))
 
     both = write_bag(tmp_path / "both", [*states, *joint_messages(topic="/other")], "mcap")
-    assert "on several topics, /joint_states, /other; choose with --joint-topic" in refusal(both)
-    assert read_log(both, options=Options(joint_topic="/other")).joint_names == JOINTS
+    assert "on several topics, /joint_states, /other; choose with --topic-joints" in refusal(both)
+    assert read_log(both, options=Options(topic_joints="/other")).joint_names == JOINTS
 
     assert "no sensor_msgs/msg/JointState; the bag has /ft" in refusal(
         write_bag(tmp_path / "none", [wrench], "db3")
@@ -430,7 +430,7 @@ def test_a_gap_in_the_odometry_is_not_bridged(tmp_path, ros):
             ("/odom", maker.odometry(stamp, (0, 0, 1), (1, 0, 0, 0), (0, 0, 0), (0, 0, 0)), stamp)
         )
     log = read_log(
-        write_bag(tmp_path / "log", messages, "mcap"), options=Options(base_topic="/odom")
+        write_bag(tmp_path / "log", messages, "mcap"), options=Options(topic_base="/odom")
     )
     bare = np.flatnonzero(np.isnan(log.base_pos[:, 0]))
     np.testing.assert_array_equal(bare, np.arange(21, 40))

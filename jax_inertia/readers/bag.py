@@ -39,7 +39,7 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     Time counts from the first joint state. Raises `LogError` for a damaged file, topics that are not there, joint
     states without effort, and wrenches in other axes than the options say.
     """
-    topics = ("joint_topic", "base_topic", "wrench_topics", "wrench_axes", "flip_wrenches")
+    topics = ("topic_joints", "topic_base", "topic_wrenches", "wrench_axes", "flip_wrenches")
     options.check("a bag", topics)
     collected = Collected(options, max_bytes)
     for part in bag_parts(path) if path.is_dir() else [path]:
@@ -50,9 +50,9 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     start = int(stream.time_ns[0])
     out["time"] = (stream.time_ns - start) * 1e-9
     notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
-    if options.base_topic is not None:
-        notes += _add_base(out, collected, options.base_topic, stream)
-    if options.wrench_topics:
+    if options.topic_base is not None:
+        notes += _add_base(out, collected, options.topic_base, stream)
+    if options.topic_wrenches:
         notes += _add_wrenches(out, collected, options, stream)
     if collected.unstamped:
         notes.append(f"{collected.unstamped} messages without a stamp have the time of recording")
@@ -66,8 +66,8 @@ def _check_topics(collected: Collected, options: Options) -> None:
     def topics(kind: str) -> list[str]:
         return [topic for topic, its in collected.seen if its == kind]
 
-    asked = [(options.joint_topic, JOINTS), (options.base_topic, ODOMETRY)]
-    asked += [(topic, WRENCH) for topic in options.wrench_topics.values()]
+    asked = [(options.topic_joints, JOINTS), (options.topic_base, ODOMETRY)]
+    asked += [(topic, WRENCH) for topic in options.topic_wrenches.values()]
     for topic, kind in asked:
         if topic is not None and topic not in (own := topics(kind)):
             hint = suggestion(topic, own) if own else "the bag has none"
@@ -76,9 +76,9 @@ def _check_topics(collected: Collected, options: Options) -> None:
     if not found:
         there = listed([f"{topic} ({kind})" for topic, kind in collected.seen], 20) or "no messages"
         raise LogError(f"no {JOINTS}; the bag has {there}")
-    if len(found) > 1 and options.joint_topic is None:
+    if len(found) > 1 and options.topic_joints is None:
         raise LogError(
-            f"joint states on several topics, {listed(found)}; choose with --joint-topic"
+            f"joint states on several topics, {listed(found)}; choose with --topic-joints"
         )
 
 
@@ -144,13 +144,13 @@ def _add_wrenches(
     out: dict[str, np.ndarray], collected: Collected, options: Options, joints: Stream
 ) -> list[str]:
     notes, parts = [], []
-    for body, topic in options.wrench_topics.items():
+    for body, topic in options.topic_wrenches.items():
         name = f"wrenches on {topic}"
         moved, note = onto(joints.time_ns, collected.wrenches[body].stream(name), name)
         parts.append(moved.values)
         notes.append(note)
     out["contact_wrench"] = np.stack(parts, axis=1)
-    out["contact_bodies"] = np.array(list(options.wrench_topics), dtype=np.str_)
+    out["contact_bodies"] = np.array(list(options.topic_wrenches), dtype=np.str_)
     if options.wrench_axes is WrenchAxes.BODY:
         notes.append("contact wrenches are in the axes of their bodies")
     return notes

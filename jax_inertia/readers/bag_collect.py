@@ -46,13 +46,13 @@ class Collected:
         self._ros1 = rosbags.get_typestore(rosbags.Stores.ROS1_NOETIC)
         self._ros2 = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
         self._options, self._max_bytes, self._bytes = options, max_bytes, 0
-        self._bodies = {topic: body for body, topic in options.wrench_topics.items()}
+        self._bodies = {topic: body for body, topic in options.topic_wrenches.items()}
         self.seen: Counter[tuple[str, str]] = Counter()
         """How many messages of which topic and type."""
         self.publishers: dict[tuple[str, frozenset[str]], Publisher] = {}
         self.base = Rows()
         self.base_frames: set[tuple[str, str]] = set()
-        self.wrenches: dict[str, Rows] = {body: Rows() for body in options.wrench_topics}
+        self.wrenches: dict[str, Rows] = {body: Rows() for body in options.topic_wrenches}
         self.unstamped = 0
 
     def take(self, message: Message) -> None:
@@ -61,9 +61,9 @@ class Collected:
         self.seen[topic, kind] += 1
         if len(self.seen) > _MOST_TOPICS:
             raise LogError(f"holds more than {_MOST_TOPICS} topics")
-        if kind == JOINTS and self._options.joint_topic in (None, topic):
+        if kind == JOINTS and self._options.topic_joints in (None, topic):
             self._joint_state(message, self._decoded(message))
-        elif kind == ODOMETRY and topic == self._options.base_topic:
+        elif kind == ODOMETRY and topic == self._options.topic_base:
             self._odometry(message, self._decoded(message))
         elif kind == WRENCH and topic in self._bodies:
             self._wrench(message, self._decoded(message))
@@ -71,7 +71,7 @@ class Collected:
     def uses(self, topic: str) -> bool:
         """Whether anything of this topic was wanted."""
         joints = any(one.topic == topic for one in self.publishers.values())
-        return joints or topic in self._bodies or topic == self._options.base_topic
+        return joints or topic in self._bodies or topic == self._options.topic_base
 
     def _decoded(self, message: Message) -> Any:
         try:

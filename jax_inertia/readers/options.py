@@ -24,7 +24,7 @@ class Options:
 
     `columns` (CSV, Parquet) maps a column of the contract to the file's, one `*` standing for the joint on both
     sides: `{"qpos.*": "q_*"}`. `joints` names the entries of list columns. `episode` picks one of a dataset.
-    `joint_topic`, `base_topic` and `wrench_topics` (body → topic) are for bags; `wrench_axes` says in which axes the
+    `topic_joints`, `topic_base` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says in which axes the
     wrenches are, and `flip_wrenches` that they are the robot's on its surroundings. `rename` maps joints as the file
     calls them to the model's names; `degrees` says that positions and velocities are in degrees; `tau_unit` and
     `tau_kind` are as in the log contract and win over what the file says.
@@ -33,9 +33,9 @@ class Options:
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
     joints: Sequence[str] = ()
     episode: int | None = None
-    joint_topic: str | None = None
-    base_topic: str | None = None
-    wrench_topics: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    topic_joints: str | None = None
+    topic_base: str | None = None
+    topic_wrenches: Mapping[str, str] = dataclasses.field(default_factory=dict)
     wrench_axes: WrenchAxes = WrenchAxes.WORLD
     flip_wrenches: bool = False
     rename: Mapping[str, str] = dataclasses.field(default_factory=dict)
