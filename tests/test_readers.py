@@ -234,21 +234,23 @@ def test_parquet_of_lists_wants_names(tmp_path, arrow):
     )
 
 
-@pytest.mark.parametrize("one_file", [True, False])
-def test_lerobot_datasets(tmp_path, arrow, one_file):
-    folder = write_dataset(tmp_path / "set", one_file=one_file)
+def test_a_lerobot_dataset_with_all_episodes_in_one_file(tmp_path, arrow):
+    folder = write_dataset(tmp_path / "set")
     assert "holds several episodes (0, 1 ...); choose one with --episode" in refusal(folder)
     assert "no rows of episode 7" in refusal(folder, Options(episode=7))
     log = read_log(folder, options=Options(episode=1))
     data = arrays()
-    assert_is(log, {"qpos": data["qpos"] + 1, "tau": data["tau"], "time": data["time"]}, atol=1e-5)
+    moved = {"qpos": data["qpos"] + 1, "tau": data["tau"], "time": data["time"]}
+    assert_is(log, moved, atol=1e-5)
     np.testing.assert_allclose(log.qpos_target, data["qpos"] + 0.5, atol=1e-5)
-    file = next(iter(sorted(folder.rglob("*.parquet"))))
-    np.testing.assert_allclose(
-        read_log(file, options=Options(episode=0, degrees=True)).qpos,
-        np.deg2rad(data["qpos"]),
-        atol=1e-5,
-    )
+
+
+def test_a_lerobot_dataset_with_a_file_for_each_episode(tmp_path, arrow):
+    folder, data = write_dataset(tmp_path / "set", one_file=False), arrays()
+    assert_is(read_log(folder, options=Options(episode=1)), {"qpos": data["qpos"] + 1}, atol=1e-5)
+    file = min(folder.rglob("*.parquet"))
+    log = read_log(file, options=Options(degrees=True))
+    np.testing.assert_allclose(log.qpos, np.deg2rad(data["qpos"]), atol=1e-5)
 
 
 def test_lerobot_without_torque_says_what_there_is(tmp_path, arrow):

@@ -1,6 +1,7 @@
 """What is wanted of a bag's messages, taken out one by one."""
 
 import dataclasses
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -23,6 +24,16 @@ _WORLD = ("world", "map", "odom")
 _MOST_TOPICS, _MOST_JOINTS, _MOST_PUBLISHERS = 10_000, 1000, 100
 
 
+@functools.cache
+def _typestores() -> tuple[Any, Any]:
+    """The types of ROS 1 and ROS 2 as we know them, never those that a bag brings along: from those, code would be
+    made.
+    """
+    rosbags = required("rosbags.typesys", "ROS bags")
+    known = rosbags.Stores.ROS1_NOETIC, rosbags.Stores.ROS2_HUMBLE
+    return rosbags.get_typestore(known[0]), rosbags.get_typestore(known[1])
+
+
 @dataclasses.dataclass
 class Publisher:
     """Joint states that name the same joints on the same topic."""
@@ -41,10 +52,7 @@ class Collected:
     """The rows taken so far, and which topics there are."""
 
     def __init__(self, options: Options, max_bytes: int) -> None:
-        rosbags = required("rosbags.typesys", "ROS bags")
-        # The types are ours, never those that the bag brings along: from those, code would be made.
-        self._ros1 = rosbags.get_typestore(rosbags.Stores.ROS1_NOETIC)
-        self._ros2 = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+        self._ros1, self._ros2 = _typestores()
         self._options, self._max_bytes, self._bytes = options, max_bytes, 0
         self._bodies = {topic: body for body, topic in options.topic_wrenches.items()}
         self.seen: Counter[tuple[str, str]] = Counter()

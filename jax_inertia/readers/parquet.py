@@ -10,7 +10,7 @@ import numpy as np
 
 from jax_inertia._names import listed
 from jax_inertia._npz import LogError
-from jax_inertia.readers import columns
+from jax_inertia.readers import arrow_columns, columns
 from jax_inertia.readers.options import Contents, Options, required
 
 _MOST_INFO = 16 << 20
@@ -53,46 +53,60 @@ def _read(
 ) -> Contents:
     parquet = required("pyarrow.parquet", "Parquet")
     try:
-        headings, texts = _schema(parquet, files[0])
+        headings, texts = _schema(parquet, files[0], max_bytes)
         asked = _lerobot(headings, options) if "observation.state" in headings else options
         plan = columns.plan(headings, asked)
-        wanted = list(plan.columns)
-        by_episode = "episode_index" in headings
-        if by_episode:
-            wanted.append("episode_index")
-        parts = []
-        for file in files:
-            part = _columns(
-                parquet, file, wanted, options.episode if by_episode else None, max_bytes
-            )
-            if len(next(iter(part.values()), ())):
-                parts.append(part)
-            if by_episode:
-                _one_episode(parts)
+        values = _values(files, plan, "episode_index" in headings, options.episode, max_bytes)
     except LogError:
         raise
     except MemoryError:
         raise LogError("needs more memory than there is; cut the log") from None
     except Exception as error:
         # Arrow raises many kinds on damaged files, and none of them is ours to know.
-        text = " ".join(str(error).split())[:200]
-        raise LogError(f"cannot be read as Parquet: {text or type(error).__name__}") from None
-    if not parts:
-        which = "" if options.episode is None else f" of episode {options.episode}"
-        raise LogError(f"holds no rows{which}")
-    for name in plan.columns:
-        if any(name not in part for part in parts):
-            raise LogError(f"column {name!r} is not in every file of the dataset")
-    values = {name: _joined(name, [part[name] for part in parts]) for name in plan.columns}
+        text = " ".join(str(error).split())[:200] or type(error).__name__
+        own = type(error) is ValueError
+        raise LogError(text if own else f"cannot be read as Parquet: {text}") from None
     contents = columns.arrays(plan, values, options.joints or _names(info, plan))
     for name, text in texts.items():
         contents.arrays.setdefault(name, np.array(text))
     return contents
 
 
-def _schema(parquet: Any, file: Path) -> tuple[list[str], dict[str, str]]:
+def _values(
+    files: Sequence[Path],
+    plan: columns.Plan,
+    by_episode: bool,
+    episode: int | None,
+    max_bytes: int,
+) -> dict[str, np.ndarray]:
+    """The planned columns of all files, of one episode."""
+    wanted = [*plan.columns, *(["episode_index"] if by_episode else [])]
+    if not plan.columns:
+        return {}
+    parts, left = [], max_bytes
+    for file in files:
+        if by_episode and episode is not None and len(files) > 1:
+            # Cheap beside the rest: most files of a dataset have nothing of one episode.
+            own = arrow_columns.read(file, ["episode_index"], None, left)["episode_index"]
+            if episode not in own:
+                continue
+        part = arrow_columns.read(file, wanted, episode if by_episode else None, left)
+        if lacking := [name for name in wanted if name not in part]:
+            raise LogError(f"column {lacking[0]!r} is not in every file of the dataset")
+        if any(value.size for value in part.values() if value.ndim):
+            parts.append(part)
+            left -= sum(value.nbytes for value in part.values())
+        if by_episode:
+            _one_episode(parts)
+    if not parts:
+        which = "" if episode is None else f" of episode {episode}"
+        raise LogError(f"holds no rows{which}")
+    return {name: arrow_columns.joined(name, [p[name] for p in parts]) for name in plan.columns}
+
+
+def _schema(parquet: Any, file: Path, max_bytes: int) -> tuple[list[str], dict[str, str]]:
     """Column names, and what the file says of the torque in its metadata."""
-    with _opened(parquet, file) as opened:
+    with arrow_columns.opened(parquet, file) as opened:
         schema = opened.schema_arrow
         said = schema.metadata or {}
         texts = {
@@ -101,93 +115,16 @@ def _schema(parquet: Any, file: Path) -> tuple[list[str], dict[str, str]]:
             if name.encode() in said
         }
         names = list(schema.names)
+        # Not by column: for some damaged files Arrow's columns end the process instead of raising.
+        rows = opened.metadata.num_rows
+    if 8 * rows * 3 > max_bytes:
+        raise LogError(
+            f"declares {rows} rows, more than the limit of {max_bytes} bytes has room for; cut the log or raise "
+            "max_bytes"
+        )
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise LogError(f"two columns are named {repeated[0][:60]!r}; keep one")
     return names, texts
-
-
-def _opened(parquet: Any, file: Path) -> Any:
-    return parquet.ParquetFile(
-        file, thrift_string_size_limit=1 << 24, thrift_container_size_limit=1 << 22
-    )
-
-
-def _columns(
-    parquet: Any, file: Path, wanted: Sequence[str], episode: int | None, max_bytes: int
-) -> dict[str, np.ndarray]:
-    """The wanted columns of one file, rows of one episode where asked for."""
-    with _opened(parquet, file) as opened:
-        _check_budget(opened.metadata, wanted, max_bytes)
-        out: dict[str, list[np.ndarray]] = {}
-        total = 0
-        for batch in opened.iter_batches(batch_size=1 << 16, columns=list(wanted)):
-            part = {n: _numbers(n, batch.column(n)) for n in batch.schema.names if n in wanted}
-            if episode is not None:
-                keep = part["episode_index"] == episode
-                part = {name: value[keep] for name, value in part.items()}
-            for name, value in part.items():
-                total += value.nbytes
-                out.setdefault(name, []).append(value)
-            if total > max_bytes:
-                raise LogError(f"holds more than the limit of {max_bytes} bytes; cut the log")
-    return {name: _joined(name, parts) for name, parts in out.items()}
-
-
-def _check_budget(metadata: Any, wanted: Sequence[str], max_bytes: int) -> None:
-    """Add up what the file declares of the columns that are wanted."""
-    total = 0
-    for g in range(metadata.num_row_groups):
-        group = metadata.row_group(g)
-        for c in range(group.num_columns):
-            column = group.column(c)
-            owner = column.path_in_schema
-            if any(owner == name or owner.startswith(f"{name}.") for name in wanted):
-                total += 8 * max(column.num_values, group.num_rows)
-    if total > max_bytes or metadata.num_rows * 8 > max_bytes:
-        raise LogError(
-            f"declares {metadata.num_rows} rows, {max(total, metadata.num_rows * 8)} bytes of "
-            f"numbers, above the limit of {max_bytes}; cut the log or raise max_bytes"
-        )
-
-
-def _numbers(name: str, column: Any) -> np.ndarray:
-    """One column as float64 (T,) or (T, width), or its text."""
-    kind = str(column.type)
-    if kind.startswith(("string", "large_string", "dictionary<values=string")):
-        return np.array([str(x or "") for x in column.to_pylist()], dtype=np.str_)
-    if kind.startswith("timestamp"):
-        return column.cast("timestamp[ns]").cast("int64").to_numpy(zero_copy_only=False) * 1e-9
-    if kind.startswith(("list", "large_list", "fixed_size_list")):
-        if column.null_count:
-            raise LogError(f"column {name!r} has rows without a list")
-        flat = column.flatten()
-        rows = len(column)
-        lengths = column.value_lengths().to_numpy(zero_copy_only=False) if rows else np.zeros(0)
-        if rows and (lengths != lengths[0]).any():
-            raise LogError(f"column {name!r} holds lists of different lengths")
-        if not _is_number(str(flat.type)):
-            raise LogError(f"column {name!r} holds lists of {flat.type}; expected numbers")
-        width = int(lengths[0]) if rows else 0
-        return flat.to_numpy(zero_copy_only=False).astype(float).reshape(rows, width)
-    if not _is_number(kind):
-        raise LogError(f"column {name!r} holds {kind[:60]}; expected numbers")
-    return column.to_numpy(zero_copy_only=False).astype(float)
-
-
-def _is_number(kind: str) -> bool:
-    return kind.startswith(("int", "uint", "float", "double", "halffloat", "bool"))
-
-
-def _joined(name: str, parts: Sequence[np.ndarray]) -> np.ndarray:
-    if len({part.shape[1:] for part in parts}) > 1:
-        raise LogError(f"column {name!r} holds lists of different lengths")
-    whole = np.concatenate([np.atleast_1d(part) for part in parts])
-    if whole.dtype.kind == "U":
-        words = sorted(set(whole.tolist()))
-        if len(words) != 1:
-            raise LogError(f"column {name!r} holds {listed(words, 3)}; it is one text, repeated")
-        return np.array(words[0])
-    return whole
 
 
 def _one_episode(parts: Sequence[Mapping[str, np.ndarray]]) -> None:

@@ -1,0 +1,146 @@
+"""Columns out of a Parquet file by Arrow, here or in a process of its own.
+
+A file of a kilobyte can hold a list of 10⁹ numbers or a text of any length, repeated, and says so only in places that
+Arrow cannot be asked about without risk: columns of lists and texts are read by a child with bounded memory, whose end
+is no harm. Run as a script, this file is that child, and so it imports nothing of the package.
+"""
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_LONGEST_TEXT = 1000
+_OVERHEAD = 2 << 30
+
+
+def read(
+    path: Path, wanted: Sequence[str], episode: int | None, limit: int
+) -> dict[str, np.ndarray]:
+    """The wanted columns as float64 (T,) or (T, width), or as distinct texts; rows of one episode where asked for.
+
+    Raises ValueError for what is no number, and for more than `limit` bytes.
+    """
+    import pyarrow.parquet as parquet
+
+    with opened(parquet, path) as file:
+        fields = [
+            file.schema_arrow.field(name) for name in wanted if name in file.schema_arrow.names
+        ]
+    if all(
+        _is_number(str(field.type)) or str(field.type).startswith("timestamp") for field in fields
+    ):
+        return _here(path, wanted, episode, limit)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "columns.npz"
+        arguments = [path, out, "" if episode is None else episode, limit, *wanted]
+        child = subprocess.run(
+            [sys.executable, "-P", __file__, *map(str, arguments)], capture_output=True, check=False
+        )
+        if child.returncode:
+            last = child.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
+            known = last and child.returncode == 3
+            raise ValueError(
+                last[0] if known else "damaged, or it unfolds to more than there is room for"
+            )
+        with np.load(out, allow_pickle=False) as arrays:
+            names = arrays["names"].tolist()
+            return {name: arrays[f"column_{k}"] for k, name in enumerate(names)}
+
+
+def opened(parquet: Any, path: Path) -> Any:
+    """The file, with bounds on what its header may make Arrow allocate."""
+    return parquet.ParquetFile(
+        path, thrift_string_size_limit=1 << 24, thrift_container_size_limit=1 << 22
+    )
+
+
+def joined(name: str, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """One column from its parts; a text must be the same everywhere."""
+    if len({part.shape[1:] for part in parts}) > 1:
+        raise ValueError(f"column {name!r} holds lists of different lengths")
+    whole = np.concatenate([np.atleast_1d(part) for part in parts])
+    if whole.dtype.kind == "U":
+        words = sorted(set(whole.tolist()))
+        if len(words) != 1:
+            shown = ", ".join(word[:80] for word in words[:3])
+            raise ValueError(f"column {name!r} holds {shown}; it is one text, repeated")
+        return np.array(words[0])
+    return whole
+
+
+def _here(
+    path: Path, wanted: Sequence[str], episode: int | None, limit: int
+) -> dict[str, np.ndarray]:
+    import pyarrow.parquet as parquet
+
+    out: dict[str, list[np.ndarray]] = {}
+    total = 0
+    with opened(parquet, path) as file:
+        for batch in file.iter_batches(batch_size=1 << 16, columns=list(wanted)):
+            part = {n: _values(n, batch.column(n)) for n in batch.schema.names if n in wanted}
+            if episode is not None:
+                keep = part["episode_index"] == episode
+                part = {n: v if v.dtype.kind == "U" else v[keep] for n, v in part.items()}
+            for name, value in part.items():
+                total += value.nbytes
+                out.setdefault(name, []).append(value)
+            if total > limit:
+                raise ValueError(f"holds more than the limit of {limit} bytes; cut the log")
+    return {name: joined(name, parts) for name, parts in out.items()}
+
+
+def _values(name: str, column: Any) -> np.ndarray:
+    kind = str(column.type)
+    if kind.startswith(("string", "large_string", "dictionary<values=string")):
+        words = [str(word or "") for word in column.unique().slice(0, 3).to_pylist()]
+        if any(len(word) > _LONGEST_TEXT for word in words):
+            raise ValueError(f"column {name!r} holds texts of more than {_LONGEST_TEXT} characters")
+        return np.array(words, dtype=np.str_)
+    if kind.startswith("timestamp"):
+        return column.cast("timestamp[ns]").cast("int64").to_numpy(zero_copy_only=False) * 1e-9
+    if kind.startswith(("list", "large_list", "fixed_size_list")):
+        if column.null_count:
+            raise ValueError(f"column {name!r} has rows without a list")
+        flat, rows = column.flatten(), len(column)
+        lengths = column.value_lengths().to_numpy(zero_copy_only=False) if rows else np.zeros(0)
+        if rows and (lengths != lengths[0]).any():
+            raise ValueError(f"column {name!r} holds lists of different lengths")
+        if not _is_number(str(flat.type)):
+            raise ValueError(f"column {name!r} holds lists of {flat.type}; expected numbers")
+        width = int(lengths[0]) if rows else 0
+        return flat.to_numpy(zero_copy_only=False).astype(float).reshape(rows, width)
+    if not _is_number(kind):
+        raise ValueError(f"column {name!r} holds {kind[:60]}; expected numbers")
+    return column.to_numpy(zero_copy_only=False).astype(float)
+
+
+def _is_number(kind: str) -> bool:
+    return kind.startswith(("int", "uint", "float", "double", "halffloat", "bool"))
+
+
+def _child(path: str, out: str, episode: str, limit: str, *wanted: str) -> int:
+    # Not every system knows such a limit; there the child may be ended by the system instead.
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        import resource
+
+        room = 4 * int(limit) + _OVERHEAD
+        resource.setrlimit(resource.RLIMIT_AS, (room, room))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        columns = _here(Path(path), wanted, int(episode) if episode else None, int(limit))
+    except ValueError as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        return 3
+    arrays = {f"column_{k}": value for k, value in enumerate(columns.values())}
+    np.savez(out, allow_pickle=False, names=np.array(list(columns), dtype=np.str_), **arrays)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_child(*sys.argv[1:]))
