@@ -1,0 +1,152 @@
+"""A filter's state in a file, so that it goes on after a restart bit for bit.
+
+    save_state("state.npz", estimator, state)
+    state = load_state("state.npz", estimator)
+
+and `save_stream`, `load_stream` for a `Stream`, with the samples that wait. An .npz of plain numbers and text, no
+pickles. Numbers mean nothing without the settings that they were made with (the mean of another chart has the same
+shape), so the file says which, and the state of another filter is refused in one line.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jax_inertia import kalman
+from jax_inertia._contract import SHAPES, check_structure
+from jax_inertia._files import whole_file
+from jax_inertia._npz import LogError, read_npz
+from jax_inertia._torque_unit import TorqueKind, TorqueUnit
+from jax_inertia.estimate import Estimator, State
+from jax_inertia.log import Log
+from jax_inertia.stream import Stream, StreamState
+
+_VERSION = "jax-inertia state 1"
+_MOST_BYTES = 1 << 30
+_FILTER = ("mean", "covariance", "bias", "rejected_for")
+_TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
+
+
+class StateError(ValueError):
+    """A file whose state cannot be gone on with; the message is one line: what, and what would be right."""
+
+
+def save_state(path: str | os.PathLike, estimator: Estimator, state: State) -> None:
+    """Write a state of `estimator`, whole or not at all; ValueError for a name that does not end in .npz."""
+    _write(Path(path), _settings(estimator), _arrays(state))
+
+
+def load_state(path: str | os.PathLike, estimator: Estimator) -> State:
+    """Read a state back, to the last bit.
+
+    Raises StateError for a file that is not sound, or of another version or filter (bodies, joints, chart, precision).
+    """
+    return _state(Path(path), _read(Path(path), _settings(estimator), _FILTER), estimator)
+
+
+def save_stream(path: str | os.PathLike, stream: Stream, state: StreamState) -> None:
+    """Write a stream's state, with the samples that wait; as `save_state`."""
+    arrays = _arrays(state.filter) | {"last": np.asarray(state.last)}
+    if (log := state.waiting) is not None:
+        arrays |= {
+            name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
+        }
+        texts = (log.joint_names, log.contact_bodies, str(log.tau_kind), log.tau_unit_text)
+        # An empty list of names has no text type of its own.
+        arrays |= {n: np.asarray(t, np.str_) for n, t in zip(_TEXTS, texts, strict=True)}
+    _write(Path(path), _stream_settings(stream), arrays)
+
+
+def load_stream(path: str | os.PathLike, stream: Stream) -> StreamState:
+    """Read a stream's state back, to the last bit; raises StateError as `load_state` does, and for another window."""
+    path = Path(path)
+    arrays = _read(path, _stream_settings(stream), (*_FILTER, "last"), (*SHAPES, *_TEXTS))
+    state = _state(path, arrays, stream.estimator)
+    if arrays["last"].shape:
+        raise StateError(f"{path}: 'last' has shape {arrays['last'].shape}; it is one number")
+    waiting = None
+    if "time" in arrays:
+        try:
+            waiting = _log(arrays)
+        except (KeyError, ValueError) as error:
+            raise StateError(f"{path}: the samples that wait are no log: {error}") from None
+    return StreamState(state, arrays["last"], waiting)
+
+
+def _log(arrays: dict[str, np.ndarray]) -> Log:
+    numbers = {name: arrays[name] for name in SHAPES if name in arrays}
+    if texts := [name for name, x in numbers.items() if x.dtype.kind != "f"]:
+        raise LogError(f"{', '.join(texts)} holds text")
+    unit = str(arrays["tau_unit"])
+    fields = {
+        "joint_names": tuple(arrays["joint_names"].tolist()),
+        "contact_bodies": tuple(arrays["contact_bodies"].tolist()),
+        "tau_kind": TorqueKind(str(arrays["tau_kind"])),
+        "tau_unit": TorqueUnit.parse(unit),
+        "tau_unit_text": unit,
+        **numbers,
+    }
+    check_structure(fields)
+    return Log(**fields)
+
+
+def _settings(estimator: Estimator) -> dict[str, str]:
+    """What a state must agree with, in words."""
+    robot = estimator.robot
+    return {
+        "version": _VERSION,
+        "bodies": ", ".join(robot.body_names[i] for i in estimator.bodies),
+        "joints": ", ".join(robot.joint_names),
+        "chart": type(estimator.chart).__name__,
+        "precision": str(estimator.prior.mean.dtype),
+    }
+
+
+def _stream_settings(stream: Stream) -> dict[str, str]:
+    sizes = {"window": str(stream.window), "block": str(stream.block)}
+    return _settings(stream.estimator) | sizes
+
+
+def _arrays(state: State) -> dict[str, np.ndarray]:
+    values = (state.belief.mean, state.belief.covariance, state.bias, state.rejected_for)
+    return dict(zip(_FILTER, (np.asarray(x) for x in values), strict=True))
+
+
+def _write(path: Path, settings: dict[str, str], arrays: dict[str, np.ndarray]) -> None:
+    if path.suffix.lower() != ".npz":
+        raise ValueError(f"cannot write {path}: a state is written as .npz")
+    texts = {name: np.array(text) for name, text in settings.items()}
+    with whole_file(path) as file:
+        np.savez(file, allow_pickle=False, **texts, **arrays)
+
+
+def _read(
+    path: Path, settings: dict[str, str], needed: Sequence[str], others: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
+    """The arrays of a file made with these settings."""
+    try:
+        arrays, _ = read_npz(path, (*settings, *needed, *others), _MOST_BYTES)
+    except (LogError, OSError) as error:
+        raise StateError(f"{path}: {error}") from None
+    if missing := [name for name in (*settings, *needed) if name not in arrays]:
+        raise StateError(f"{path}: {', '.join(missing)} is missing; it is no state of this kind")
+    for name, wanted in settings.items():
+        found = str(arrays[name])[:200]
+        if found != wanted:
+            raise StateError(f"{path}: its {name} is {found!r}, this filter's is {wanted!r}")
+    return arrays
+
+
+def _state(path: Path, arrays: dict[str, np.ndarray], estimator: Estimator) -> State:
+    like = _arrays(estimator.initial())
+    for name, value in like.items():
+        if arrays[name].shape != value.shape or arrays[name].dtype.kind != "f":
+            raise StateError(f"{path}: {name} has shape {arrays[name].shape}, not {value.shape}")
+        if not np.all(np.isfinite(arrays[name])):
+            raise StateError(f"{path}: {name} is not finite; start anew, or from an earlier state")
+    # Read as float64, which holds every float32 exactly.
+    mean, covariance, bias, waited = (jnp.asarray(arrays[n], like[n].dtype) for n in _FILTER)
+    return State(kalman.Belief(mean, covariance), bias, waited)

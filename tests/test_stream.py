@@ -1,0 +1,276 @@
+"""Logs in chunks: the answer does not depend on the cuts, memory does not grow, a saved state goes on."""
+
+import dataclasses
+import functools
+import itertools
+import tracemalloc
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from excitation import compiled, loaded, motion_of, torques
+
+import jax_inertia as ji
+from jax_inertia import charts, kalman
+from jax_inertia.differences import aligned_differences
+from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.log import Log, LogError
+from jax_inertia.motion import generalised
+from jax_inertia.priors import Load
+from jax_inertia.statefile import StateError, load_state, load_stream, save_state, save_stream
+from jax_inertia.stream import Part, Stream, StreamState
+
+RATE, SAMPLES = 333.0, 3001
+
+
+def estimator(**options) -> Estimator:
+    """For a load on the tip of the arm of three hinges, with a gate, so that every part of a state is in use."""
+    robot = ji.load_model(compiled("universal"))
+    defaults = {"sigma_tau": 0.1, "prior": Load(3.0), "drift": Load(0.05), "reopen_after": 0.5}
+    defaults |= {"gate": kalman.ChiSquaredGate(0.999, 3), "iterations": 3}
+    return make_estimator(robot, ["tip"], **{**defaults, **options})
+
+
+@functools.cache
+def log() -> Log:
+    """Nine seconds; the load is there from the start, a knock is in the middle, and sensors drop out."""
+    plant = loaded(compiled("universal"), "tip")
+    time, q, v, a = motion_of(plant, SAMPLES, rate=RATE)
+    tau = torques(plant, q, v, a) + 0.1 * np.random.default_rng(0).normal(size=v.shape)
+    tau[1500:1600] += 40.0
+    tau[700:720, 1] = np.nan
+    q[2000:2003] = np.nan
+    # A pause in the stamps.
+    time = time + 0.25 * (np.arange(SAMPLES) > 2500)
+    names = tuple(plant.joint(j).name for j in range(plant.njnt))
+    return Log(time=time, joint_names=names, qpos=q, qvel=v, tau=tau)
+
+
+def rows(whole: Log, part: slice) -> Log:
+    return whole.map_channels(lambda x: x[part], time=whole.time[part])
+
+
+def cut(whole: Log, edges: list[int]) -> Iterator[Log]:
+    for begin, end in itertools.pairwise([0, *edges, len(whole.time)]):
+        yield rows(whole, slice(begin, end))
+
+
+def joined(parts: list[Part]) -> Part:
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def equal_bits(one, other) -> bool:
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in pairs)
+
+
+@functools.cache
+def stream() -> Stream:
+    return Stream(estimator(), window=8, block=32)
+
+
+@functools.cache
+def whole() -> Part:
+    return joined(list(stream().run([log()])))
+
+
+# --- cuts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "edges",
+    [
+        [1500],
+        [1, 2, 3, 9, 10, 257, 2502, 3000],
+        list(range(97, SAMPLES, 97)),
+        sorted(np.random.default_rng(4).choice(np.arange(1, SAMPLES), 60, False).tolist()),
+    ],
+    ids=["half", "odd", "even", "random"],
+)
+def test_cuts_do_not_change_a_bit(edges):
+    assert equal_bits(joined(list(stream().run(cut(log(), edges)))), whole())
+
+
+def test_it_is_the_filter_over_aligned_differences():
+    """The same windows by hand, and `Estimator.run`, which compiles to other instructions: equal but for rounding."""
+    # Without what is bridged by straight lines, which a whole log and its blocks see differently.
+    sound = rows(log(), slice(0, 1999))
+    sound = eqx.tree_at(lambda x: x.tau, sound, np.nan_to_num(sound.tau))
+    got = joined(list(stream().run([sound])))
+    motion = dataclasses.replace(generalised(sound, stream().estimator.robot), notes=())
+    seen = jax.tree.map(lambda x: x[::8], aligned_differences(motion, 8))
+    _, wanted = eqx.filter_jit(Estimator.run)(
+        stream().estimator, stream().estimator.initial(), seen
+    )
+    np.testing.assert_allclose(got.time, seen.motion.time, rtol=1e-12)
+    for a, b in zip(jax.tree.leaves(got.trace), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-6, atol=1e-8)
+
+
+def test_it_weighs_the_load_and_leaves_out_what_was_not_measured():
+    part = whole()
+    estimate = part.trace.estimate
+    error = np.abs(estimate.pi[:, 0, 0] - 3.2)  # 0.8 kg of tip and 2.4 kg of load
+    assert np.all(error[20:] < 4.0 * estimate.sigma_pi[20:, 0, 0])
+    assert np.median(error[20:]) < 0.15
+    used = part.trace.innovation.rows
+    period = 1 / RATE
+    assert np.all(used[(part.time > 700 * period) & (part.time < 720 * period)] == 2)
+    assert used[np.argmin(np.abs(part.time - 2001 * period))] == 0
+    # The window with the pause in it, whose difference would be of nothing.
+    assert used[np.searchsorted(part.time, log().time[2500]) - 1 :][:2].min() == 0
+    knocked = (part.time > 1505 * period) & (part.time < 1595 * period)
+    assert not part.trace.innovation.accepted[knocked].any()
+
+
+# --- memory ------------------------------------------------------------------------------------------------------
+
+
+def test_memory_does_not_grow_with_the_log():
+    sound = rows(log(), slice(0, 1000))
+    span = float(sound.time[-1]) + 1 / RATE
+
+    def endless(count: int) -> Iterator[Log]:
+        for k in range(count):
+            yield sound.map_channels(lambda x: x.copy(), time=sound.time + k * span)
+
+    def peak(count: int) -> int:
+        tracemalloc.start()
+        samples = sum(len(part.time) for part in stream().run(endless(count)))
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert samples == (1000 * count - 1) // 8
+        return most
+
+    peak(10)  # compiling allocates, and caches fill
+    few, many = peak(10), peak(150)
+    # Python's own garbage (cycles, until they are collected) is a few hundred kilobytes; the log is 11 MB.
+    held = 140 * sum(x.nbytes for x in jax.tree.leaves(sound))
+    assert many - few < 0.1 * held
+    state = stream().start()
+    for chunk in endless(5):
+        state, _ = stream().feed(state, chunk)
+        assert len(state.waiting.time) <= 8 * 32
+
+
+# --- a state in a file -------------------------------------------------------------------------------------------
+
+
+def half_way() -> StreamState:
+    return stream().feed(stream().start(), rows(log(), slice(0, 1555)))[0]
+
+
+def test_a_saved_stream_goes_on_bit_for_bit(tmp_path):
+    before = half_way()
+    assert float(before.filter.rejected_for) > 0  # in the middle of the knock
+    assert len(before.waiting.time) > 1
+    save_stream(tmp_path / "state.npz", stream(), before)
+    after = load_stream(tmp_path / "state.npz", stream())
+    assert jax.tree.structure(after) == jax.tree.structure(before)
+    assert equal_bits(after, before)
+    rest = joined(list(stream().run([rows(log(), slice(1555, None))], after)))
+    count = len(whole().time) - len(rest.time)
+    assert equal_bits(rest, jax.tree.map(lambda x: x[count:], whole()))
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_saved_filter_is_the_same_to_the_last_bit(tmp_path, dtype):
+    robot = ji.load_model(compiled("universal")).astype(dtype)
+    ekf = make_estimator(robot, ["tip"], sigma_tau=0.1, prior=Load(3.0))
+    rng = np.random.default_rng(0)
+    state = jax.tree.map(
+        lambda x: (x + rng.uniform(0.1, 1.0, size=x.shape)).astype(x.dtype), ekf.initial()
+    )
+    save_state(tmp_path / "state.npz", ekf, state)
+    again = load_state(tmp_path / "state.npz", ekf)
+    assert equal_bits(again, state)
+    assert again.belief.mean.dtype == dtype
+    assert [p.name for p in tmp_path.iterdir()] == ["state.npz"]
+
+
+def test_the_state_of_another_filter_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "state.npz"
+    ekf = estimator()
+    save_state(path, ekf, ekf.initial())
+    robot = ekf.robot
+    for other, words in (
+        (estimator(chart=charts.LogCholeskyUUt()), "chart is 'LogCholesky'.*'LogCholeskyUUt'"),
+        (make_estimator(robot, ["gimbal"], sigma_tau=0.1), "bodies is 'tip'.*'gimbal'"),
+        (make_estimator(robot, ["tip", "gimbal"], sigma_tau=0.1), "bodies"),
+        (make_estimator(robot.astype("float32"), ["tip"], sigma_tau=0.1), "precision"),
+    ):
+        with pytest.raises(StateError, match=words) as caught:
+            load_state(path, other)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(StateError, match="last is missing"):
+        load_stream(path, stream())
+    save_stream(path, stream(), half_way())
+    with pytest.raises(StateError, match="its window is '8', this filter's is '16'"):
+        load_stream(path, Stream(estimator(), window=16, block=32))
+
+
+def forged(path, **changes) -> None:
+    with np.load(path) as file:
+        arrays = {**file, **changes}
+    np.savez(path, **{k: v for k, v in arrays.items() if v is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"version": np.array("jax-inertia state 9")}, "version is 'jax-inertia state 9'"),
+        ({"mean": np.zeros(11)}, r"mean has shape \(11,\), not \(10,\)"),
+        ({"covariance": None}, "covariance is missing"),
+        ({"bias": np.full(3, np.nan)}, "bias is not finite"),
+        ({"mean": np.array(["x"] * 10)}, "mean has shape"),
+        ({"mean": np.array([None] * 10, object)}, "pickles"),
+        ({"last": np.zeros(2)}, "'last' has shape"),
+        ({"qpos": np.zeros((4, 4))}, "the samples that wait are no log"),
+        ({"tau_kind": np.array("guessed")}, "the samples that wait are no log"),
+        ({"joint_names": None}, "the samples that wait are no log"),
+    ],
+    ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
+)
+def test_a_damaged_state_is_refused_in_one_line(tmp_path, changes, words):
+    path = tmp_path / "state.npz"
+    save_stream(path, stream(), half_way())
+    forged(path, **changes)
+    with pytest.raises(StateError, match=words) as caught:
+        load_stream(path, stream())
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file_half_a_file_and_no_npz(tmp_path):
+    path, ekf = tmp_path / "state.npz", estimator()
+    with pytest.raises(StateError, match=r"state\.npz"):
+        load_state(path, ekf)
+    save_state(path, ekf, ekf.initial())
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(StateError, match="not a sound"):
+        load_state(path, ekf)
+    with pytest.raises(ValueError, match=r"written as \.npz"):
+        save_state(tmp_path / "state.pkl", ekf, ekf.initial())
+
+
+# --- chunks that do not fit --------------------------------------------------------------------------------------
+
+
+def test_chunks_that_do_not_follow_are_refused():
+    one = rows(log(), slice(0, 500))
+    state, _ = stream().feed(stream().start(), one)
+    with pytest.raises(LogError, match="chunks follow one another"):
+        stream().feed(state, one)
+    later = rows(log(), slice(500, 600))
+    with pytest.raises(LogError, match="all chunks are of one log"):
+        stream().feed(
+            state,
+            eqx.tree_at(lambda x: x.tau_command, later, later.tau, is_leaf=lambda x: x is None),
+        )
+    with pytest.raises(LogError, match="measured velocities"):
+        stream().feed(state, eqx.tree_at(lambda x: x.qvel, later, None))
+    with pytest.raises(LogError, match="no chunk yet"):
+        stream().finish(stream().start())
+    with pytest.raises(ValueError, match="window 0"):
+        Stream(stream().estimator, window=0)
