@@ -1,36 +1,47 @@
 """MuJoCo specs: read from a file, compiled with clear errors, and given inertial parameters."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from jax_inertia._descriptions import PREFIX, description
+from jax_inertia._model_text import ModelError, check_model
+from jax_inertia._urdf_repair import ModelWarning, repair
 
-class ModelError(ValueError):
-    """A model that cannot be used: one line that says what, where, and what would be right."""
+# What MuJoCo raises of a model; RuntimeError is what it makes of memory that ran out.
+_REFUSALS = ValueError, RuntimeError, MemoryError, mujoco.FatalError
 
 
-class ModelWarning(UserWarning):
-    """A part of a model that the rigid-body dynamics leaves out, by name."""
+def model_path(model: str | Path) -> Path:
+    """The file of a model: a path, or `robot_descriptions:NAME` for one of that package's, if it is here already."""
+    name = str(model)
+    return description(name.removeprefix(PREFIX)) if name.startswith(PREFIX) else Path(model)
 
 
 def load_spec(path: str | Path) -> mujoco.MjSpec:
-    """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot."""
-    path = Path(path)
+    """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot.
+
+    What the file asks for is checked first: it may come from anywhere.
+    """
+    path = model_path(path)
     if path.is_dir():
         raise ModelError(f"{path}: a folder; name the MJCF or URDF file in it")
     if not path.is_file():
         raise ModelError(f"{path}: no such model file")
+    root = check_model(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
+    except _REFUSALS as error:
         raise ModelError(f"{path}: {_one_line(error)}") from None
     # A welded link must stay a body of its own: its parameters may be what is asked for.
     spec.compiler.fusestatic = False
     _drop_missing_meshes(spec, path)
+    if root == "robot":
+        repair(spec, path)
     return spec
 
 
@@ -41,7 +52,7 @@ def compile_spec(spec: mujoco.MjSpec, where: str | Path = "model") -> mujoco.MjM
     """
     try:
         return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except _REFUSALS as error:
         if "balanceinertia" not in str(error):
             raise ModelError(f"{where}: {_one_line(error)}") from None
     bodies = [(i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)]
@@ -55,7 +66,7 @@ def compile_spec(spec: mujoco.MjSpec, where: str | Path = "model") -> mujoco.MjM
     spec.compiler.balanceinertia = True
     try:
         return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except _REFUSALS as error:
         raise ModelError(f"{where}: {_one_line(error)}") from None
 
 
@@ -84,10 +95,13 @@ def set_inertials(spec: mujoco.MjSpec, pi: Mapping[str, Float[Array, "10"] | np.
         body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
-def _inertial(
-    name: str, known: Mapping[str, mujoco.MjsBody], pi
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, centre of mass, principal moments and the quaternion of their axes; ModelError if there are none."""
+def check_pi(
+    name: str, pi: Float[Array, "10"] | np.ndarray, known: Sequence[str]
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre of mass (3,) and inertia about it (3, 3) of π, in the body's axes.
+
+    Raises ModelError for a name that is not known, and for parameters that no body can have.
+    """
     if name not in known:
         raise ModelError(f"no body named {name!r}; the model has: {', '.join(known)}")
     pi = np.asarray(pi, float)
@@ -101,9 +115,19 @@ def _inertial(
     if m <= 0:
         raise ModelError(f"body {name!r}: mass {m:.4g} kg; it must be positive")
     c = h / m
-    moments, axes = np.linalg.eigh(i - m * (c @ c * np.eye(3) - np.outer(c, c)))
+    inertia = i - m * (c @ c * np.eye(3) - np.outer(c, c))
+    moments = np.linalg.eigvalsh(inertia)
     if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
         raise ModelError(f"body {name!r}: principal moments {moments} kg m² are not physical")
+    return m, c, inertia
+
+
+def _inertial(
+    name: str, known: Mapping[str, mujoco.MjsBody], pi
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Mass, centre of mass, principal moments and the quaternion of their axes; ModelError if there are none."""
+    m, c, inertia = check_pi(name, pi, tuple(known))
+    moments, axes = np.linalg.eigh(inertia)
     # A plate has the equality, which rounding must not turn into an error of MuJoCo's.
     moments[2] = min(moments[2], moments[0] + moments[1])
     axes[:, 2] *= np.sign(np.linalg.det(axes))

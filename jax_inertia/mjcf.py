@@ -12,7 +12,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from jax_inertia._spec import ModelError, ModelWarning, compile_spec, load_spec, set_inertials
+from jax_inertia._model_text import ModelError
+from jax_inertia._spec import compile_spec, load_spec, model_path, set_inertials
+from jax_inertia._urdf import is_urdf, write_urdf
+from jax_inertia._urdf_repair import ModelWarning
 from jax_inertia.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
 
 __all__ = [
@@ -20,9 +23,12 @@ __all__ = [
     "ModelWarning",
     "body_pi",
     "compile_spec",
+    "is_urdf",
     "load_model",
     "load_spec",
+    "model_path",
     "set_inertials",
+    "write_urdf",
 ]
 
 _KIND = {
@@ -39,6 +45,7 @@ _DISABLE = mujoco.mjtDisableBit
 def load_model(model: str | Path | mujoco.MjModel) -> Robot:
     """Read an MJCF or URDF file (or take a compiled `MjModel`) as a `Robot`.
 
+    `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
     welded to a moving one are kept. Raises ModelError for a file that cannot be used; warns (ModelWarning) of what
     the model has and rigid-body dynamics does not: tendon forces, equality constraints, fluid, gravity

@@ -13,7 +13,7 @@ from jax_inertia.robot import Robot
 
 
 def wrenches_in_world(log: Log, robot: Robot) -> Log:
-    """Turn every contact wrench from the axes of its body into those of the world: f_world = R(q) f_body, moments alike.
+    """Turn every contact wrench from its body's axes into the world's: f_world = R(q) f_body, moments alike.
 
     Raises ValueError where a body is not one of the robot's, or the log lacks joints (or the base) that its pose
     needs.

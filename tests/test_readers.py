@@ -20,7 +20,7 @@ from log_files import (
 )
 
 from jax_inertia.log import Log, LogError, TorqueKind, TorqueUnit, read_log
-from jax_inertia.readers import Options, WrenchAxes
+from jax_inertia.readers import Options, WrenchAxes, bag_collect
 
 
 def assert_is(log: Log, data: dict, **close) -> None:
@@ -447,5 +447,6 @@ def test_a_missing_extra_is_one_line_with_the_command(tmp_path, monkeypatch, nam
         raise ImportError(module)
 
     (tmp_path / name).write_bytes(b"x")
+    bag_collect._typestores.cache_clear()
     monkeypatch.setattr("jax_inertia.readers.options.importlib.import_module", absent)
     assert "pip install 'jax-inertia[readers]'" in refusal(tmp_path / name)

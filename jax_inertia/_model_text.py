@@ -1,0 +1,198 @@
+"""What a model file says, looked at before MuJoCo acts on it.
+
+MuJoCo expands, allocates and opens whatever MJCF asks for. A line of text can ask for a million bodies, a texture of
+terabytes or a file that never ends, and includes can reach anywhere. This reads tags as text, as tolerantly as MuJoCo
+does, and refuses what no robot needs.
+"""
+
+import html
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+MOST_BODIES, MOST_LINKS = 3000, 1000
+_MOST_BYTES, _MOST_FILES, _MOST_TAGS = 64 << 20, 200, 1_000_000
+_MOST_COPIES = 2000
+# Products of these attributes are sizes that MuJoCo allocates or builds.
+_PRODUCTS: Mapping[str, tuple[tuple[str, ...], int]] = {
+    "hfield": (("nrow", "ncol"), 1 << 24),
+    "texture": (("width", "height"), 1 << 26),
+    "flexcomp": (("count",), 20_000),
+    "composite": (("count",), _MOST_COPIES),
+}
+_MOST_SIZE = 1_000_000
+_FILES = (
+    "file",
+    "filename",
+    *(f"file{s}" for s in ("right", "left", "up", "down", "front", "back")),
+)
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+
+_ELSE = {
+    "sdf": "an SDF world",
+    "COLLADA": "a mesh",
+    "boost_serialization": "an archive of Pinocchio's: give the URDF that its model was built from",
+}
+
+_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
+_TAG = re.compile(r"<(/?)([A-Za-z_][\w:.-]*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
+_ATTRIBUTE = re.compile(r"([A-Za-z_][\w:.-]*)\s*=\s*(\"[^\"]*\"|'[^']*')")
+
+
+class ModelError(ValueError):
+    """A model that cannot be used: one line that says what, where, and what would be right."""
+
+
+class Tag(NamedTuple):
+    """One tag in a text, and where it stands."""
+
+    name: str
+    attributes: Mapping[str, str]
+    closes: bool
+    """`</name>`."""
+    empty: bool
+    """`<name/>`."""
+    start: int
+    end: int
+
+
+def tags(text: str) -> Iterator[Tag]:
+    """The tags of a model's text in order, comments left out."""
+    # Blanks in their place keep every position.
+    bare = _COMMENT.sub(lambda match: " " * len(match.group()), text)
+    for match in _TAG.finditer(bare):
+        closing, name, rest = match.groups()
+        found = {key: html.unescape(value[1:-1]) for key, value in _ATTRIBUTE.findall(rest)}
+        yield Tag(name, found, bool(closing), rest.endswith("/"), *match.span())
+
+
+def check_model(path: Path) -> str:
+    """The name of a model's first tag (`mujoco`, or `robot` for a URDF).
+
+    Raises `ModelError` for a file, or one that it includes, that asks for what no robot needs.
+    """
+    root, first = path.resolve().parent, ""
+    seen: set[Path] = set()
+    bodies, copies = 0, 1
+    waiting = [path.resolve()]
+    while waiting:
+        file = waiting.pop()
+        if file in seen:
+            continue
+        seen.add(file)
+        if len(seen) > _MOST_FILES:
+            raise ModelError(f"{path}: includes more than {_MOST_FILES} files")
+        text = _text(path, file)
+        found = list(tags(text))
+        first = first or (found[0].name if found else "-")
+        more, most = _check_tags(path, found)
+        # An include inside <replicate> multiplies what its file copies.
+        bodies, copies = bodies + more, copies * most
+        if copies > _MOST_COPIES:
+            raise ModelError(f"{path}: <replicate> makes {copies} copies; at most {_MOST_COPIES}")
+        folders = [t.attributes[f] for t in found for f in _FOLDERS if f in t.attributes]
+        _check_files(path, root, found, folders)
+        for tag in found:
+            if tag.name in ("include", "model") and not tag.closes and "file" in tag.attributes:
+                waiting += _included(path, root, file.parent, tag.attributes["file"])
+    if bodies > MOST_BODIES:
+        raise ModelError(f"{path}: has {bodies} bodies; at most {MOST_BODIES} make sense")
+    if first in _ELSE:
+        raise ModelError(f"{path}: {_ELSE[first]}; a model is MJCF or URDF")
+    return first
+
+
+def _text(path: Path, file: Path) -> str:
+    with open(file, "rb") as opened:
+        raw = opened.read(_MOST_BYTES + 1)
+    if len(raw) > _MOST_BYTES:
+        raise ModelError(f"{path}: {file.name} is larger than {_MOST_BYTES} bytes: is it a model?")
+    text = raw.decode("utf-8", "replace")
+    if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+        raise ModelError(
+            f"{path}: {file.name} declares a document type or entities; take out <!DOCTYPE ...>"
+        )
+    if text.count("<") > _MOST_TAGS:
+        raise ModelError(f"{path}: {file.name} holds more than {_MOST_TAGS} tags: is it a model?")
+    return text
+
+
+def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:
+    """Refuse sizes that cannot be meant; the number of bodies, and how often the most copied is there."""
+    bodies, copies, most_copied, links = 0, [1], 1, 0
+    for tag in found:
+        if tag.name == "replicate" and tag.closes and len(copies) > 1:
+            copies.pop()
+        if tag.closes:
+            continue
+        if tag.name == "replicate" and not tag.empty:
+            copies.append(copies[-1] * max(_whole(tag.attributes.get("count", "1")), 1))
+            most_copied = max(most_copied, copies[-1])
+        bodies += copies[-1] if tag.name == "body" else 0
+        links += tag.name == "link"
+        if tag.name in _PRODUCTS:
+            names, most = _PRODUCTS[tag.name]
+            product = 1
+            for word in " ".join(tag.attributes.get(name, "1") for name in names).split():
+                product *= max(_whole(word), 1)
+            if product > most:
+                raise ModelError(
+                    f"{path}: <{tag.name}> asks for {' x '.join(names)} = {product}; at most {most} make sense"
+                )
+        if tag.name == "size":
+            for name, value in tag.attributes.items():
+                if name != "memory" and _whole(value) > _MOST_SIZE // (
+                    1000 if "user" in name else 1
+                ):
+                    raise ModelError(
+                        f"{path}: <size {name}={value[:40]!r}> is more than makes sense"
+                    )
+    if links > MOST_LINKS:
+        raise ModelError(f"{path}: has {links} links; at most {MOST_LINKS} make sense")
+    return bodies, most_copied
+
+
+def _whole(text: str) -> int:
+    match = re.match(r"\s*(\d{1,18})", text)
+    return int(match.group(1)) if match else 0
+
+
+def _check_files(path: Path, root: Path, found: list[Tag], folders: list[str]) -> None:
+    """Refuse what would be opened and is no plain file: a device or a pipe has no end."""
+    for tag in found:
+        for name in _FILES:
+            if tag.closes or not (value := tag.attributes.get(name)):
+                continue
+            bare = value.split("://", 1)[-1]
+            for folder in (".", *folders[:20]):
+                for candidate in (root / folder / bare, root / folder / Path(bare).name):
+                    if _is_special(candidate):
+                        raise ModelError(
+                            f"{path}: {value[:200]!r} is a device or a pipe, not a file"
+                        )
+
+
+def _is_special(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _included(path: Path, root: Path, beside: Path, name: str) -> Iterator[Path]:
+    """The files that an include may mean: MuJoCo looks from the main file, and from the including one."""
+    for folder in dict.fromkeys((root, beside)):
+        try:
+            file = (folder / name).resolve()
+            there = file.is_file()
+        except (OSError, ValueError, RuntimeError):
+            continue
+        if not file.is_relative_to(root):
+            raise ModelError(
+                f"{path}: includes {name[:200]!r}, which is outside the model's folder; copy it there"
+            )
+        if there:
+            yield file
