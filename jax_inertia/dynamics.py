@@ -1,11 +1,13 @@
 """Rigid-body dynamics in world coordinates: inverse dynamics, torque regressor, mass matrix, contact torques.
 
-Every function takes one sample and is differentiable, `jit`- and `vmap`-friendly. The paper's condensed form
-(eq. decomp-tau) is `condensed_dynamics`: one forward pass shared by the regressor of the chosen bodies and the
-torque of all the others.
+Every function takes one sample and is differentiable, `jit`- and `vmap`-friendly; `vmap` of many samples runs with the
+batch as the last axis (see `_batch_last`), for which the private functions below are written: their arrays are
+(list, components, *batch). The paper's condensed form (eq. decomp-tau) is `condensed_dynamics`: one forward pass
+shared by the regressor of the chosen bodies and the torque of all the others.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -14,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia import spatial
-from jax_inertia.inertia import rotational_inertia
+from jax_inertia._batch_last import batch_last
+from jax_inertia._vectors import compose, cross, lever, skew, symmetric, turn, turn_back
 from jax_inertia.robot import (
     Kinematics,
     Robot,
@@ -25,22 +28,11 @@ from jax_inertia.robot import (
 )
 
 
-class BodyMotion(eqx.Module):
-    """Angular velocity, angular acceleration and proper acceleration of bodies, in their own frames."""
-
-    angular_velocity: Float[Array, "nb 3"]
-    angular_acceleration: Float[Array, "nb 3"]
-    proper_acceleration: Float[Array, "nb 3"]
-    """Acceleration of the frame origin minus gravity [m/s²]."""
-
-
 def inverse_dynamics(
     robot: Robot, q: Float[Array, " nq"], v: Float[Array, " nv"], a: Float[Array, " nv"]
 ) -> Float[Array, " nv"]:
     """Generalised force M(q) a + c(q, v) (Foster et al., eq. 1), armature included, passive forces apart."""
-    kin = forward_kinematics(robot, q)
-    motion = _body_motion(robot, kin, v, a)
-    return _torque(robot, kin, motion, robot.pi) + robot.armature * a
+    return batch_last(_inverse_dynamics, robot, q, v, a)
 
 
 def torque_regressor(
@@ -56,8 +48,7 @@ def torque_regressor(
     Raises ValueError for a body that the robot does not have.
     """
     chosen = resolve_bodies(robot, bodies)
-    kin = forward_kinematics(robot, q)
-    return _regressor(robot, kin, _body_motion(robot, kin, v, a), chosen)
+    return batch_last(partial(_torque_regressor, chosen), robot, q, v, a)
 
 
 def condensed_dynamics(
@@ -72,29 +63,12 @@ def condensed_dynamics(
     Y^est π^est + τ^nom = `inverse_dynamics`; armature is part of τ^nom.
     """
     chosen = resolve_bodies(robot, bodies)
-    kin = forward_kinematics(robot, q)
-    motion = _body_motion(robot, kin, v, a)
-    keep = np.ones((robot.nb, 1))
-    keep[list(chosen)] = 0.0
-    nominal = _torque(robot, kin, motion, robot.pi * jnp.asarray(keep, robot.pi.dtype))
-    return _regressor(robot, kin, motion, chosen), nominal + robot.armature * a
+    return batch_last(partial(_condensed_dynamics, chosen), robot, q, v, a)
 
 
 def mass_matrix(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
     """Joint-space inertia M(q), armature included, by composite rigid bodies in world coordinates."""
-    kin = forward_kinematics(robot, q)
-    composite = accumulate_inward(robot, _world_pi(robot, kin))
-    w, u = kin.axes[:, :3], kin.axes[:, 3:]
-    h, inertia = composite[:, 1:4], rotational_inertia(composite)
-    moment = spatial.matvec(inertia, w) + spatial.cross(h, u)
-    force = composite[:, :1] * u - spatial.cross(h, w)
-    coupling = kin.axes @ jnp.concatenate([moment, force], -1).T
-    # Entry [j, k] holds where joint j carries joint k; the other half follows by symmetry.
-    top = robot.topology
-    carries = np.triu(top.node_dof[top.dof_node].T)
-    upper = jnp.where(carries > 0, coupling, 0.0)
-    strict = jnp.where(np.tri(robot.nv, k=0) > 0, 0.0, upper)
-    return upper + strict.T + jnp.diag(robot.armature)
+    return batch_last(_mass_matrix, robot, q)
 
 
 def passive_torque(
@@ -160,18 +134,53 @@ def resolve_bodies(robot: Robot, bodies: Sequence[int | str] | None) -> tuple[in
     return out
 
 
-# --- the passes --------------------------------------------------------------------------------------------------
+# --- the passes, batch axes last ---------------------------------------------------------------------------------
 
 
-def _body_motion(
-    robot: Robot, kin: Kinematics, v: Float[Array, " nv"], a: Float[Array, " nv"]
-) -> BodyMotion:
+def _inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Float[Array, "nv ..."]:
+    kin = forward_kinematics(robot, q)
+    motion = _body_motion(robot, kin, v, a)
+    return _torque(robot, kin, motion, robot.pi) + robot.armature * a
+
+
+def _torque_regressor(
+    chosen: tuple[int, ...], robot: Robot, q: Array, v: Array, a: Array
+) -> Float[Array, "nv n 10 ..."]:
+    kin = forward_kinematics(robot, q)
+    return _regressor(robot, kin, _body_motion(robot, kin, v, a), chosen)
+
+
+def _condensed_dynamics(
+    chosen: tuple[int, ...], robot: Robot, q: Array, v: Array, a: Array
+) -> tuple[Float[Array, "nv n 10 ..."], Float[Array, "nv ..."]]:
+    kin = forward_kinematics(robot, q)
+    motion = _body_motion(robot, kin, v, a)
+    known = np.ones((robot.nb, *(1 for _ in robot.pi.shape[1:])))
+    known[list(chosen)] = 0.0
+    nominal = _torque(robot, kin, motion, robot.pi * jnp.asarray(known, robot.pi.dtype))
+    return _regressor(robot, kin, motion, chosen), nominal + robot.armature * a
+
+
+class _BodyMotion(eqx.Module):
+    """Angular velocity, angular acceleration and proper acceleration of bodies, in their own frames."""
+
+    angular_velocity: Float[Array, "nb 3 ..."]
+    angular_acceleration: Float[Array, "nb 3 ..."]
+    proper_acceleration: Float[Array, "nb 3 ..."]
+    """Acceleration of the frame origin minus gravity [m/s²]."""
+
+
+def _body_motion(robot: Robot, kin: Kinematics, v: Array, a: Array) -> _BodyMotion:
     """Outward pass: spatial velocity and acceleration in world coordinates, then in each body's frame."""
     top = robot.topology
     velocity = accumulate_outward(robot, kin.axes * v[:, None])
     # World-fixed axes (translations of a free joint) do not turn with the body.
-    turning = jnp.where(top.dof_in_world[:, None], 0.0, v[:, None])
-    rate = spatial.motion_cross(velocity[top.dof_node], kin.axes) * turning
+    fixed = top.dof_in_world.reshape(-1, *(1 for _ in v.shape[1:]))
+    turning = jnp.where(fixed, 0.0, v)[:, None]
+    now, axis, arm = velocity[top.dof_node], kin.axes[:, :3], kin.axes[:, 3:]
+    w, u = now[:, :3], now[:, 3:]
+    # v × S (Featherstone 2008, eq. 2.31).
+    rate = jnp.concatenate([cross(w, axis), cross(w, arm) + cross(u, axis)], 1) * turning
     acceleration = accumulate_outward(robot, kin.axes * a[:, None] + rate)
 
     nodes = np.array(top.body_node, int)
@@ -179,110 +188,97 @@ def _body_motion(
     w, u = velocity[nodes, :3], velocity[nodes, 3:]
     dw, du = acceleration[nodes, :3], acceleration[nodes, 3:] - robot.gravity
     # Spatial to classical: the origin of the body moves at u + ω × p and accelerates ω × that more.
-    origin = u + spatial.cross(w, position)
-    proper = du + spatial.cross(dw, position) + spatial.cross(w, origin)
-    return BodyMotion(
-        spatial.matvec_t(rotation, w),
-        spatial.matvec_t(rotation, dw),
-        spatial.matvec_t(rotation, proper),
-    )
+    proper = du + cross(dw, position) + cross(w, u + cross(w, position))
+    own = [turn_back(rotation, x) for x in (w, dw, proper)]
+    return _BodyMotion(*jnp.broadcast_arrays(*own))
 
 
 def _torque(
-    robot: Robot, kin: Kinematics, motion: BodyMotion, pi: Float[Array, "nb 10"]
-) -> Float[Array, " nv"]:
+    robot: Robot, kin: Kinematics, motion: _BodyMotion, pi: Float[Array, "nb 10 ..."]
+) -> Float[Array, "nv ..."]:
     """Inward pass: the wrench that each body needs, summed over the bodies that each joint moves."""
-    m, h, inertia = pi[:, :1], pi[:, 1:4], rotational_inertia(pi)
-    w, dw, d = (
-        motion.angular_velocity,
-        motion.angular_acceleration,
-        motion.proper_acceleration,
-    )
-    force = m * d + spatial.cross(dw, h) + spatial.cross(w, spatial.cross(w, h))
-    moment = (
-        spatial.matvec(inertia, dw)
-        + spatial.cross(w, spatial.matvec(inertia, w))
-        + spatial.cross(h, d)
-    )
+    w, dw, d = motion.angular_velocity, motion.angular_acceleration, motion.proper_acceleration
+    pi = pi.reshape(*pi.shape, *(1 for _ in range(w.ndim - pi.ndim)))
+    m, h, inertia = pi[:, :1], skew(pi[:, 1:4]), symmetric(pi[:, 4:])
+    # h × x = [h]× x: with constants in the matrix, this is cheaper than cross products.
+    force = m * d - turn(h, dw) - cross(w, turn(h, w))
+    moment = turn(inertia, dw) + cross(w, turn(inertia, w)) + turn(h, d)
     nodes = np.array(robot.topology.body_node, int)
-    force = spatial.matvec(kin.rotation[nodes], force)
-    moment = spatial.matvec(kin.rotation[nodes], moment) + spatial.cross(kin.position[nodes], force)
-    total = accumulate_inward(robot, jnp.concatenate([moment, force], -1))
-    return jnp.sum(kin.axes * total, -1)
+    force = turn(kin.rotation[nodes], force)
+    moment = turn(kin.rotation[nodes], moment) + cross(kin.position[nodes], force)
+    total = accumulate_inward(robot, jnp.concatenate([moment, force], 1))
+    return jnp.sum(kin.axes * total, 1)
 
 
 def _regressor(
-    robot: Robot, kin: Kinematics, motion: BodyMotion, chosen: tuple[int, ...]
-) -> Float[Array, "nv n 10"]:
-    """Inward pass, linear in π: each joint's axis, seen from the body, times the body's own 6×10 regressor."""
+    robot: Robot, kin: Kinematics, motion: _BodyMotion, chosen: tuple[int, ...]
+) -> Float[Array, "nv n 10 ..."]:
+    """Inward pass, linear in π: each joint's axis times each body's own 6×10 regressor, both in world coordinates.
+
+    The body's own is [moment; force] = A π about its origin (Atkeson, An and Hollerbach 1986, in this order of π).
+    """
     pick = np.array(chosen, int)
-    own = jax.vmap(_body_regressor)(jax.tree.map(lambda x: x[pick], motion))
+    w = motion.angular_velocity[pick]
+    dw, d = motion.angular_acceleration[pick], motion.proper_acceleration[pick]
+    spin = skew(w)
+    # The force does not depend on I, nor the moment about the body's origin on m.
+    force = jnp.concatenate([d[:, :, None], skew(dw) + compose(spin, spin)], 2)
+    moment = jnp.concatenate([-skew(d), lever(dw) + compose(spin, lever(w))], 2)
     nodes = np.array(robot.topology.body_node, int)[pick]
-    rotation, position = kin.rotation[nodes], kin.position[nodes]
-    w, u = kin.axes[None, :, :3], kin.axes[None, :, 3:]
-    u = u + spatial.cross(w, position[:, None])
-    seen = jnp.concatenate([w @ rotation, u @ rotation], -1)
-    seen = seen * jnp.asarray(robot.topology.body_dof[pick], seen.dtype)[:, :, None]
-    return jnp.swapaxes(seen @ own, 0, 1)
+    force, moment = compose(kin.rotation[nodes], force), compose(kin.rotation[nodes], moment)
+    shifted = compose(skew(kin.position[nodes]), force)
+    moment = [shifted[:, :, :1], shifted[:, :, 1:] + moment[:, :, :3], moment[:, :, 3:]]
+    force = jnp.concatenate([force, jnp.zeros_like(moment[2])], 2)
+    own = jnp.concatenate([jnp.concatenate(moment, 2), force], 1)
+    batch = jnp.broadcast_shapes(own.shape[3:], kin.axes.shape[2:])
+    # As a product of matrices per sample, for its order is that of the result: to turn S and A round is little work.
+    own = jnp.swapaxes(own, 0, 1).reshape(6, 10 * len(pick), *own.shape[3:])
+    rows = jnp.matmul(_first(kin.axes), _first(own), precision=jax.lax.Precision.HIGHEST)
+    rows = rows.reshape(*batch, robot.nv, len(pick), 10)
+    rows = jnp.where(robot.topology.body_dof[pick].T[:, :, None] > 0, rows, 0.0)
+    return jnp.moveaxis(rows, range(len(batch)), range(-len(batch), 0))
 
 
-def _body_regressor(motion: BodyMotion) -> Float[Array, "6 10"]:
-    """[moment; force] = A π about the body's own origin (Atkeson, An and Hollerbach 1986, in this order of π)."""
-    w, dw, d = (
-        motion.angular_velocity,
-        motion.angular_acceleration,
-        motion.proper_acceleration,
-    )
-    sw = spatial.skew(w)
-    zero = jnp.zeros((3, 1), w.dtype)
-    moment = jnp.concatenate([zero, -spatial.skew(d), _lever(dw) + sw @ _lever(w)], -1)
-    force = jnp.concatenate(
-        [d[:, None], spatial.skew(dw) + sw @ sw, jnp.zeros((3, 6), w.dtype)], -1
-    )
-    return jnp.concatenate([moment, force])
+def _first(x: Float[Array, "i j ..."]) -> Float[Array, "... i j"]:
+    """The batch axes first."""
+    return jnp.moveaxis(x, (0, 1), (-2, -1))
 
 
-def _lever(w: Float[Array, "3"]) -> Float[Array, "3 6"]:
-    """L(ω) with L(ω) [Ixx, Ixy, Ixz, Iyy, Iyz, Izz] = I ω."""
-    x, y, z = w
-    o = jnp.zeros_like(x)
-    return jnp.stack(
-        [
-            jnp.stack([x, y, z, o, o, o]),
-            jnp.stack([o, x, o, y, z, o]),
-            jnp.stack([o, o, x, o, y, z]),
-        ]
-    )
+def _mass_matrix(robot: Robot, q: Array) -> Float[Array, "nv nv ..."]:
+    top = robot.topology
+    kin = forward_kinematics(robot, q)
+    composite = accumulate_inward(robot, _world_pi(robot, kin))
+    w, u = kin.axes[:, :3], kin.axes[:, 3:]
+    h = composite[:, 1:4]
+    moment = turn(symmetric(composite[:, 4:]), w) + cross(h, u)
+    force = composite[:, :1] * u - cross(h, w)
+    coupling = jnp.sum(kin.axes[:, None] * jnp.concatenate([moment, force], 1)[None], 2)
+    # Entry [j, k] holds where joint j carries joint k; the other half follows by symmetry.
+    batch = [1 for _ in coupling.shape[2:]]
+    carries = np.triu(top.node_dof[top.dof_node].T).reshape(robot.nv, robot.nv, *batch)
+    upper = jnp.where(carries > 0, coupling, 0.0)
+    eye = np.eye(robot.nv).reshape(robot.nv, robot.nv, *batch)
+    strict = jnp.where(eye > 0, 0.0, upper)
+    rotor = jnp.where(eye > 0, robot.armature[:, None], 0.0)
+    return upper + jnp.swapaxes(strict, 0, 1) + rotor
 
 
-def _world_pi(robot: Robot, kin: Kinematics) -> Float[Array, "nb 10"]:
+def _world_pi(robot: Robot, kin: Kinematics) -> Float[Array, "nb 10 ..."]:
     """π of every body about the tree's origin, in world axes."""
     nodes = np.array(robot.topology.body_node, int)
     rotation, p = kin.rotation[nodes], kin.position[nodes]
-    m = robot.pi[:, 0]
-    h = spatial.matvec(rotation, robot.pi[:, 1:4])
-    inertia = rotational_inertia(robot.pi)
-    inertia = spatial.matmul(spatial.matmul(rotation, inertia), jnp.swapaxes(rotation, -1, -2))
+    pi = robot.pi.reshape(*robot.pi.shape, *(1 for _ in range(p.ndim - robot.pi.ndim)))
+    m, h = pi[:, :1], turn(rotation, pi[:, 1:4])
+    inertia = compose(compose(rotation, symmetric(pi[:, 4:])), jnp.swapaxes(rotation, 1, 2))
     # I about the tree's origin: I + [p]×ᵀ-terms of h, and of the mass at p.
-    hp = h[:, :, None] * p[:, None, :]
-    pp = m[:, None, None] * p[:, :, None] * p[:, None, :]
-    moved = hp + jnp.swapaxes(hp, -1, -2) + pp
-    trace = jnp.trace(moved, axis1=-2, axis2=-1)[:, None, None]
-    inertia = inertia + trace * jnp.eye(3, dtype=p.dtype) - moved
-    first = h + m[:, None] * p
-    return jnp.stack(
-        [
-            m,
-            *(first[:, i] for i in range(3)),
-            inertia[:, 0, 0],
-            inertia[:, 0, 1],
-            inertia[:, 0, 2],
-            inertia[:, 1, 1],
-            inertia[:, 1, 2],
-            inertia[:, 2, 2],
-        ],
-        axis=-1,
-    )
+    hp = h[:, :, None] * p[:, None]
+    moved = hp + jnp.swapaxes(hp, 1, 2) + m[:, :, None] * p[:, :, None] * p[:, None]
+    trace = moved[:, 0, 0] + moved[:, 1, 1] + moved[:, 2, 2]
+    rows, columns = np.triu_indices(3)
+    on = (rows == columns).reshape(-1, *(1 for _ in trace.shape[1:]))
+    inertia = (inertia - moved)[:, rows, columns] + jnp.where(on, trace[:, None], 0.0)
+    mass = jnp.broadcast_to(m, (*m.shape[:2], *inertia.shape[2:]))
+    return jnp.concatenate([mass, h + m * p, inertia], 1)
 
 
 def _body_jacobian(robot: Robot, kin: Kinematics, index: int) -> Float[Array, "6 nv"]:

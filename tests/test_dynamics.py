@@ -193,6 +193,76 @@ def test_batch_is_loop_and_the_mass_matrix_a_derivative(cases):
     assert np.all(np.linalg.eigvalsh(mass) > 0)
 
 
+def test_vmap_over_any_argument_is_a_loop(cases):
+    """Over each array of the robot alone, and of q, v and a: batch axes meet arrays that have none."""
+    case = cases("two_trees")
+    state = [jnp.asarray(x[0]) for x in case.states(1, seed=8)]
+    leaves, structure = jax.tree.flatten((case.robot, *state))
+    scales = np.array([1.0, 0.9])
+
+    def core(*leaves):
+        robot, q, v, a = jax.tree.unflatten(structure, leaves)
+        return *ji.condensed_dynamics(robot, q, v, a, (1, 0)), ji.mass_matrix(robot, q)
+
+    def along(k, scale):
+        return core(*(x * scale if i == k else x for i, x in enumerate(leaves)))
+
+    every = range(len(leaves))
+    many = jax.jit(
+        lambda: [jax.vmap(functools.partial(along, k))(scales) for k in every],
+        compiler_options=FAST,
+    )()
+    one = jax.jit(core, compiler_options=FAST)
+    for k in every:
+        for i, scale in enumerate(scales):
+            alone = one(*(x * scale if j == k else x for j, x in enumerate(leaves)))
+            for batched, single in zip(many[k], alone, strict=True):
+                assert relative(batched[i][None], single[None]) <= 1e-12
+
+
+def test_nested_vmap_and_chunks(cases, monkeypatch):
+    """A vmap of a vmap, and a batch that is cut into chunks with a rest, hold the same numbers."""
+    case = cases("planar_2r")
+    q, v, a = case.states(20, seed=9)
+
+    def two(q, v, a):
+        return ji.condensed_dynamics(case.robot, q, v, a, (1,))
+
+    whole = jax.jit(jax.vmap(two), compiler_options=FAST)(q, v, a)
+    nested = jax.jit(jax.vmap(jax.vmap(two)), compiler_options=FAST)(
+        *(x.reshape(4, 5, -1) for x in (q, v, a))
+    )
+    monkeypatch.setattr("jax_inertia._batch_last._CACHE_BYTES", 1)
+    chunked = jax.jit(lambda *x: jax.vmap(two)(*x), compiler_options=FAST)
+    assert "while" in chunked.lower(q, v, a).as_text()
+    for x, y, z in zip(whole, nested, chunked(q, v, a), strict=True):
+        np.testing.assert_allclose(y.reshape(x.shape), x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(z, x, rtol=0, atol=1e-12)
+
+
+def test_long_chain_in_blocks(monkeypatch):
+    """More nodes than one product takes, with branches across the blocks: as in one product."""
+    limbs = "".join(
+        f'<body pos="0 0 -0.1"><inertial pos="0.01 0.02 -0.05" mass="0.5" diaginertia="0.002 0.002 0.001"/>'
+        f'<joint axis="{i % 2} {(i + 1) % 2} 0.2"/>'
+        + ('<body pos="0.1 0 0"><geom size="0.1"/><joint/></body>' if i % 3 == 0 else "")
+        for i in range(9)
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{limbs}{'</body>' * 9}</worldbody></mujoco>"
+    )
+    q, v, a = np.random.default_rng(0).normal(size=(3, model.nv))
+
+    def torque():
+        return jax.jit(
+            functools.partial(ji.inverse_dynamics, ji.load_model(model)), compiler_options=FAST
+        )(q, v, a)
+
+    whole = torque()
+    monkeypatch.setattr("jax_inertia.robot.BLOCK", 4)
+    assert relative(torque()[None], whole[None]) <= 1e-13
+
+
 def test_passive_torque_is_mujoco_s(cases):
     """Damping and springs; dry friction away from rest is F sign(v), as MuJoCo's constraint tends to."""
     for name in ("floating_tree", "arm7"):

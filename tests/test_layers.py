@@ -15,7 +15,7 @@ LAYERS: dict[str, str] = {
     "robot": "robot _model_text _urdf_repair _descriptions _spec _urdf mjcf robots",
     "dynamics": "dynamics wrench_axes",
     "estimation and simulation": """measurement sequential estimate batch _batch_rows _batch_solve consistency
-        handover logfilter priors identifiability motion_limits suggest_motion
+        handover logfilter priors identifiability motion_limits suggest_motion stream statefile
         simulate""",
     "gap": "gap",
     "control": "control",
