@@ -30,8 +30,9 @@ def warn(message: str) -> None:
 
 
 def one_line(message: object) -> str:
-    """A message without line breaks."""
-    return " ".join(str(message).split())
+    """A message without line breaks, and without what moves a terminal's cursor: names come from files."""
+    text = " ".join(str(message).split())
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,544 @@
+"""Files made to hurt: a log or a model from anywhere gives its content or one line, soon, and nothing else."""
+
+import bz2
+import contextlib
+import functools
+import os
+import resource
+import sqlite3
+import struct
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from log_files import (
+    JOINTS,
+    START,
+    Maker,
+    columns,
+    joint_messages,
+    write_bag,
+    write_csv,
+    write_dataset,
+    write_parquet,
+    write_plain_mcap,
+)
+from test_model_files import ARM, DEFAULTS, URDF
+
+import jax_inertia as ji
+from jax_inertia.cli import main
+from jax_inertia.log import LogError, read_log
+from jax_inertia.mjcf import ModelError, write_urdf
+from jax_inertia.readers import Options
+
+SLOW = 10.0
+ROS = Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
+
+
+def refusal(path, options: Options | None = None, **rest) -> str:
+    start = time.monotonic()
+    with pytest.raises(LogError) as caught:
+        read_log(path, options=options, **rest)
+    assert time.monotonic() - start < SLOW
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+@pytest.fixture
+def ros():
+    pytest.importorskip("mcap")
+    return pytest.importorskip("rosbags")
+
+
+@pytest.fixture
+def arrow():
+    return pytest.importorskip("pyarrow")
+
+
+# --- logs: every kind of file, hit at random ----------------------------------------------------------------------
+
+
+def messages(ros1: bool = False) -> list:
+    maker, out = Maker(ros1), joint_messages(ros1)[:12]
+    for k in range(6):
+        at = START + k * 20_000_000
+        out.append(("/odom", maker.odometry(at, (0, 0, 1), (1, 0, 0, 0), (1, 0, 0), (0, 0, 1)), at))
+        out.append(("/ft", maker.wrench(at, (0, 0, 1), (1, 0, 0)), at))
+    return out
+
+
+@functools.cache
+def valid(kind: str) -> bytes:
+    """A sound file of one kind."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if kind == "csv":
+            path = write_csv(folder / "log.csv", columns(12))
+        elif kind == "parquet":
+            path = write_parquet(folder / "log.parquet", columns(12))
+        elif kind == "bag":
+            path = write_bag(folder / "log.bag", messages(True), "bag", "LZ4")
+        elif kind == "db3":
+            path = next(write_bag(folder / "log", messages(), "db3").glob("*.db3"))
+        else:
+            path = write_plain_mcap(folder / "log.mcap", messages(), "zstd")
+        return path.read_bytes()
+
+
+@st.composite
+def damaged(draw, content: bytes) -> bytes:
+    """Bytes set to what hurts most, runs of them made huge numbers, parts cut out, doubled, or the end cut off."""
+    at = st.integers(0, len(content) - 1)
+    data = bytearray(content)
+    for _ in range(draw(st.integers(1, 4))):
+        how = draw(st.sampled_from(["byte", "byte", "number", "cut", "double", "end"]))
+        i, j = sorted((draw(at), draw(at)))
+        if how == "byte":
+            data[i : i + 1] = bytes([draw(st.sampled_from([0, 1, 127, 128, 255, 0x2C, 0x0A]))])
+        elif how == "number":
+            width = draw(st.sampled_from([4, 8]))
+            value = draw(st.sampled_from([10**9, 2**31 - 1, 2**32 - 1, 0]))
+            data[i : i + width] = value.to_bytes(width, "little")
+        elif how == "cut":
+            del data[i:j]
+        elif how == "double":
+            data[i:i] = data[i:j]
+        else:
+            del data[j:]
+    return bytes(data)
+
+
+def outcome(path: Path, options: Options) -> None:
+    """Either a log that keeps its promises, or one line; and soon."""
+    start, message = time.monotonic(), ""
+    try:
+        log = read_log(path, options=options, max_bytes=1 << 24)
+    except LogError as error:
+        message = str(error)
+    else:
+        assert log.qpos.shape == log.tau.shape == (len(log.time), len(log.joint_names))
+        assert np.all(np.diff(log.time) > 0)
+    assert message.isprintable()
+    assert time.monotonic() - start < SLOW
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "bag", "db3", "mcap"])
+def test_damaged_files_give_a_log_or_one_line(kind):
+    for library in {"parquet": ["pyarrow"], "csv": []}.get(kind, ["rosbags", "mcap"]):
+        pytest.importorskip(library)
+    options = ROS if kind in ("bag", "db3", "mcap") else Options()
+
+    @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(damaged(valid(kind)))
+    def check(content: bytes) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"log.{kind}"
+            path.write_bytes(content)
+            outcome(path, options)
+            # SQLite leaves no journal beside it, and nothing else is left either.
+            assert os.listdir(folder) == [path.name]
+
+    check()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.text(st.sampled_from("qpostauvel.[]()°*,;\t\"' \x1b\n#e0é-"), max_size=12), max_size=8
+    ),
+    st.text(st.sampled_from("0123456789.,;-+einfa\"'\n\x00\x1b "), max_size=200),
+)
+def test_arbitrary_tables_give_a_log_or_one_line(headings, body):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_text(",".join(["time", "qpos.a", "tau.a", *headings]) + "\n" + body)
+        outcome(path, Options())
+
+
+# --- logs: made by hand ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "empty"),
+        (b"\n\n\n", "empty"),
+        (b"\x00" * 5000, "no heading"),
+        (bytes(range(256)) * 40, "UTF-8"),
+        (b"time" * 400_000, "no heading"),
+        (b"time,qpos.a,tau.a\n" + b"1" * (3 << 20), "longer than"),
+        (b"time,qpos.a,tau.a\n0,1,2\n0.1,1\n", "line 3 has 2 fields, the heading 3"),
+        (b"time,qpos.a,tau.a\n0,1,2\n0,1,1,5,2\n", "line 3 has 5 fields"),
+        (b"time,qpos.a,tau.a\n0,1,2\n0.1,x\x1b[2J,2\n", "line 3, column 'qpos.a': 'x"),
+        (b'time,qpos.a,tau.a\n0,"1,2\n', "fields"),
+        (b"time,qpos.a,tau.a\n0,1,2\nnan,1,2\n", "time[1] is nan"),
+        (b"time,qpos.a,tau.a\n0,1,2\ninf,1,2\n", "time[1] is inf"),
+        (b"time,qpos.a,tau.a\n1,1,2\n0,1,2\n", "does not come after"),
+        (b"time,qpos.a,tau.a\n", "shape (0,)"),
+        (b"time,time,qpos.a\n0,1,2\n", "two columns are named 'time'"),
+        (b"time,qpos.a,tau.a,qpos.a [deg]\n0,1,2,3\n1,1,2,3\n", "both are qpos.a"),
+        (b"time,qpos.a,tau.a," + b",".join(b"x%d" % k for k in range(20_000)), "20003 columns"),
+        (b"time,qpos.\x1b[31m,tau.\x1b[31m\n0,1,2\n1,1,2\n", "printable name"),
+    ],
+)
+def test_tables_made_to_hurt(tmp_path, content, said):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    assert said in refusal(path)
+
+
+def test_values_may_be_anything_and_stamps_may_not(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"time,qpos.a,tau.a\n0,nan,inf\n0.1,-inf,1e300\n0.2,,NA\n")
+    log = read_log(path)
+    assert np.isnan(log.qpos[[0, 2], 0]).all()
+    assert np.isinf(log.tau[0, 0])
+
+
+def test_a_table_of_10_to_the_9_rows_is_refused_from_its_start(tmp_path):
+    path = tmp_path / "log.csv"
+    with open(path, "wb") as file:
+        file.write(b"time,qpos.a,tau.a\n" + b"".join(b"%d,1,2\n" % k for k in range(700_000)))
+        # A hole: the file claims 20 GB and takes up next to nothing.
+        file.truncate(20 << 30)
+    assert "rows of 3 columns need more than the limit" in refusal(path)
+
+
+def test_no_log_is_read_from_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "log.csv")
+    (tmp_path / "loop.npz").symlink_to(tmp_path / "loop.npz")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    (tmp_path / "empty").mkdir()
+    for name in ("log.csv", "loop.npz", "zero.csv", "empty", "x" * 300 + ".csv", "a\x1bb.csv"):
+        assert "no such file" in refusal(tmp_path / name) or "too long" in refusal(tmp_path / name)
+
+
+def test_a_kilobyte_of_parquet_that_unfolds_to_millions_of_numbers(tmp_path, arrow):
+    import pyarrow.parquet as pq
+
+    count = 5_000_000
+    lists = arrow.ListArray.from_arrays([0, count], arrow.array(np.zeros(count, np.float32)))
+    flat = arrow.array([0.0])
+    table = arrow.table({"time": flat, "qpos": lists, "tau": lists})
+    pq.write_table(table, tmp_path / "log.parquet", compression="zstd", data_page_size=1 << 30)
+    assert (tmp_path / "log.parquet").stat().st_size < 4000
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    message = refusal(tmp_path / "log.parquet", Options(joints=JOINTS), max_bytes=1 << 20)
+    assert "unfolds to more" in message or "more than the limit" in message
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+def test_parquet_with_more_rows_than_there_is_room_for(tmp_path, arrow):
+    zeros = {name: np.zeros(3_000_000) for name in ("time", "qpos.a", "tau.a")}
+    path = write_parquet(tmp_path / "log.parquet", zeros)
+    assert path.stat().st_size < 100_000
+    assert "declares 3000000 rows" in refusal(path, max_bytes=1 << 20)
+
+
+def test_parquet_with_a_text_without_end(tmp_path, arrow):
+    table = columns(12) | {"tau_unit": np.array(["A" * 5000] * 12)}
+    path = write_parquet(tmp_path / "log.parquet", table)
+    assert "texts of more than 1000 characters" in refusal(path)
+
+
+def test_a_dataset_that_leads_elsewhere(tmp_path, arrow):
+    """What info.json says of paths is not followed, and a name in it is only a name."""
+    folder = write_dataset(tmp_path / "set", episodes=1)
+    info = folder / "meta" / "info.json"
+    info.write_text('{"data_path": "../../{0.__class__}/etc/passwd", "features": {"observation.state":'
+                    ' {"names": ["../../x", "<script>"]}}}')  # fmt: skip
+    assert read_log(folder).joint_names == ("../../x", "<script>")
+    info.write_bytes(b"\xff" * 1000)
+    assert "info.json cannot be read" in refusal(folder)
+    info.unlink()
+    os.mkfifo(info)
+    assert "without a ROS 2 bag or a LeRobot dataset" in refusal(folder)
+
+
+def record(header: dict[str, bytes], data: bytes, size: int | None = None) -> bytes:
+    fields = b"".join(
+        struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in header.items()
+    )
+    return struct.pack("<I", len(fields)) + fields + struct.pack("<I", size or len(data)) + data
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not a ROS 1 bag"),
+        (b"#ROSBAG V1.2\n", "not a ROS 1 bag"),
+        (b"#ROSBAG V2.0\n", "no messages"),
+        (b"#ROSBAG V2.0\n\xff\xff\xff\xff", "declares 4294967295 bytes"),
+        (b"#ROSBAG V2.0\n" + record({"op": b"\x02"}, b"", 1 << 31), "declares 2147483648 bytes"),
+        (
+            b"#ROSBAG V2.0\n" + struct.pack("<II", 8, 4) + b"abcd" + bytes(4),
+            "field without a value",
+        ),
+        (
+            b"#ROSBAG V2.0\n" + record({"op": b"\x02", "conn": bytes(4), "time": bytes(8)}, b""),
+            "not a sound",
+        ),
+        (
+            b"#ROSBAG V2.0\n"
+            + record(
+                {"op": b"\x05", "compression": b"bz2", "size": b"\xff" * 4},
+                bz2.compress(bytes(9**7)),
+            ),
+            "unfolds to 4294967295",
+        ),
+        (
+            b"#ROSBAG V2.0\n"
+            + record(
+                {"op": b"\x05", "compression": b"bz2", "size": bytes(4)}, bz2.compress(bytes(9**7))
+            ),
+            "does not unfold to the size",
+        ),
+        (
+            b"#ROSBAG V2.0\n"
+            + record({"op": b"\x05", "compression": b"rar", "size": bytes(4)}, b"x"),
+            "'rar'",
+        ),
+    ],
+)
+def test_ros_1_bags_made_to_hurt(tmp_path, ros, content, said):
+    path = tmp_path / "log.bag"
+    path.write_bytes(content)
+    assert said in refusal(path)
+
+
+def test_mcap_whose_chunks_unfold_without_end(tmp_path, ros):
+    import zstandard
+
+    data = zstandard.compress(bytes(1 << 24))
+    for size, said in ((1 << 40, "unfolds to 1099511627776"), (64, "does not unfold to the size")):
+        chunk = struct.pack("<QQQI", 0, 1, size, 0) + struct.pack("<I", 4) + b"zstd"
+        chunk += struct.pack("<Q", len(data)) + data
+        header = struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
+        magic = b"\x89MCAP0\r\n"
+        content = magic + b"\x01" + struct.pack("<Q", len(header)) + header
+        content += b"\x06" + struct.pack("<Q", len(chunk)) + chunk + magic
+        (tmp_path / "log.mcap").write_bytes(content)
+        assert said in refusal(tmp_path / "log.mcap")
+    (tmp_path / "log.mcap").write_bytes(magic + b"\x01" + b"\xff" * 8)
+    assert "exceeds limit" in refusal(tmp_path / "log.mcap")
+
+
+ENDLESS = "WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id FROM n"
+TOPICS = "CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT);"
+
+MESSAGES = "CREATE TABLE messages(topic_id, timestamp, data);"
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("", "without the plain tables"),
+        (f"{TOPICS} CREATE VIEW messages AS {ENDLESS};", "plain tables"),
+        (
+            f"{TOPICS} CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER,"
+            " data BLOB GENERATED ALWAYS AS (zeroblob(1000000000)));",
+            "plain tables",
+        ),
+        (f"{TOPICS} {MESSAGES} INSERT INTO messages VALUES (1, 2, 3);", "damaged"),
+        (f"{TOPICS} CREATE TABLE messages(x);", "not a sound .db3"),
+        (
+            f"{TOPICS} INSERT INTO topics VALUES (1, '/j', 'sensor_msgs/msg/JointState', 'cdr');"
+            f" {MESSAGES}"
+            " INSERT INTO messages VALUES (1, 2, x'28b52ffd00');",
+            "compressed one by one",
+        ),
+        (
+            f"{TOPICS} INSERT INTO topics VALUES (1, '/j', 'sensor_msgs/msg/JointState', 'cdr');"
+            f" {MESSAGES}"
+            " INSERT INTO messages VALUES (1, 2, x'000100000000000000000000ffffffff');",
+            "cannot be decoded",
+        ),
+        (
+            f"{TOPICS} INSERT INTO topics VALUES (1, '/j', 'sensor_msgs/msg/JointState', 'protobuf');"
+            f" {MESSAGES} INSERT INTO messages VALUES (1, 2, x'00');",
+            "encoded as 'protobuf'",
+        ),
+    ],
+)  # fmt: skip
+def test_databases_made_to_hurt(tmp_path, ros, script, said):
+    path = tmp_path / "a?mode=rwc#%2e.db3"
+    database = sqlite3.connect(path)
+    database.executescript(f"CREATE TABLE other(x); {script}")
+    database.close()
+    assert said in refusal(path)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_joint_states_made_to_hurt(tmp_path, ros):
+    maker = Maker()
+
+    def said(name, *states):
+        sent = [("/j", state, START + k) for k, state in enumerate(states)]
+        return refusal(write_bag(tmp_path / name, sent, "mcap"))
+
+    many = [maker.joints(START + k, (f"j{k}",), (0,), (0,), (0,)) for k in range(102)]
+    assert "again and again" in said("many", *many)
+    wide = maker.joints(START, [f"j{k}" for k in range(2000)])
+    assert "2000 joints, too many" in said("wide", wide)
+    assert "too many or one twice" in said("twice", maker.joints(START, ("a", "a")))
+    assert "2 names but 1 values of effort" in said("short", maker.joints(START, effort=(1,)))
+    assert "name no joints" in said("none", maker.joints(START, ()))
+    script = ("\x1b[31mred", "../../x")
+    states = [maker.joints(START + k * 10**7, script, (0, 0), (0, 0), (0, 0)) for k in range(3)]
+    assert "printable name" in said("script", *states)
+    one = [maker.joints(START, JOINTS, (0, 0), (0, 0), (0, 0))]
+    assert "at least two samples" in said("one", *one)
+    nan = [maker.joints(START + k * 10**7, JOINTS, [np.nan] * 2, (0, 0), (0, 0)) for k in range(3)]
+    assert "hold no position" in said("nan", *nan)
+
+
+# --- models ------------------------------------------------------------------------------------------------------
+
+BODY = '<body name="b"><joint/><geom size="0.1"/></body>'
+
+
+def mjcf(rest: str, world: str = BODY) -> str:
+    return f"<mujoco>{rest}<worldbody>{world}</worldbody></mujoco>"
+
+
+def model_refusal(path) -> str:
+    start = time.monotonic()
+    with pytest.raises(ModelError) as caught:
+        ji.load_model(path)
+    assert time.monotonic() - start < SLOW
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+CHAIN = "".join(
+    f'<link name="l{k}"/><joint name="j{k}" type="fixed"><parent link="a"/><child link="l{k}"/></joint>'
+    for k in range(1001)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<!DOCTYPE m [<!ENTITY x SYSTEM "file:///etc/passwd">]>' + mjcf(""), "document type"),
+        ('<!doctype m [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>' + mjcf(""), "document type"),
+        (mjcf('<include file="/etc/passwd"/>'), "outside the model's folder"),
+        (mjcf('<include file="../secret.xml"/>'), "outside the model's folder"),
+        (mjcf('<include file="link.xml"/>'), "outside the model's folder"),
+        (mjcf('<asset><model name="m" file="../../x.xml"/></asset>'), "outside the model's folder"),
+        (mjcf('<include file="robot.xml"/>'), "already included"),
+        (mjcf('<include file="absent.xml"/>'), "absent.xml"),
+        (mjcf("", "<body>" * 3001 + "</body>" * 3001), "3001 bodies"),
+        (mjcf("", "<body>" * 2000 + "</body>" * 2000), "too deep"),
+        (mjcf("", f'<replicate count="100000000">{BODY}</replicate>'), "copies; at most"),
+        (mjcf("", f'<replicate count="50"><replicate count="50">{BODY}</replicate></replicate>'), "2500 copies"),
+        (mjcf("", '<flexcomp name="f" type="grid" count="900 900 900" spacing="1 1 1" dim="3"/>'), "count = 729000000"),
+        (mjcf("", '<composite prefix="c" type="cable" count="1000000 1 1" size="1"/>'), "count = 1000000"),
+        (mjcf('<size nuser_body="1000000000"/>'), "nuser_body"),
+        (mjcf('<size nkey="2000000000"/>'), "nkey"),
+        (mjcf('<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/></asset>'), "texture"),
+        (mjcf('<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>'), "hfield"),
+        (mjcf('<custom><numeric name="n" size="2000000000" data="1"/></custom>'), "between 1 and 500"),
+        (mjcf('<size memory="100000G"/>'), "memory"),
+        (mjcf('<asset><mesh name="m" file="/dev/zero"/></asset>'), "device or a pipe"),
+        (mjcf('<asset><texture name="t" type="2d" file="pipe.png"/></asset>'), "device or a pipe"),
+        (mjcf('<compiler texturedir="sub"/><asset><texture name="t" type="2d" file="pipe.png"/></asset>'), "pipe"),
+        ('<robot name="r"><link name="a"><visual><geometry><mesh filename="file:///dev/zero"/>'
+         "</geometry></visual></link></robot>", "device or a pipe"),
+        (f'<robot name="r"><link name="a"/>{CHAIN}</robot>', "1002 links"),
+        (mjcf("", '<body><joint/><inertial pos="0 0 0" mass="nan" diaginertia="1 1 1"/></body>'), "mass"),
+        (mjcf("", '<body><joint/><inertial pos="0 0 0" mass="1e999" diaginertia="1 1 1"/></body>'), "too large"),
+        (mjcf("", '<body><joint/><inertial pos="0 0 0" mass="-1" diaginertia="1 1 1"/></body>'), "mass"),
+        ("<sdf><world/></sdf>", "an SDF world"),
+        ("<boost_serialization/>", "archive of Pinocchio's"),
+        ("<a>" * 1_100_000, "more than"),
+        ("\x00" * 100, "robot.xml"),
+        ("<" * 50_000 + '"' * 50_000, "robot.xml"),
+        ("<a b='" * 50_000, "robot.xml"),
+        ("<!--" * 50_000, "robot.xml"),
+    ],
+)  # fmt: skip
+def test_models_made_to_hurt(tmp_path, text, said):
+    folder = tmp_path / "model"
+    (folder / "sub").mkdir(parents=True)
+    (tmp_path / "secret.xml").write_text(mjcf(""))
+    (folder / "link.xml").symlink_to(tmp_path / "secret.xml")
+    os.mkfifo(folder / "pipe.png")
+    os.mkfifo(folder / "sub" / "pipe.png")
+    (folder / "robot.xml").write_text(text)
+    assert said in model_refusal(folder / "robot.xml")
+
+
+def test_copies_multiply_across_includes(tmp_path):
+    (tmp_path / "part.xml").write_text(
+        f'<mujocoinclude><replicate count="60">{BODY}</replicate></mujocoinclude>'
+    )
+    (tmp_path / "robot.xml").write_text(
+        mjcf("", '<replicate count="60"><include file="part.xml"/></replicate>')
+    )
+    assert "3600 copies" in model_refusal(tmp_path / "robot.xml")
+
+
+def test_no_model_is_read_from_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "robot.xml")
+    (tmp_path / "zero.xml").symlink_to("/dev/zero")
+    for name in ("robot.xml", "zero.xml", "absent.xml", "a\x1bb.xml"):
+        assert "no such model file" in model_refusal(tmp_path / name)
+    with open(tmp_path / "large.xml", "wb") as file:
+        file.truncate(1 << 40)
+    assert "larger than" in model_refusal(tmp_path / "large.xml")
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_damaged_models_give_a_robot_or_one_line(data):
+    whole = data.draw(st.sampled_from([ARM, URDF]))
+    content = data.draw(damaged(whole.encode()))
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "parts").mkdir()
+        (Path(folder) / "parts" / "defaults.xml").write_text(DEFAULTS)
+        path = Path(folder) / "robot.xml"
+        path.write_bytes(content)
+        start, message, out = time.monotonic(), "", Path(folder) / "out.urdf"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ji.ModelWarning)
+            try:
+                assert ji.load_model(path).nv > 0
+            except ModelError as error:
+                message = str(error)
+        assert "\n" not in message
+        with contextlib.suppress(ModelError):
+            write_urdf(path, out, {})
+        assert not out.exists() or out.read_bytes() == content
+        assert time.monotonic() - start < SLOW
+
+
+# --- commands ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["convert", "estimate", "diagnose"])
+def test_commands_leave_one_line_and_nothing_else(tmp_path, capsys, monkeypatch, command):
+    """For every kind of damaged log, and for a damaged model."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.xml").write_text(mjcf(""))
+    (tmp_path / "bad.xml").write_text("<mujoco><worldbody><body>")
+    write_csv(tmp_path / "good.csv", columns(12))
+    logs = []
+    for suffix in ("csv", "npz", "parquet", "bag", "mcap", "db3"):
+        (tmp_path / f"cut.{suffix}").write_bytes(b"PK\x03\x04 not what it says \x1b[2J\n" * 3)
+        logs.append((f"cut.{suffix}", "model.xml"))
+    before = sorted(p.name for p in tmp_path.iterdir())
+    for log, model in [*logs, ("good.csv", "bad.xml")]:
+        rest = {"convert": ["out.npz"], "estimate": ["--bodies", "b"], "diagnose": []}[command]
+        arguments = [log, *rest, "--model", model]
+        assert main([command, *arguments]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("jax-inertia: error: ")
+        assert err.count("\n") == 1
+        assert err.rstrip("\n").isprintable()
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
