@@ -64,7 +64,7 @@ def keys(cpu: dict, gpu: dict) -> dict:
     rows = gpu.get("rows", {})
     steps = {n: r for n, r in rows.items() if n.startswith("filter step, ") and "per_s" in r}
     # What has lost the load is no filter, however fast.
-    steps = {n: r for n, r in steps.items() if abs(r["load_error_kg"]) < 1.0}
+    steps = {n: r for n, r in steps.items() if abs(r["load_error_kg"]) < 0.3}
     best = max(steps.values(), key=lambda r: r["per_s"], default={})
     ratios = cpu["throughput"]["ratios"]
     return {

@@ -8,6 +8,7 @@ function is written once, for arrays with any number of batch axes *after* their
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -56,6 +57,8 @@ def _with_rule(plain: Callable[..., Any]) -> Callable[..., Any]:
 
     @call.def_vmap
     def rule(size: int, batched: list[bool], *leaves: Array) -> Any:
+        # Traced once, for its shapes and for its use.
+        @partial(jax.jit, inline=True)
         def whole(*leaves: Array) -> Any:
             lasts = [
                 jnp.moveaxis(x, 0, -1) if is_batched else x[..., None]

@@ -116,7 +116,8 @@ class Estimator(eqx.Module):
             return jnp.einsum("vbp,bp->v", regressor, self._pi(x))
 
         def jacobian(x):
-            g = self.chart.jacobian(x.reshape(-1, 10))
+            own = x.reshape(-1, 10)
+            g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
             return jnp.einsum("vbp,bpj->vbj", regressor, g).reshape(len(delta), -1)
 
         belief, innovation = kalman.update(
@@ -124,7 +125,7 @@ class Estimator(eqx.Module):
             delta,
             predicted,
             self.noise,
-            jacobian=jacobian if self.analytic_jacobian else None,
+            jacobian=jacobian,
             mask=valid & jnp.all(jnp.isfinite(regressor), axis=(1, 2)),
             gate=self.gate,
             iterations=self.iterations,
@@ -181,6 +182,15 @@ def physical_units(
 ) -> Estimate:
     """A Gaussian in a chart's coordinates (10 for each body) in physical units."""
     return _physical(chart, mean, _own_blocks(covariance))
+
+
+def _slopes(chart: charts.Chart, x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10 10"]:
+    """`Chart.jacobian` by autodiff: each body's π hangs on its own coordinates alone, so ten tangents do for all."""
+
+    def along(direction: Float[Array, "10"]) -> Float[Array, "bodies 10"]:
+        return jax.jvp(chart.to_pi, (x,), (jnp.broadcast_to(direction, x.shape),))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(10, dtype=x.dtype))
 
 
 def _own_blocks(covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:

@@ -151,8 +151,24 @@ def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 1
 
 def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """π with pseudo-inertia U Uᵀ: m = e^{2α}, centre of mass t (Rucker and Wensing 2022 as Pinocchio has it)."""
-    u = _entries(theta)
-    return 0.5 * jnp.einsum("pjk,...j,...k->...p", _UUT.astype(theta.dtype), u, u)
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
+    xx = e1 * e1 + s12 * s12 + s13 * s13 + t1 * t1
+    yy = e2 * e2 + s23 * s23 + t2 * t2
+    zz = e3 * e3 + t3 * t3
+    terms = [
+        jnp.ones_like(t1),
+        t1,
+        t2,
+        t3,
+        yy + zz,
+        -s12 * e2 - s13 * s23 - t1 * t2,
+        -s13 * e3 - t1 * t3,
+        xx + zz,
+        -s23 * e3 - t2 * t3,
+        xx + yy,
+    ]
+    return jnp.exp(2.0 * a)[..., None] * jnp.stack(terms, axis=-1)
 
 
 def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:

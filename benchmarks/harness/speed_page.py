@@ -15,7 +15,8 @@ def page(found: dict) -> str:
     cpu, gpu = found["cpu"], found["gpu"]
     parts = [
         "## Speed",
-        "`python benchmarks/speed.py`: one run, one core, medians, everybody taking turns.",
+        "`python benchmarks/speed.py`: one run, one core, medians, everybody taking turns. Results are stored, "
+        "over those of the call before: Pinocchio's stay in its own memory, too.",
     ]
     parts += [_throughput(cpu["throughput"]), _latency(cpu["latency"]), _steps(cpu["filter_step"])]
     parts += [_growth(cpu["growth"]), _mjx(cpu["mjx_step"]), results.sentence(cpu["about"])]
