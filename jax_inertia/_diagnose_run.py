@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jax_inertia._console import warn
+from jax_inertia._model_output import changed_inertials, loadable
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import Diagnosis, Finding, diagnose
 from jax_inertia.gap.effect import effects_of
@@ -21,7 +22,14 @@ from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.log import Log, LogError, read_log
-from jax_inertia.mjcf import ModelError, load_model, load_spec
+from jax_inertia.mjcf import (
+    compile_spec,
+    is_urdf,
+    load_model,
+    load_spec,
+    model_path,
+    write_urdf,
+)
 from jax_inertia.preflight import Finding as Quality
 from jax_inertia.preflight import Severity, preflight
 from jax_inertia.robot import Robot
@@ -109,10 +117,13 @@ def diagnosis(
 
 
 def write(folder: Path, inputs: Inputs, result: Result) -> None:
-    """report.json, report.html and corrected.xml."""
+    """report.json, report.html and corrected.xml; for a URDF whose inertials change corrected.urdf too."""
     text = json.dumps(result.report, indent=1, allow_nan=False)
     (folder / "report.json").write_text(text + "\n")
-    (folder / "corrected.xml").write_text(_loadable(result.correction.spec, inputs.model))
+    (folder / "corrected.xml").write_text(loadable(result.correction.spec, inputs.model))
+    nominal, mended = compile_spec(result.nominal), compile_spec(result.correction.spec)
+    if is_urdf(model_path(inputs.model)) and (pi := changed_inertials(nominal, mended)):
+        write_urdf(model_path(inputs.model), folder / "corrected.urdf", pi)
     content = Page(
         inputs.path.name,
         inputs.model.name,
@@ -123,23 +134,6 @@ def write(folder: Path, inputs: Inputs, result: Result) -> None:
         result.report,
     )
     (folder / "report.html").write_text(page(content))
-
-
-def _loadable(spec: mujoco.MjSpec, model: Path) -> str:
-    """XML that loads from anywhere on this machine: files by absolute folder, else without meshes."""
-    root = (Path(spec.modelfiledir) if spec.modelfiledir else model.parent).resolve()
-    if spec.meshes or spec.hfields:
-        spec.meshdir = str(root / spec.meshdir)
-    if spec.textures:
-        spec.texturedir = str(root / spec.texturedir)
-    text = spec.to_xml()
-    try:
-        mujoco.MjModel.from_xml_string(text)
-    except ValueError as error:
-        raise ModelError(
-            f"{model}: MuJoCo cannot load what it wrote of this model: {' '.join(str(error).split())}"
-        ) from None
-    return text
 
 
 def show(result: Result, out: Path, *, as_json: bool) -> None:

@@ -42,6 +42,9 @@ def add_parser(subparsers) -> None:
     add("--bodies", nargs="+", required=True, metavar="B", help="bodies to estimate, by name")
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
 
+    write_help = "write the model with the estimated bodies too: a URDF as URDF, MJCF as MJCF"
+    add("--write-model", action="store_true", help=write_help)
+
     group = parser.add_argument_group("torques that are not in N m (motor currents, PWM)")
     gains_help = "N m per logged unit, one for each joint of the log, or one for all"
     group.add_argument("--gains", nargs="+", type=float, metavar="G", help=gains_help)
@@ -141,15 +144,22 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia import _estimate_output as output
     from jax_inertia import _estimate_run as pipeline
     from jax_inertia._console import folder_for, output_folder, stages
+    from jax_inertia._model_output import write_with_inertials
 
     out = args.out if args.out is not None else folder_for(args.log)
+    written = None
     with stages() as stage:
         inputs = pipeline.read(args)
         with output_folder(out) as folder:
             result = pipeline.estimate(args, inputs, stage)
             stage("writing")
             output.write(folder, args, result)
+            if args.write_model:
+                best = output.best(result)
+                written = write_with_inertials(folder, "estimated", args.model, best)
     output.show(result, out)
+    if written is not None:
+        print(f"The model with these bodies: {out / written.name}")
     return 0
 
 

@@ -99,6 +99,12 @@ def report(args: argparse.Namespace, result: Result) -> dict:
     }
 
 
+def best(result: Result) -> dict[str, np.ndarray]:
+    """π (10,) of each body: from the whole log, or where the bodies changed meanwhile from its end."""
+    pi = result.trace.estimate.pi[-1] if result.changed else result.fit.estimate.pi
+    return dict(zip(result.bodies, np.asarray(pi), strict=True))
+
+
 def show(result: Result, out: Path) -> None:
     """Print what was found."""
     console = Console()

@@ -10,6 +10,7 @@ import pytest
 from bodies import random_bodies
 
 import jax_inertia as ji
+from jax_inertia._model_output import changed_inertials, write_with_inertials
 from jax_inertia.mjcf import (
     ModelError,
     body_pi,
@@ -235,6 +236,24 @@ def test_a_urdf_with_links_that_mujoco_refuses_is_read_and_said(tmp_path):
     xx, xy, xz, yy, yz, zz = np.asarray(robot.pi)[2, 4:]
     about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - np.diag([0.01, 0.01, 0])
     np.testing.assert_allclose(np.linalg.eigvalsh(about), [0.001, 0.02, 0.021], rtol=1e-6)
+
+
+def test_a_model_goes_back_in_the_form_that_it_came_in(leg, arm, tmp_path):
+    (pi,) = random_bodies(1, seed=8)
+    out = tmp_path / "out"
+    out.mkdir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ji.ModelWarning)
+        for source, body in ((leg, "upper"), (arm / "scene.xml", "link2")):
+            path = write_with_inertials(out, "estimated", source, {body: pi})
+            assert path.name == f"estimated{source.suffix}"
+            before, after = (compile_spec(load_spec(p)) for p in (source, path))
+            changed = changed_inertials(before, after)
+            # MuJoCo writes MJCF with fewer digits, so that others may change in the last of them.
+            assert np.max(np.abs(changed[body] - pi)) < 1e-4
+            assert all(np.max(np.abs(v - body_pi(before, before.body(k).id))) < 1e-4
+                       for k, v in changed.items() if k != body)  # fmt: skip
+    assert sorted(p.name for p in out.iterdir()) == ["estimated.urdf", "estimated.xml"]
 
 
 # --- models by name ----------------------------------------------------------------------------------------------
