@@ -2,6 +2,7 @@
 
     python benchmarks/speed.py                     # one core of this machine: results/speed.json, README.md, figure
     python benchmarks/speed.py --gpu --out DIR     # an accelerator's rows, in float32: DIR/speed_gpu.json
+    python benchmarks/speed.py --parts latency ... # these parts alone, the others as in results/speed.json
     python benchmarks/speed.py --page              # the page again, from results/speed.json and results/speed_gpu.json
 
 Whoever is compared takes turns, and a ratio is the median over the rounds: what slows the machine down slows all.
@@ -31,17 +32,24 @@ from benchmarks.harness import results  # noqa: E402
 GPU_FILE = "speed_gpu.json"
 
 
-def on_one_core(quick: bool) -> dict:
-    """All measurements on the CPU."""
+def on_one_core(quick: bool, parts: list[str], saved: Path) -> dict:
+    """The measurements on the CPU; those not among `parts` as they were saved, with the commit that they are of."""
     from benchmarks.harness import accuracy, cpu
 
     jax.config.update("jax_enable_x64", True)
-    found: dict = {"about": results.circumstances()}
-    for name, part in cpu.PARTS.items():
-        found[name] = part(quick)
-        print(name, json.dumps(found[name], indent=1), flush=True)
-    if not quick:
-        found["accuracy"] = accuracy.errors()
+    every = {**cpu.PARTS, "accuracy": lambda _: accuracy.errors()}
+    if unknown := set(parts) - set(every):
+        raise SystemExit(f"no part {sorted(unknown)}; there are: {', '.join(every)}")
+    earlier = json.loads(saved.read_text())["cpu"] if parts and saved.exists() else {}
+    now = results.circumstances()
+    commits = {
+        **earlier.get("commits", dict.fromkeys(every, earlier.get("about", {}).get("commit")))
+    }
+    found: dict = {**earlier, "about": now, "commits": commits}
+    for name, part in every.items():
+        if name in (parts or every) and not (quick and name == "accuracy"):
+            found[name], commits[name] = part(quick), now["commit"]
+            print(name, json.dumps(found[name], indent=1), flush=True)
     return found
 
 
@@ -83,6 +91,7 @@ def main() -> None:
     parser.add_argument("--gpu", action="store_true", help="time the accelerator, not one core")
     parser.add_argument("--page", action="store_true", help="measure nothing, write the page again")
     parser.add_argument("--quick", action="store_true", help="small sizes, to see that it runs")
+    parser.add_argument("--parts", nargs="+", default=[], help="measure these parts alone")
     parser.add_argument("--out", type=Path, default=results.RESULTS)
     parser.add_argument("--robots", type=int, default=65536, help="filters on the accelerator")
     parser.add_argument("--loops", type=int, default=4096, help="closed loops on the accelerator")
@@ -93,7 +102,11 @@ def main() -> None:
         sys.stdout.flush()
         os._exit(0)  # compilers that are still at work in their threads would hold the process
     saved = args.out / "speed.json"
-    cpu = json.loads(saved.read_text())["cpu"] if args.page else on_one_core(args.quick)
+    cpu = (
+        json.loads(saved.read_text())["cpu"]
+        if args.page
+        else on_one_core(args.quick, args.parts, saved)
+    )
     from_gpu = args.out / GPU_FILE
     gpu = json.loads(from_gpu.read_text()) if from_gpu.exists() else {}
     everything = keys(cpu, gpu)

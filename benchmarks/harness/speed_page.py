@@ -20,6 +20,9 @@ def page(found: dict) -> str:
     ]
     parts += [_throughput(cpu["throughput"]), _latency(cpu["latency"]), _steps(cpu["filter_step"])]
     parts += [_growth(cpu["growth"]), _mjx(cpu["mjx_step"]), results.sentence(cpu["about"])]
+    now, commits = cpu["about"]["commit"], cpu.get("commits", {})
+    if before := [f"{name}: {commit}" for name, commit in commits.items() if commit != now]:
+        parts += [f"Measured before, at another commit: {', '.join(before)}."]
     parts += [_gpu(gpu), "![Time per sample](figures/speed.png)"]
     if "accuracy" in cpu:
         parts += [
