@@ -91,6 +91,20 @@ class BatchFit(eqx.Module):
         """The torque offset, as the filter's bias."""
         return self.joint_terms["offset"]
 
+    def __repr__(self) -> str:
+        rms = [float(np.sqrt(np.mean(x**2))) for x in (self.rms_before, self.rms_after)]
+        state = f"settled in {self.steps} steps" if self.converged else "not settled"
+        lines = [f"BatchFit({state}; residual {rms[0]:.3g} → {rms[1]:.3g} N m rms; ± 95 %)"]
+        e = self.estimate
+        for k, body in enumerate(self._bodies):
+            mass, half = float(e.pi[k, 0]), 1.96 * float(e.sigma_pi[k, 0])
+            com = ", ".join(f"{1e3 * float(x):.1f}" for x in e.com[k])
+            wide = ", ".join(f"{1.96e3 * float(x):.1f}" for x in e.sigma_com[k])
+            lines.append(
+                f"  {self.robot.body_names[body]}: {mass:.4g} ± {half:.2g} kg at ({com}) ± ({wide}) mm"
+            )
+        return "\n".join(lines)
+
     def draws(self, count: int, seed: int = 0) -> list[Calibrated]:
         """Models drawn from the posterior: run a filter over each to see what the calibration leaves open."""
         z = self._solution.z

@@ -9,6 +9,7 @@ often lost in a sum; `combinations` are the sums that the log does determine (ba
 """
 
 import enum
+import html
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -40,6 +41,9 @@ class Source(enum.StrEnum):
     """The log sees it, in a sum with others that the prior has to divide."""
     NOTHING = "nothing"
     """The log is silent: what comes out is what was put in."""
+
+
+_COLOURS = {Source.DATA: "#cfe8f7", Source.PRIOR: "#fbe3b5", Source.NOTHING: "#dddddd"}
 
 
 class Combination(eqx.Module):
@@ -87,6 +91,25 @@ class Knowledge(eqx.Module):
         lines.append(f"determined by the data: {count} of {len(self.alone.names)} combinations")
         lines += [f"  {c.text}  (± {c.sigma:.2g})" for c in self.combinations]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the table coloured by source, and the sums that the data determine."""
+        head = "".join(f"<th>{name}</th>" for name in PI_NAMES)
+        body = "".join(
+            f"<tr><th>{html.escape(body)}</th>"
+            + "".join(
+                f'<td style="background:{_COLOURS[one]};color:#000" title="± {sigma:.3g}">{one}</td>'
+                for one, sigma in zip(row, spread, strict=True)
+            )
+            + "</tr>"
+            for body, row, spread in zip(self.bodies, self.source, self.sigma, strict=True)
+        )
+        sums = "".join(
+            f"<li>{html.escape(c.text)} (± {c.sigma:.2g})</li>" for c in self.combinations
+        )
+        return (
+            f"<table><tr><th></th>{head}</tr>{body}</table>determined by the data:<ul>{sums}</ul>"
+        )
 
 
 def knowledge(

@@ -82,6 +82,9 @@ def test_noise_and_residuals_are_in_newton_metres_whatever_the_gains():
     assert np.all(fit.noise > 0.8 * NOISE)
     assert np.all(fit.noise < 2.0 * NOISE)
     np.testing.assert_array_equal(fit.gains, GAINS)
+    # A person can read it: a line for the fit, one for each body.
+    assert repr(fit).count("\n") == robot().nb
+    assert f"  tip: {float(fit.estimate.pi[-1, 0]):.4g} ± " in repr(fit)
 
 
 def test_joint_terms_never_fall_below_zero():

@@ -125,6 +125,21 @@ def test_every_combination_is_as_well_known_as_it_says():
     assert repr(known).count("\n") == 3 + len(known.combinations)
 
 
+def test_in_a_notebook_names_are_text():
+    """A body's name comes from a file: it must not become part of the page."""
+    robot = ji.load_model(
+        mujoco.MjModel.from_xml_string(
+            PLANAR.format(gravity=-9.81, axis="0 1 0", link="0 0 1").replace(
+                'name="lower"', 'name="&lt;script&gt;x"'
+            )
+        )
+    )
+    page = of_rows(robot, np.eye(20).reshape(10, 2, 20), [0, 1], prior=Load(1.0))._repr_html_()
+    assert "&lt;script&gt;x" in page
+    assert "<script" not in page
+    assert page.count("<td ") == 20
+
+
 def sources(known: Knowledge) -> dict[str, str]:
     row = {}
     for body, values in zip(known.bodies, known.source, strict=True):
