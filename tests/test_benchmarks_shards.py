@@ -96,9 +96,13 @@ def test_two_processes_of_four_devices_give_the_single_devices_numbers(tmp_path:
     several = ("--hosts", "2", "--coordinator", address)
     runs = [monte_carlo(tmp_path / "one", 1)]
     runs += [monte_carlo(tmp_path / "many", 4, *several, "--host", str(k)) for k in range(2)]
-    for run in runs:
-        output, _ = run.communicate(timeout=280)
-        assert run.returncode == 0, output.decode()
+    try:
+        for run in runs:
+            output, _ = run.communicate(timeout=1200)
+            assert run.returncode == 0, output.decode()
+    finally:
+        for run in runs:
+            run.kill()
     asked = {"robot": "small", "seed": 0, "seconds": 0.8, "lanes": 1}
     one, many = (Shards(tmp_path / name, asked, 12, 8).load() for name in ("one", "many"))
     assert sorted(one["index"]) == list(range(12))
