@@ -61,6 +61,9 @@ class _Table:
         self.rows = 0
 
     def add(self, lines: list[str], headings: Sequence[str]) -> None:
+        if not any(line.strip() for line in lines):
+            self.line += len(lines)
+            return
         fields = None
         if any('"' in line for line in lines):
             fields = list(csv.reader(lines, delimiter=self.delimiter))
