@@ -16,12 +16,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.gap.chunks import over_samples
+from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
 from jax_inertia.robot import Robot
@@ -51,6 +52,10 @@ class Prepared(eqx.Module):
     tau: Float[np.ndarray, "T nv"]
     inverse: Float[np.ndarray, "T nv"]
     """What the model needs: M a + c − τ_passive − Σ Jᵀλ [N m]; free of torque noise, so it serves as instrument."""
+    rest: Bool[np.ndarray, "T nv"]
+    """Where a joint stands still."""
+    dry: Float[np.ndarray, "T nv"]
+    """The part of `inverse` that is the model's own dry friction [N m]."""
     measured: Float[np.ndarray, "T nv"]
     """1 where a row stands on measurements, 0 where it leans on what was bridged."""
     settings: Settings = eqx.field(static=True)
@@ -120,13 +125,21 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         after=min(settings.after, 0.1 * rate),
         decimated=min(settings.decimated, 0.5 * rate),
     )
-    inverse = needed_torques(robot, observation)
+    v = np.asarray(observation.motion.v)
+    rest = at_rest(v, rate)
+    dry = np.asarray(robot.frictionloss) * direction(v, rest)
+    inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)
     # The first low-pass carries what was bridged about a period of its cut-off outwards.
     reach = 2 * round(rate / cutoff) + 1
     ok = np.asarray(observation.motion.valid)
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
-    return Prepared(robot, observation, tau, inverse, measured, settings, rate)
+    return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate)
+
+
+def without_friction(robot: Robot) -> Robot:
+    """The robot without its own dry friction."""
+    return eqx.tree_at(lambda r: r.frictionloss, robot, jnp.zeros_like(robot.frictionloss))
 
 
 def needed_torques(robot: Robot, observation: Observation) -> Float[np.ndarray, "T nv"]:

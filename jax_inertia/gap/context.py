@@ -6,14 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import signal
 
 from jax_inertia import dynamics
-from jax_inertia.gap.chain import Prepared, needed_torque, needed_torques
+from jax_inertia.gap.chain import Prepared, needed_torque, without_friction
 from jax_inertia.gap.chunks import over_samples
+from jax_inertia.gap.dry import direction
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
-from jax_inertia.robot import HINGE, SLIDE, Robot
+from jax_inertia.robot import HINGE, SLIDE
 
 Coupling = tuple[float, float, float]
 
@@ -29,6 +29,8 @@ class Context:
         self.q, self.v = np.asarray(motion.q), np.asarray(motion.v)
         self.a = np.asarray(prepared.observation.a)
         self.tau, self.inverse = prepared.tau, prepared.inverse
+        self.at_rest = prepared.rest
+        self.side = direction(self.v, self.at_rest)
         # As NumPy: an element of a JAX array costs a dispatch, and families read them shape by shape.
         r = prepared.robot
         self.armature, self.damping = np.asarray(r.armature), np.asarray(r.damping)
@@ -85,7 +87,7 @@ class Context:
 
         Dry friction apart: it depends on the side of a velocity, whose error does not change it.
         """
-        return _sensitivity(self._frictionless, self.prepared.observation)
+        return _sensitivity(without_friction(self.robot), self.prepared.observation)
 
     @functools.cached_property
     def link_torque(self) -> np.ndarray:
@@ -93,14 +95,8 @@ class Context:
 
         A model has one of each per joint; those of a geared joint sit on the motor.
         """
-        needed = needed_torques(self._frictionless, self.prepared.observation)
         rotor = self.armature * self.a + self.damping * self.v
-        return needed - rotor
-
-    @functools.cached_property
-    def _frictionless(self) -> Robot:
-        robot = self.robot
-        return eqx.tree_at(lambda r: r.frictionloss, robot, jnp.zeros_like(robot.frictionloss))
+        return self.inverse - self.prepared.dry - rotor
 
     @functools.cached_property
     def tilt(self) -> np.ndarray:
@@ -158,16 +154,6 @@ class Context:
     def unpredicted(self) -> np.ndarray:
         """Rows of the slow grid that no model predicts: at rest, where friction is arbitrary, or unmeasured (R, nv)."""
         return self.at_rest[self.prepared.kept] | ~self.prepared.valid
-
-    @functools.cached_property
-    def at_rest(self) -> np.ndarray:
-        """Where a joint stands still: |v| < 0.012 rad/s for more than 40 ms (T, nv)."""
-        still = np.abs(self.v) < 0.012
-        width = max(1, round(0.04 * self.prepared.rate))
-        # Erode, then dilate: stretches shorter than the width disappear.
-        kernel = np.ones((width, 1))
-        core = signal.convolve(still * 1.0, kernel, mode="same") > width - 0.5
-        return signal.convolve(core * 1.0, kernel, mode="same") > 0.5
 
 
 def _bristle(x: np.ndarray, start: float, reach: float) -> np.ndarray:

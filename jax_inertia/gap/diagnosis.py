@@ -126,7 +126,7 @@ def diagnose(
     pool, verdict = search.pool, search.verdict
     context = pool.context
     progress("checking on held-out stretches and on the other motion")
-    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search.white)
+    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search)
     chosen, heldout, trial = without_harm(search, other)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN

@@ -2,9 +2,11 @@
 
 All columns are finished, whitened and flattened to n rows. With the nuisances' prior charged, sums of squares are
 taken in the metric M = (1 + N Nᵀ)⁻¹: J(θ) = (y − A θ)ᵀ M (y − A θ). `Evidence` applies M^{1/2} once to everything,
-so that from then on it is ordinary least squares.
+so that from then on it is ordinary least squares. It does so in two steps, what is the same for every robot before the
+model's own tolerances, since the scales of those are learned (`scales`) while columns are at hand.
 """
 
+import copy
 import functools
 import itertools
 from collections.abc import Iterable, Iterator
@@ -17,29 +19,70 @@ from jaxtyping import Float
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import ORDER, Whitener
+from jax_inertia.gap.nuisance import Nuisances
 
 # Shapes that go through the filters at once: more would leave the cache.
 WIDE = 16
 
 
+class Charge:
+    """M^{1/2} x and back, for M = (1 + N Nᵀ)⁻¹ of few columns N."""
+
+    def __init__(self, n: Float[np.ndarray, "n k"]):
+        # 1 + N Nᵀ = (in the span of N) 1 + s²: M^{1/2} scales each left singular vector by (1 + s²)^{-1/2}.
+        values, vectors = scipy.linalg.eigh(n.T @ n)
+        kept = values > 1e-12 * max(values[-1], 1e-300)
+        self._left = n @ (vectors[:, kept] / np.sqrt(values[kept]))
+        self._scale = 1.0 / np.sqrt(1.0 + values[kept])
+
+    def __call__(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        return self._times(self._scale, x)
+
+    def undo(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """M^{-1/2} x."""
+        return self._times(1.0 / self._scale, x)
+
+    def _times(self, scale: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return x + self._left @ ((scale - 1.0)[:, None] * (self._left.T @ x))
+
+
 class Evidence:
     """Whitened missing torque of one log, with the nuisances integrated out."""
 
-    def __init__(self, prepared: Prepared, whitener: Whitener, nuisance: list[Columns]):
+    def __init__(
+        self,
+        prepared: Prepared,
+        whitener: Whitener,
+        nuisances: Nuisances,
+        scales: dict[str, float] | None = None,
+    ):
         self.prepared = prepared
         self.whitener = whitener
         self.used = prepared.valid.copy()
         self.used[:ORDER] = False
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
-        n = np.concatenate([self._whiten(block) for block in nuisance], axis=1)
-        # 1 + N Nᵀ = (in the span of N) 1 + s²: M^{1/2} scales each left singular vector by (1 + s²)^{-1/2}.
-        gram = n.T @ n
-        values, vectors = scipy.linalg.eigh(gram)
-        kept = values > 1e-12 * max(values[-1], 1e-300)
-        values, vectors = values[kept], vectors[:, kept]
-        self._left = n @ (vectors / np.sqrt(values))
-        self._shrink = 1.0 - 1.0 / np.sqrt(1.0 + values)
+        self._fixed = Charge(self._side_by_side(nuisances.fixed))
+        self.tolerances = {
+            kind: self._fixed(self._side_by_side(columns))
+            for kind, columns in nuisances.tolerances.items()
+        }
+        """Columns of each kind of tolerance, once the fixed nuisances are charged."""
+        self._take(dict.fromkeys(self.tolerances, 1.0) | (scales or {}))
+
+    def rescaled(self, scales: dict[str, float]) -> "Evidence":
+        """The same log where the tolerances are `scales` times as large."""
+        out = copy.copy(self)
+        out._take(scales)
+        return out
+
+    def _take(self, scales: dict[str, float]) -> None:
+        self.scales = scales
+        wide = [scales[kind] * x for kind, x in self.tolerances.items()]
+        self._own = Charge(np.concatenate(wide, axis=1))
         self.y = self.charge(self.raw)[:, 0]
+
+    def _side_by_side(self, columns: list[Columns]) -> Float[np.ndarray, "n k"]:
+        return np.concatenate([self._whiten(block) for block in columns], axis=1)
 
     @property
     def rows(self) -> int:
@@ -48,7 +91,17 @@ class Evidence:
 
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""
-        return x - self._left @ (self._shrink[:, None] * (self._left.T @ x))
+        return self._own(self._fixed(x))
+
+    def without_tolerances(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """What was charged with all nuisances, charged with the fixed ones alone."""
+        return self._own.undo(x)
+
+    def recharged(
+        self, x: Float[np.ndarray, "n k"], before: "Evidence"
+    ) -> Float[np.ndarray, "n k"]:
+        """What was charged with the tolerances' scales `before`, with those of now."""
+        return self._own(before.without_tolerances(x))
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

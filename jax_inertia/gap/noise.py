@@ -80,7 +80,9 @@ def whitener(
     own = prepared.finish_torque(prepared.missing)
     draws, noisy = [], prepared
     for _ in range(replicas):
-        noisy = prepare(prepared.robot, perturbed(log, rng), prepared.settings)
+        noisy = _with_friction_of(
+            prepared, prepare(prepared.robot, perturbed(log, rng), prepared.settings)
+        )
         draws.append(noisy.finish_torque(noisy.missing) - own)
     noise = np.array(draws)
     size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
@@ -88,6 +90,16 @@ def whitener(
     noise = noise + floor * rng.standard_normal(noise.shape)
     sigma = np.sqrt(np.mean(noise**2, axis=(0, 1)))
     return Whitener(sigma, (stage_of(noise),)), noise, noisy
+
+
+def _with_friction_of(own: Prepared, noisy: Prepared) -> Prepared:
+    """A noisy log with dry friction as in the log itself: where that turns over is uncertain, but not noise.
+
+    Charged as noise, moments of reversal would count for all the moments between them.
+    """
+    return dataclasses.replace(
+        noisy, inverse=noisy.inverse - noisy.dry + own.dry, dry=own.dry, rest=own.rest
+    )
 
 
 def stage_of(noise: Float[np.ndarray, "K R nv"], quietest: float = 0.0) -> Stage:

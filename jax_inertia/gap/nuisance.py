@@ -5,7 +5,8 @@ Each nuisance is a column scaled to its prior standard deviation, integrated out
     J = min over z of ‖y − N z − A θ‖² + ‖z‖²
 
 Uncharged, the same columns would swallow payloads. Friction at rest is arbitrary within ± stiction, so a standing
-joint's row gets hat functions of time; torque is logged within half a period of when it acted.
+joint's row gets hat functions of time; torque is logged within half a period of when it acted. Those are the same for
+every robot. How far off its masses are, or its dampings, differs from model to model: the log itself tells (`scales`).
 """
 
 import dataclasses
@@ -13,8 +14,9 @@ import dataclasses
 import numpy as np
 
 from jax_inertia.gap.context import Context
+from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.families.joint import PRESLIDING, sign
+from jax_inertia.gap.families.joint import PRESLIDING
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,36 +37,48 @@ class Tolerance:
     """Of the log's period: when within it the torque acted."""
 
 
-def columns(context: Context, tolerance: Tolerance, log_period: float) -> list[Columns]:
-    """All nuisance columns on the fast grid, each times its prior standard deviation."""
-    out = [Columns(-_bodies(context, tolerance))]
+@dataclasses.dataclass(frozen=True)
+class Nuisances:
+    """Columns on the fast grid, each times its prior standard deviation."""
+
+    fixed: list[Columns]
+    """What no model states: friction at rest and about a reversal, and when within its period a torque acted."""
+    tolerances: dict[str, list[Columns]]
+    """Errors of the model's own numbers, by kind of number."""
+
+
+def nuisances(context: Context, tolerance: Tolerance, log_period: float) -> Nuisances:
+    """All nuisances of a log."""
+    fixed, tolerances = [], {k: [Columns(x)] for k, x in _bodies(context, tolerance).items()}
     robot, v = context.robot, context.v
     for row in context.joint_dofs.values():
-        for own, shape in (
-            (robot.damping, -v[:, row]),
-            (robot.frictionloss, -sign(v[:, row])),
-            (robot.armature, -context.a[:, row]),
+        for kind, own, shape in (
+            ("damping", robot.damping, -v[:, row]),
+            ("frictionloss", robot.frictionloss, -context.side[:, row]),
+            ("armature", robot.armature, -context.a[:, row]),
         ):
             if float(own[row]) > 0:
-                out.append(Columns(tolerance.damping * float(own[row]) * shape[:, None], row))
+                column = Columns(tolerance.damping * float(own[row]) * shape[:, None], row)
+                tolerances.setdefault(kind, []).append(column)
         # How soon the model's own dry friction turns over is not in the model: bristles turn late, MuJoCo's soft
         # constraint early, by about q̈ times its time constant.
         if (friction := float(robot.frictionloss[row])) > 0:
             late = [context.bristle(row, x) for x in PRESLIDING[1:]]
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
-            turned = [z - sign(v[:, row]) for z in (*late, *early)]
-            out.append(Columns(friction * np.stack(turned, axis=1), row))
+            turned = [z - context.side[:, row] for z in (*late, *early)]
+            fixed.append(Columns(friction * np.stack(turned, axis=1), row))
         hats = _rest_hats(context, row)
         if hats.shape[1]:
-            out.append(Columns(tolerance.rest_friction * context.peak[row] * hats, row))
+            level = np.hypot(tolerance.rest_friction * context.peak[row], friction)
+            fixed.append(Columns(level * hats, row))
     slope = np.gradient(context.tau, context.time, axis=0)
-    out.append(Columns((tolerance.period * log_period * slope)[:, :, None]))
-    return out
+    fixed.append(Columns((tolerance.period * log_period * slope)[:, :, None]))
+    return Nuisances(fixed, tolerances)
 
 
-def _bodies(context: Context, tolerance: Tolerance) -> np.ndarray:
-    """Y ∂π for mass, centre of mass and inertia of every body, (T, nv, 5 nb)."""
-    changes = []
+def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
+    """Y ∂π for mass, centre of mass and inertia of every body with mass, (T, nv, bodies) and thrice that."""
+    changes = {"mass": [], "centre of mass": [], "inertia": []}
     for i, pi in enumerate(np.asarray(context.robot.pi)):
         m, h = pi[0], pi[1:4]
         if m <= 0:
@@ -72,15 +86,19 @@ def _bodies(context: Context, tolerance: Tolerance) -> np.ndarray:
         c = h / m
         steiner = m * (c @ c * np.eye(3) - np.outer(c, c))
         central = pi[4:] - steiner[np.triu_indices(3)]
-        changes.append((i, tolerance.mass * pi))
-        changes.append((i, tolerance.inertia * np.concatenate([np.zeros(4), central])))
+        changes["mass"].append((i, tolerance.mass * pi))
+        turned = np.concatenate([np.zeros(4), central])
+        changes["inertia"].append((i, tolerance.inertia * turned))
         for axis in np.eye(3):
             # The exact derivative, rotational part included: I about the origin moves with the centre of mass.
             turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
             change = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
-            changes.append((i, tolerance.com * change))
-    blocks = [context.regressor[:, :, i, :] @ change for i, change in changes]
-    return np.stack(blocks, axis=-1)
+            changes["centre of mass"].append((i, tolerance.com * change))
+    return {
+        kind: np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1)
+        for kind, some in changes.items()
+        if some
+    }
 
 
 def _rest_hats(context: Context, row: int, spacing: float = 0.05) -> np.ndarray:

@@ -7,6 +7,7 @@ added once more, shows both, and the moments are corrected by it (errors in vari
     AᵀA → (A + w)ᵀ(A + w) − wᵀw,   Aᵀy → (A + w)ᵀ(y + n) − wᵀn
 """
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 
@@ -57,6 +58,10 @@ class Candidate:
         free = self.family.free_shape
         return len(self.theta) + (len(self.shape) if free is None else free)
 
+    def price(self, n: int) -> float:
+        """Score that its numbers cost on n samples."""
+        return self.size * np.log(n) + (2 * np.log(self.grid) if self.grid > 1 else 0.0)
+
 
 @dataclasses.dataclass(frozen=True)
 class Echo:
@@ -73,8 +78,15 @@ class Block:
 
     shape: Shape
     columns: Float[np.ndarray, "n k"]
+    noise: Float[np.ndarray, "n k"] | None = None
+    """What the echo's noise adds to the columns, where they carry it."""
     gram: Float[np.ndarray, "k k"] | float = 0.0
     cross: Float[np.ndarray, " k"] | float = 0.0
+
+    @classmethod
+    def noisy(cls, shape: Shape, columns, noise, of_y: Float[np.ndarray, " n"]) -> "Block":
+        """A block with its noise's moments."""
+        return cls(shape, columns, noise, noise.T @ noise, noise.T @ of_y)
 
 
 def beside(
@@ -140,8 +152,32 @@ class Pool:
         for s, x, again in zip(
             shapes, columns(self.context), columns(self.echo.context), strict=True
         ):
-            noise = again - x
-            out.append(Block(s, x, noise.T @ noise, noise.T @ self.echo.noise))
+            out.append(Block.noisy(s, x, again - x, self.echo.noise))
+        return out
+
+    def rescaled(self, scales: dict[str, float]) -> "Pool":
+        """The same candidates where the model's tolerances are `scales` times as large."""
+        out = copy.copy(self)
+        out.evidence = self.evidence.rescaled(scales)
+
+        def move(x: np.ndarray) -> np.ndarray:
+            return out.evidence.recharged(x, self.evidence)
+
+        out.echo = Echo(self.echo.context, move(self.echo.noise[:, None])[:, 0])
+        out.entries = []
+        for family, place, blocks in self.entries:
+            sizes = np.cumsum([b.columns.shape[1] for b in blocks])[:-1]
+            moved = np.split(move(np.concatenate([b.columns for b in blocks], 1)), sizes, 1)
+            if blocks[0].noise is None:
+                changed = [Block(b.shape, x) for b, x in zip(blocks, moved, strict=True)]
+            else:
+                noise = [b.noise for b in blocks if b.noise is not None]
+                noise = np.split(move(np.concatenate(noise, 1)), sizes, 1)
+                changed = [
+                    Block.noisy(b.shape, x, w, out.echo.noise)
+                    for b, x, w in zip(blocks, moved, noise, strict=True)
+                ]
+            out.entries.append((family, place, changed))
         return out
 
     def best(
@@ -161,8 +197,7 @@ class Pool:
             if family.passing:
                 # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
                 top.grid = max(2, round((self.context.time[-1] / 0.1) ** 2))
-            price = top.size * np.log(n) + (2 * np.log(top.grid) if top.grid > 1 else 0.0)
-            top.score = top.gain / noise - price
+            top.score = top.gain / noise - top.price(n)
             out.append(top)
         return sorted(out, key=lambda c: -c.score)
 

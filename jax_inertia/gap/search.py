@@ -9,16 +9,15 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.gap import nuisance
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
-from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Candidate, Echo, Pool, effect_torque
-from jax_inertia.gap.select import remaining, row_energy, select
+from jax_inertia.gap.select import remaining, row_energy, select, suited
 from jax_inertia.gap.verdict import Verdict, judge
 from jax_inertia.log import Log
 
@@ -53,7 +52,7 @@ class Finder:
     white: Whitener
     replicas: np.ndarray
     again: Prepared
-    nuisances: list
+    nuisances: Nuisances
     library: list[Family]
     max_effects: int
     stated: bool
@@ -62,13 +61,18 @@ class Finder:
         """One pass, against the noise of a whitener."""
         context = self.context
         evidence = Evidence(context.prepared, white, self.nuisances)
-        floor = evidence.noise_energy(self.replicas)
         again = evidence.charged(self.again.finish_torque(self.again.missing))
         pool = Pool(
             context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
         )
-        against = floor if noise is None else noise
-        chosen, ranking, misfits = select(pool, self.max_effects, against)
+        floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
+        for _ in range(ROUNDS):
+            scales = suited(pool, chosen, self.max_effects, against)
+            if scales == pool.evidence.scales:
+                break
+            pool = pool.rescaled(scales)
+            floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
+        evidence = pool.evidence
         allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
         if not self.stated and misfits[-1] > floor:
             left = evidence.unflatten(remaining(pool, chosen))
@@ -84,6 +88,12 @@ class Finder:
             pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival
         )
 
+    def _selected(self, pool: Pool, noise: float | None):
+        """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""
+        floor = pool.evidence.noise_energy(self.replicas)
+        against = floor if noise is None else noise
+        return floor, against, select(pool, self.max_effects, against)
+
 
 def finder(
     prepared: Prepared,
@@ -95,8 +105,8 @@ def finder(
     """Prepare a search."""
     white, replicas, again = whitener(prepared, log)
     context = Context(prepared)
-    columns = nuisance.columns(context, tolerance, 1.0 / log.rate)
-    return Finder(context, white, replicas, again, columns, library, max_effects, stated(log))
+    own = nuisances(context, tolerance, 1.0 / log.rate)
+    return Finder(context, white, replicas, again, own, library, max_effects, stated(log))
 
 
 def find(finder: Finder) -> tuple[Search, Search]:
@@ -128,6 +138,8 @@ def find(finder: Finder) -> tuple[Search, Search]:
     return first, dataclasses.replace(second, verdict=verdict)
 
 
+# Effects and the tolerances' scales are found in turn; more seldom changes either.
+ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
 WORSE = 3.0
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.pool import Candidate, Pool, effect_torque
+from jax_inertia.gap.scales import Learner
 
 
 def select(
@@ -59,6 +60,35 @@ def _redness(pool: Pool, chosen: list[Candidate], added: Candidate) -> float:
     return (1 + rho) / (1 - rho)
 
 
+def _noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
+    """Variance of one sample of what the best fit leaves, memory included, against the noise's."""
+    noise = max(1.0, (misfit(pool, chosen) - added.gain) / max(floor, 1.0))
+    return noise * _redness(pool, chosen, added) if noise > 1.2 else noise
+
+
+# How many of the leading candidates may show that the model is better than its tolerances.
+LEADING = 12
+
+
+def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) -> dict[str, float]:
+    """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays."""
+    columns, target = stacked(pool, chosen)
+    own = {c.key for c in chosen}
+    ranked = [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+    ranked = sorted(ranked, key=lambda c: -c.gain)[:LEADING]
+    noise = _noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
+    learner = Learner(pool.evidence, noise)
+    without = learner.beside(columns, target)
+    best, scales = 0.0, without.scales
+    for c in ranked if len(chosen) < max_effects else []:
+        more, left = stacked(pool, [*chosen, c])
+        learned = learner.beside(more, left)
+        score = without.cost - learned.cost - c.price(pool.evidence.rows)
+        if score > max(best, _toll(c, chosen, floor)):
+            best, scales = score, learned.scales
+    return scales
+
+
 def _toll(added: Candidate, chosen: list[Candidate], floor: float) -> float:
     """The score that an effect must bring, beside noise that is itself estimated.
 
@@ -104,11 +134,9 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     if not ranked:
         return []
     before = misfit(pool, chosen)
-    noise = max(1.0, (before - max(c.gain for c in ranked)) / max(floor, 1.0))
-    noise *= _redness(pool, chosen, max(ranked, key=lambda c: c.gain)) if noise > 1.2 else 1.0
+    noise = _noise_beside(pool, chosen, max(ranked, key=lambda c: c.gain), floor)
     for c in ranked:
-        price = c.size * np.log(n) + (2 * np.log(c.grid) if c.grid > 1 else 0.0)
-        c.score = c.gain / noise - price
+        c.score = c.gain / noise - c.price(n)
     ranked.sort(key=lambda c: -c.score)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]

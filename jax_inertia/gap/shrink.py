@@ -4,12 +4,11 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.gap import nuisance
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, stated, whitener
-from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Candidate, Pool, effect_torque
 from jax_inertia.gap.search import Search
 from jax_inertia.gap.select import stacked
@@ -108,15 +107,15 @@ class Trial:
 class OtherMotion:
     """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
 
-    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, white: Whitener):
+    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
         prepared = prepare(robot, log)
         context = Context(prepared)
         own, self._replicas, _ = whitener(prepared, log)
         # The errors that the first log showed beyond its sensors' are there on this one too.
-        own = Whitener(own.sigma, (*own.stages, *white.stages[1:]))
-        columns = nuisance.columns(context, tolerance, 1.0 / log.rate)
+        own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
+        doubts = nuisances(context, tolerance, 1.0 / log.rate)
         self._prepared, self._context = prepared, context
-        self._evidence = Evidence(prepared, own, columns)
+        self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
         self._stated = stated(log)
 
     def trial(self, chosen: list[Candidate]) -> Trial:

@@ -7,15 +7,6 @@ import numpy as np
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
-# A sharp sign: friction reverses within a few mrad/s, and a softer one passes for viscous friction.
-SIGN_VELOCITY = 0.003
-
-
-def sign(v: np.ndarray) -> np.ndarray:
-    """sign(v) as a slider of the presliding range sees it."""
-    return np.tanh(v / SIGN_VELOCITY)
-
-
 # Presliding displacements on the grid [rad]; zero is the sharp sign.
 PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
 
@@ -36,7 +27,7 @@ class DryFriction(Joint):
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
         if shape[-1] <= 0:
-            return sign(context.v[:, place.index])
+            return context.side[:, place.index]
         return context.bristle(place.index, float(shape[-1]))
 
 
