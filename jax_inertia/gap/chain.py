@@ -25,6 +25,7 @@ from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
+from jax_inertia.outliers import without_outliers
 from jax_inertia.robot import Robot
 from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
 
@@ -109,7 +110,8 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     """
     if settings is None:
         settings = CONTACT if log.contact_wrench is not None or robot.has_free_base else Settings()
-    source = mask(dataclasses.replace(log, qvel=None))
+    log = dataclasses.replace(log, qvel=None, qpos=without_outliers(np.asarray(log.qpos)))
+    source = mask(log)
     data = source.log
     if data.tau_kind is not TorqueKind.SENSOR:
         data = dataclasses.replace(data, tau=_centred(data.tau))
@@ -126,7 +128,9 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         decimated=min(settings.decimated, 0.5 * rate),
     )
     v = np.asarray(observation.motion.v)
-    rest = at_rest(v, rate)
+    # As slow as the chain ends: noise of the encoders does not move a joint.
+    slow = signal.sosfiltfilt(_last_filter(settings.after, rate), v, axis=0)
+    rest = at_rest(slow, rate)
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)

@@ -33,8 +33,8 @@ class Tolerance:
     """Relative to the model's own damping, frictionloss and armature."""
     rest_friction: float = 0.05
     """Relative to the joint's peak torque."""
-    period: float = 0.3
-    """Of the log's period: when within it the torque acted."""
+    period: float = 0.15
+    """Of the log's period, when within it the torque acted: half a period, the most it can be, is three of these."""
 
 
 @dataclasses.dataclass(frozen=True)
