@@ -1,9 +1,9 @@
 """The charged least-squares problem that every candidate is judged in.
 
-All columns are finished, whitened and flattened to n rows. With the nuisances' prior charged, sums of squares are
-taken in the metric M = (1 + N Nᵀ)⁻¹: J(θ) = (y − A θ)ᵀ M (y − A θ). `Evidence` applies M^{1/2} once to everything,
-so that from then on it is ordinary least squares. It does so in two steps, what is the same for every robot before the
-model's own tolerances, since the scales of those are learned (`scales`) while columns are at hand.
+All columns are finished, whitened and flattened to the n samples that count. With the nuisances' prior charged, sums of
+squares are taken in the metric M = (1 + N Nᵀ)⁻¹: J(θ) = (y − A θ)ᵀ M (y − A θ). `Evidence` applies M^{1/2} once to
+everything, so that from then on it is ordinary least squares. It does so in two steps, what is the same for every robot
+before the model's own tolerances, since the scales of those are learned (`scales`) while columns are at hand.
 """
 
 import copy
@@ -14,7 +14,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.families.base import Columns
@@ -58,8 +59,8 @@ class Evidence:
     ):
         self.prepared = prepared
         self.whitener = whitener
-        self.used = prepared.valid.copy()
-        self.used[:ORDER] = False
+        self.used = used(prepared)
+        self._whitening = whitener.over(self.used)
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
         self._fixed = Charge(self._side_by_side(nuisances.fixed))
         self.tolerances = {
@@ -117,7 +118,7 @@ class Evidence:
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""
-        return self.charge((self.whitener(y) * self.used).reshape(-1, 1))[:, 0]
+        return self.charge(self._flat(self._whitening(y)[:, :, None]))[:, 0]
 
     def noise_energy(self, replicas: Float[np.ndarray, "K R nv"]) -> float:
         """Charged misfit of noise alone: the mean over its replicas, finished but not whitened."""
@@ -136,17 +137,42 @@ class Evidence:
 
     def slow(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
         """The part in the motion's own band, by its cosines; lengths are kept."""
-        rows = x.reshape(*self.used.shape, -1)
+        rows = np.zeros((*self.used.shape, x.shape[-1]))
+        rows[self.used] = x
         cosines = np.asarray(scipy.fft.dct(rows, axis=0, norm="ortho"))
         return cosines[: self.slow_modes].reshape(-1, x.shape[-1])
 
     def unflatten(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
         """Whitened samples back on their rows; zero where not used."""
-        return x.reshape(self.used.shape)
+        out = np.zeros(self.used.shape)
+        out[self.used] = x
+        return out
+
+    def _flat(self, x: Float[np.ndarray, "R nv k"]) -> Float[np.ndarray, "n k"]:
+        return x[self.used]
 
     def _whiten(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         row = columns.row
         finished = self.prepared.finish_torque(columns.values, row)
-        white = self.whitener(finished) if row is None else self.whitener.one_row(finished, row)
-        white = white * self.used[:, :, None]
-        return white.reshape(-1, white.shape[-1])
+        whitening = self._whitening
+        white = whitening(finished) if row is None else whitening.one_row(finished, row)
+        return self._flat(white)
+
+
+# The chain's last filter carries what happens at rest this many samples into the motion.
+CARRIED = 2
+
+
+def used(prepared: Prepared) -> Bool[np.ndarray, "R nv"]:
+    """Samples that count, (R, nv): measured, of a joint that moves, and so are those that the autoregression leans on.
+
+    Friction at rest is whatever balances, so a joint that stands tells nothing.
+    """
+    rest = prepared.rest[prepared.kept] * 1.0
+    moving = ndimage.maximum_filter1d(rest, 2 * CARRIED + 1, axis=0) == 0
+    own = prepared.valid & moving
+    out = own.copy()
+    for lag in range(1, ORDER + 1):
+        out[lag:] &= own[:-lag]
+    out[:ORDER] = False
+    return out

@@ -60,8 +60,8 @@ def _jackknife(
     pool: Pool, a: Float[np.ndarray, "n k"], residual: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "k k"]:
     """Covariance of the fit from its values with each tenth of the log left out in turn."""
-    n, rows = len(residual), pool.evidence.used.shape[1]
-    group = np.repeat(np.arange(n // rows) * GROUPS // (n // rows), rows)
+    used = pool.evidence.used
+    group = np.nonzero(used)[0] * GROUPS // len(used)
     fits = []
     for g in range(GROUPS):
         kept = group != g

@@ -9,7 +9,7 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import linalg
 
 from jax_inertia.gap.chain import Prepared, prepare
@@ -21,26 +21,10 @@ FLOOR = 5e-4
 
 
 class Stage(eqx.Module):
-    """Autoregression along time and a triangle across rows."""
+    """Autoregression along time, and how its innovations go together across rows."""
 
     coefficients: Float[np.ndarray, "nv order"]
-    triangle: Float[np.ndarray, "nv nv"]
-    """Inverse Cholesky factor of the innovations' covariance."""
-
-    def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
-        """Along the leading axis and across the second; the first samples see zeros before them."""
-        out = np.array(x, float)
-        shape = (1, -1) + (1,) * (x.ndim - 2)
-        for lag in range(1, self.coefficients.shape[1] + 1):
-            out[lag:] -= self.coefficients[:, lag - 1].reshape(shape) * x[:-lag]
-        return np.einsum("ij,rj...->ri...", self.triangle, out)
-
-    def one_row(self, x: Float[np.ndarray, "R k"], row: int) -> Float[np.ndarray, "R nv k"]:
-        """`__call__` for columns that are zero on all rows but one."""
-        out = np.array(x, float)
-        for lag in range(1, self.coefficients.shape[1] + 1):
-            out[lag:] -= self.coefficients[row, lag - 1] * x[:-lag]
-        return self.triangle[None, :, row, None] * out[:, None, :]
+    covariance: Float[np.ndarray, "nv nv"]
 
 
 class Whitener(eqx.Module):
@@ -50,26 +34,68 @@ class Whitener(eqx.Module):
     """Standard deviation of y's noise, before whitening [N m]."""
     stages: tuple[Stage, ...]
 
-    def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
-        """Whiten finished torques."""
-        for stage in self.stages:
-            x = stage(x)
-        return x
+    def over(self, used: Bool[np.ndarray, "R nv"]) -> "Whitening":
+        """For torques of which only what is `used` counts."""
+        return Whitening(self, used)
 
-    def one_row(self, x: Float[np.ndarray, "R k"], row: int) -> Float[np.ndarray, "R nv k"]:
-        """`__call__` for columns that are zero on all rows but one."""
-        out = self.stages[0].one_row(x, row)
-        for stage in self.stages[1:]:
-            out = stage(out)
-        return out
-
-    def then(self, left: Float[np.ndarray, "R nv"]) -> "Whitener":
+    def then(self, left: Float[np.ndarray, "R nv"], used: Bool[np.ndarray, "R nv"]) -> "Whitener":
         """Whiten further, to what is `left` of a log that this whitener and the best fit have been through.
 
         Where a model misses a robot by far more than the sensors' noise, its misses are the noise that effects and
         tolerances compete against: taken for signal, they buy masses that no robot has.
         """
-        return Whitener(self.sigma, (*self.stages, stage_of(left[None], quietest=1.0)))
+        return Whitener(self.sigma, (*self.stages, stage_of(left[None], used, quietest=1.0)))
+
+
+class Whitening:
+    """A whitener on one log, where at each moment other rows may count.
+
+    What does not count tells nothing of the others either: at each moment the covariance is that of the rows that do.
+    """
+
+    def __init__(self, whitener: Whitener, used: Bool[np.ndarray, "R nv"]):
+        patterns, self._which = np.unique(used, axis=0, return_inverse=True)
+        self._stages = [
+            (s.coefficients, np.stack([_triangle(s.covariance, p) for p in patterns]))
+            for s in whitener.stages
+        ]
+
+    def __call__(self, x: Float[np.ndarray, "R nv *k"]) -> Float[np.ndarray, "R nv *k"]:
+        """Whiten finished torques; zero where they do not count."""
+        wide = np.array(x, float).reshape(*x.shape[:2], -1)
+        for stage in range(len(self._stages)):
+            wide = self._along_and_across(wide, stage)
+        return wide.reshape(x.shape)
+
+    def one_row(self, x: Float[np.ndarray, "R k"], row: int) -> Float[np.ndarray, "R nv k"]:
+        """`__call__` for columns that are zero on all rows but one."""
+        coefficients, triangles = self._stages[0]
+        out = _innovations(np.array(x, float), coefficients[row][:, None])
+        wide = triangles[self._which, :, row][:, :, None] * out[:, None, :]
+        for stage in range(1, len(self._stages)):
+            wide = self._along_and_across(wide, stage)
+        return wide
+
+    def _along_and_across(self, x: np.ndarray, stage: int) -> np.ndarray:
+        coefficients, triangles = self._stages[stage]
+        return triangles[self._which] @ _innovations(x, coefficients.T[:, :, None])
+
+
+def _innovations(x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """x less its prediction from the samples before, coefficients by lag; the first see zeros before them."""
+    out = x.copy()
+    for lag, c in enumerate(coefficients, start=1):
+        out[lag:] -= c * x[:-lag]
+    return out
+
+
+def _triangle(covariance: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Inverse Cholesky factor for the rows that count, zero elsewhere."""
+    out = np.zeros_like(covariance)
+    at = np.ix_(counts, counts)
+    if counts.any():
+        out[at] = linalg.inv(linalg.cholesky(covariance[at], lower=True))
+    return out
 
 
 def whitener(
@@ -89,7 +115,8 @@ def whitener(
     floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
     noise = noise + floor * rng.standard_normal(noise.shape)
     sigma = np.sqrt(np.mean(noise**2, axis=(0, 1)))
-    return Whitener(sigma, (stage_of(noise),)), noise, noisy
+    everywhere = np.ones(noise.shape[1:], bool)
+    return Whitener(sigma, (stage_of(noise, everywhere),)), noise, noisy
 
 
 def _with_friction_of(own: Prepared, noisy: Prepared) -> Prepared:
@@ -102,21 +129,29 @@ def _with_friction_of(own: Prepared, noisy: Prepared) -> Prepared:
     )
 
 
-def stage_of(noise: Float[np.ndarray, "K R nv"], quietest: float = 0.0) -> Stage:
-    """The stage that whitens K draws of noise; no row's innovations are taken for smaller than `quietest`."""
+def stage_of(
+    noise: Float[np.ndarray, "K R nv"], used: Bool[np.ndarray, "R nv"], quietest: float = 0.0
+) -> Stage:
+    """The stage that whitens K draws of noise where it counts; no row's innovations are taken below `quietest`."""
     nv = noise.shape[2]
+    noise = noise * used
+    together = [used[k:] & used[: len(used) - k] for k in range(ORDER + 1)]
     coefficients = np.zeros((nv, ORDER))
-    innovation = noise[:, ORDER:].copy()
     for j in range(nv):
         lags = [
-            np.mean(noise[:, k:, j] * noise[:, : noise.shape[1] - k, j]) for k in range(ORDER + 1)
+            np.sum(noise[:, k:, j] * noise[:, : noise.shape[1] - k, j]) / max(both[:, j].sum(), 1)
+            for k, both in enumerate(together)
         ]
         if lags[0] > 0:
             coefficients[j] = linalg.solve_toeplitz(lags[:-1], lags[1:])
-        for lag in range(1, ORDER + 1):
-            innovation[:, :, j] -= coefficients[j, lag - 1] * noise[:, ORDER - lag : -lag, j]
-    flat = innovation.reshape(-1, nv)
-    covariance = flat.T @ flat / len(flat)
+    innovation = _innovations(np.moveaxis(noise, 0, 2), coefficients.T[:, :, None])
+    whole = used.copy()
+    for lag in range(1, ORDER + 1):
+        whole[lag:] &= used[:-lag]
+    whole[:ORDER] = False
+    flat = np.moveaxis(innovation * whole[:, :, None], 2, 0).reshape(-1, nv)
+    counts = len(noise) * (whole.T.astype(float) @ whole)
+    covariance = flat.T @ flat / np.maximum(counts, 1.0)
     size = np.sqrt(np.diagonal(covariance))
     if quietest:
         # One log says less of how its rows go together than of how large each is.
@@ -124,7 +159,7 @@ def stage_of(noise: Float[np.ndarray, "K R nv"], quietest: float = 0.0) -> Stage
         np.fill_diagonal(correlation, 1.0)
         size = np.maximum(size, quietest)
         covariance = correlation * np.outer(size, size)
-    return Stage(coefficients, linalg.inv(linalg.cholesky(covariance, lower=True)))
+    return Stage(coefficients, covariance)
 
 
 def stated(log: Log) -> bool:

@@ -1,12 +1,12 @@
-"""What is never exact and is no finding: the nominal model within its tolerance, and friction at rest.
+"""What is never exact and is no finding: the nominal model within its tolerance, and how its friction turns over.
 
 Each nuisance is a column scaled to its prior standard deviation, integrated out with the prior *charged*:
 
     J = min over z of ‖y − N z − A θ‖² + ‖z‖²
 
-Uncharged, the same columns would swallow payloads. Friction at rest is arbitrary within ± stiction, so a standing
-joint's row gets hat functions of time; torque is logged within half a period of when it acted. Those are the same for
-every robot. How far off its masses are, or its dampings, differs from model to model: the log itself tells (`scales`).
+Uncharged, the same columns would swallow payloads. How soon friction turns over, and when within half a period a torque
+acted, is stated by no model. How far off its masses are, or its dampings, differs from model to model: the log itself
+tells (`scales`).
 """
 
 import dataclasses
@@ -31,8 +31,6 @@ class Tolerance:
     """Relative, about the centre of mass."""
     damping: float = 0.05
     """Relative to the model's own damping, frictionloss and armature."""
-    rest_friction: float = 0.05
-    """Relative to the joint's peak torque."""
     period: float = 0.15
     """Of the log's period, when within it the torque acted: half a period, the most it can be, is three of these."""
 
@@ -42,7 +40,7 @@ class Nuisances:
     """Columns on the fast grid, each times its prior standard deviation."""
 
     fixed: list[Columns]
-    """What no model states: friction at rest and about a reversal, and when within its period a torque acted."""
+    """What no model states: friction about a reversal, and when within its period a torque acted."""
     tolerances: dict[str, list[Columns]]
     """Errors of the model's own numbers, by kind of number."""
 
@@ -67,10 +65,6 @@ def nuisances(context: Context, tolerance: Tolerance, log_period: float) -> Nuis
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
             turned = [z - context.side[:, row] for z in (*late, *early)]
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
-        hats = _rest_hats(context, row)
-        if hats.shape[1]:
-            level = np.hypot(tolerance.rest_friction * context.peak[row], friction)
-            fixed.append(Columns(level * hats, row))
     slope = np.gradient(context.tau, context.time, axis=0)
     fixed.append(Columns((tolerance.period * log_period * slope)[:, :, None]))
     return Nuisances(fixed, tolerances)
@@ -99,13 +93,3 @@ def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
         for kind, some in changes.items()
         if some
     }
-
-
-def _rest_hats(context: Context, row: int, spacing: float = 0.05) -> np.ndarray:
-    """Hat functions of time, every `spacing` seconds, over the stretches where a joint stands still."""
-    rest = context.at_rest[:, row]
-    t = context.time
-    centres = np.arange(0.0, t[-1] + spacing, spacing)
-    near = np.interp(centres, t, rest * 1.0) > 0.3
-    hats = np.clip(1 - np.abs(t[:, None] - centres[None, near]) / spacing, 0, None)
-    return hats * rest[:, None]

@@ -12,7 +12,7 @@ import numpy as np
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
-from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
@@ -102,7 +102,12 @@ def finder(
     library: list[Family],
     max_effects: int,
 ) -> Finder:
-    """Prepare a search."""
+    """Prepare a search. Raises ValueError for a log in which nothing moves."""
+    if (count := int(used(prepared).sum())) < LEAST:
+        raise ValueError(
+            f"{count} samples are of joints that move, at least {LEAST} are needed: friction at rest is whatever "
+            "balances, so a robot that stands still tells nothing"
+        )
     white, replicas, again = whitener(prepared, log)
     context = Context(prepared)
     own = nuisances(context, tolerance, 1.0 / log.rate)
@@ -120,7 +125,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     evidence, prepared = first.pool.evidence, finder.context.prepared
     # Charged twice: what is left once the nuisances, too, are at their best.
     left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
-    second = finder.search(finder.white.then(left), noise=float(evidence.rows))
+    second = finder.search(finder.white.then(left, evidence.used), noise=float(evidence.rows))
     if not second.chosen:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
@@ -138,6 +143,8 @@ def find(finder: Finder) -> tuple[Search, Search]:
     return first, dataclasses.replace(second, verdict=verdict)
 
 
+# Samples below which a search would fit noise.
+LEAST = 100
 # Effects and the tolerances' scales are found in turn; more seldom changes either.
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
