@@ -23,9 +23,9 @@ from jax_inertia import dynamics
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.dry import at_rest, direction
+from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
-from jax_inertia.outliers import without_outliers
 from jax_inertia.robot import HINGE, SLIDE, Robot
 from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
 

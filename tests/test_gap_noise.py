@@ -1,0 +1,209 @@
+"""What a diagnosis takes for noise, for rest, and for an error of the model: a chain of five joints in MuJoCo C."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from jax_inertia import load_model
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.dry import at_rest
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.noise import whitener
+from jax_inertia.gap.nuisance import Tolerance, nuisances
+from jax_inertia.gap.outliers import without_outliers
+from jax_inertia.gap.scales import Learner
+from jax_inertia.log import Log, TorqueKind
+
+JOINTS = 5
+DAMPING = np.array([1.2, 1.5, 0.8, 0.3, 0.2])
+FRICTION = np.array([0.8, 1.0, 0.5, 0.2, 0.15])
+QPOS, TAU = 2e-5, np.array([0.02, 0.03, 0.02, 0.005, 0.003])
+GAINS = np.array([400.0, 400.0, 200.0, 50.0, 20.0])
+
+
+def chain_xml(friction):
+    axes, out = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0"), ""
+    for k in range(JOINTS):
+        mass, length = 4.0 * 0.65**k, 0.3 - 0.03 * k
+        spin = mass * length**2 / 10
+        out += (
+            f'<body name="segment{k + 1}" pos="0 0 {0.0 if k == 0 else 0.33 - 0.03 * k}">'
+            f'<joint name="axis{k + 1}" axis="{axes[k]}" damping="{DAMPING[k]}" '
+            f'frictionloss="{friction[k]}" armature="{0.1 * 0.6**k}"/>'
+            f'<inertial mass="{mass}" pos="0.01 0.02 {0.5 * length}" '
+            f'diaginertia="{spin} {spin} {0.3 * spin}"/>'
+        )
+    return (
+        '<mujoco><option timestep="0.0005" integrator="RK4"/><worldbody>'
+        + out
+        + "</body>" * JOINTS
+        + "</worldbody></mujoco>"
+    )
+
+
+def wave(t, seed):
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.1, 0.7, (3, JOINTS)), rng.uniform(0, 6.28, (3, JOINTS))
+    size = 0.35 / (1 + frequency)
+    angle = 2 * np.pi * frequency * t + phase
+    return np.sum(size * np.sin(angle), 0), np.sum(size * 2 * np.pi * frequency * np.cos(angle), 0)
+
+
+def simulate(damping=DAMPING, friction=0.0, stops=False, seed=1, seconds=7.0):
+    """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s."""
+    model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
+    model.dof_damping[:] = damping
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = wave(0.0, seed)
+    rng = np.random.default_rng(seed + 50)
+    bristle = np.zeros(JOINTS)
+    time, qpos, tau = [], [], []
+    clock = 0.0
+    for k in range(round(seconds * 2000)):
+        if k % 8 == 0:
+            target, speed = wave(data.time, seed)
+            if stops:
+                pace = np.clip(abs(data.time - 3.0) / 0.5 - 2.0, 0.0, 1.0)
+                later, faster = wave(clock, seed)
+                target[1:], speed[1:] = later[1:], pace * faster[1:]
+                clock += pace * 8 * 0.0005
+            u = GAINS * (target - data.qpos) + 0.1 * GAINS * (speed - data.qvel)
+            u += data.qfrc_bias
+            time.append(data.time)
+            qpos.append(data.qpos + QPOS * rng.standard_normal(JOINTS))
+            tau.append(u + TAU * rng.standard_normal(JOINTS))
+        # A bristle's law, not the sign of the velocity that the model's friction is taken for.
+        bristle = np.clip(bristle + data.qvel * 0.0005 / 3e-4, -1, 1)
+        data.qfrc_applied[:] = u - friction * bristle
+        mujoco.mj_step(model, data)
+    return Log(
+        time=np.array(time),
+        joint_names=tuple(f"axis{k + 1}" for k in range(JOINTS)),
+        qpos=np.array(qpos),
+        tau=np.array(tau),
+        tau_kind=TorqueKind.COMMANDED,
+        sigma_qpos=np.full(JOINTS, QPOS),
+        sigma_tau=TAU,
+    )
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    return load_model(mujoco.MjModel.from_xml_string(chain_xml(FRICTION)))
+
+
+def test_one_damping_that_is_off_where_all_others_are_right_is_a_gap(robot):
+    wrong = DAMPING * np.array([1.0, 1.0, 1.14, 1.0, 1.0])
+    found = diagnose(robot, simulate(wrong))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("viscous_friction", "axis3")
+    assert effect.parameters["damping"].value == pytest.approx(0.14 * DAMPING[2], rel=0.1)
+
+
+def test_dampings_that_are_all_off_by_as_much_are_a_model_slightly_off(robot):
+    wrong = DAMPING * (1 + 0.07 * np.array([1.0, -1.0, 1.2, -0.8, 1.0]))
+    found = diagnose(robot, simulate(wrong))
+    assert found.verdict is Verdict.NO_GAP
+
+
+def learned(robot, log):
+    prepared = prepare(robot, log)
+    white, _, _ = whitener(prepared, log)
+    doubts = nuisances(Context(prepared), Tolerance(), 1.0 / log.rate)
+    evidence = Evidence(prepared, white, doubts)
+    nothing = np.zeros((len(evidence.y), 0))
+    return Learner(evidence, 1.0).beside(nothing, evidence.y), evidence
+
+
+def test_scales_tell_which_numbers_of_the_model_are_off(robot):
+    right, _ = learned(robot, simulate())
+    off, _ = learned(robot, simulate(DAMPING * (1 + 0.1 * np.array([1, -1, 1, -1, 1]))))
+    assert right.scales["damping"] <= 0.12
+    assert off.scales["damping"] >= 1.4
+    assert off.scales["mass"] <= 0.5
+
+
+def test_the_cost_is_the_marginal_likelihood(robot):
+    # Against the dense Gaussian: y ~ N(0, 1 + N Λ² Nᵀ) once the fixed nuisances are charged.
+    found, evidence = learned(robot, simulate(seconds=2.0))
+    n = np.concatenate([found.scales[k] * x for k, x in evidence.tolerances.items()], axis=1)
+    y = evidence.without_tolerances(evidence.y[:, None])[:, 0]
+    covariance = np.eye(len(y)) + n @ n.T
+    dense = y @ np.linalg.solve(covariance, y) + np.linalg.slogdet(covariance)[1]
+    assert found.cost == pytest.approx(dense, rel=1e-9)
+
+
+def test_rescaled_evidence_is_what_those_scales_give_at_once(robot):
+    log = simulate(seconds=3.0)
+    prepared = prepare(robot, log)
+    white, _, _ = whitener(prepared, log)
+    doubts = nuisances(Context(prepared), Tolerance(), 1.0 / log.rate)
+    scales = {"mass": 0.1, "centre of mass": 2.0, "inertia": 1.0, "damping": 0.3, "armature": 0.5}
+    before = Evidence(prepared, white, doubts)
+    after, at_once = before.rescaled(scales), Evidence(prepared, white, doubts, scales)
+    np.testing.assert_allclose(after.y, at_once.y, rtol=1e-9, atol=1e-9)
+    moved = after.recharged(before.y[:, None], before)[:, 0]
+    np.testing.assert_allclose(moved, at_once.y, rtol=1e-6, atol=1e-6)
+
+
+def test_known_friction_at_rest_is_not_taken_for_noise(robot, rubbing):
+    log = simulate(friction=FRICTION, stops=True)
+    with_friction, _, _ = whitener(prepare(rubbing, log), log)
+    without, _, _ = whitener(prepare(robot, log), log)
+    np.testing.assert_allclose(with_friction.sigma, without.sigma, rtol=0.1)
+
+
+def test_a_robot_that_stops_with_its_known_friction_has_no_gap(rubbing):
+    found = diagnose(rubbing, simulate(friction=FRICTION, stops=True))
+    assert found.verdict is Verdict.NO_GAP
+
+
+def test_standing_still_is_refused_in_one_line(robot):
+    log = simulate(seconds=3.0)
+    still = np.tile(np.asarray(log.qpos)[:1], (len(log.time), 1))
+    noise = QPOS * np.random.default_rng(0).standard_normal(still.shape)
+    with pytest.raises(ValueError, match="stands still"):
+        diagnose(robot, dataclasses.replace(log, qpos=still + noise))
+
+
+def test_at_rest_is_slow_for_long():
+    v = np.full((500, 3), 0.5)
+    v[100:200, 0] = 0.001  # 0.4 s: rest
+    v[100:105, 1] = 0.001  # 20 ms: a reversal
+    rest = at_rest(v, 250.0)
+    assert rest[110:190, 0].all()
+    assert not rest[:, 1:].any()
+
+
+def test_repeated_and_struck_samples_are_replaced_and_the_rest_is_left():
+    t = np.arange(1500) / 250.0
+    rng = np.random.default_rng(4)
+    clean = np.stack([np.sin(3 * t), 0.4 * np.cos(7 * t), 0.2 * t], axis=1)
+    noisy = clean + QPOS * rng.standard_normal(clean.shape)
+    bad = noisy.copy()
+    for k in (120, 480, 900, 1201):
+        bad[k, 0] = bad[k - 1, 0]
+    bad[700, 1] += 0.01
+    mended = without_outliers(bad)
+    assert np.abs(mended - clean).max() < 6 * QPOS
+    changed = np.flatnonzero(np.any(mended != bad, axis=1))
+    assert set(changed) <= {120, 480, 700, 900, 1201}
+    assert {120, 900, 700} <= set(changed)
+
+
+def test_an_impact_and_a_coarse_encoder_are_no_outliers():
+    t = np.arange(1500) / 250.0
+    rng = np.random.default_rng(5)
+    corner = 0.5 * np.abs(t - 3.0) + QPOS * rng.standard_normal(t.shape)
+    coarse = np.round(np.sin(2 * t) / 1e-3) * 1e-3
+    both = np.stack([corner, coarse], axis=1)
+    np.testing.assert_array_equal(without_outliers(both), both)
