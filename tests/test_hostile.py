@@ -176,6 +176,7 @@ def test_arbitrary_tables_give_a_log_or_one_line(headings, body):
         (b"time,qpos.a,tau.a\n0,1,2\n0,1,1,5,2\n", "line 3 has 5 fields"),
         (b"time,qpos.a,tau.a\n0,1,2\n0.1,x\x1b[2J,2\n", "line 3, column 'qpos.a': 'x"),
         (b'time,qpos.a,tau.a\n0,"1,2\n', "fields"),
+        (b'time,qpos.a,tau.a\n0,"1\n",2\n1,2,3\n', "runs over its line"),
         (b"time,qpos.a,tau.a\n0,1,2\nnan,1,2\n", "time[1] is nan"),
         (b"time,qpos.a,tau.a\n0,1,2\ninf,1,2\n", "time[1] is inf"),
         (b"time,qpos.a,tau.a\n1,1,2\n0,1,2\n", "does not come after"),

@@ -67,6 +67,8 @@ class _Table:
         fields = None
         if any('"' in line for line in lines):
             fields = list(csv.reader(lines, delimiter=self.delimiter))
+            if len(fields) != len(lines):
+                raise LogError(f"a quoted field after line {self.line - 1} runs over its line")
         for k, line in enumerate(lines):
             count = len(fields[k]) if fields else line.count(self.delimiter) + 1
             if count != self.width and line.strip():
@@ -74,8 +76,9 @@ class _Table:
                     f"line {self.line + k} has {count} fields, the heading {self.width}; "
                     "is the file cut off, or has it decimal commas?"
                 )
-        first = fields[0] if fields else lines[0].split(self.delimiter)
         if not self.said:
+            k = next(k for k, line in enumerate(lines) if line.strip())
+            first = fields[k] if fields else lines[k].split(self.delimiter)
             self.said = {k: first[k].strip() for k in self.words}
         try:
             block = np.loadtxt(
