@@ -7,7 +7,7 @@ from pathlib import Path
 _DESCRIPTION = """
 Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
 shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added).
+effects added); of a URDF whose inertials are at fault corrected.urdf too.
 """
 _EXAMPLES = """
 examples:

@@ -16,6 +16,7 @@ from jax_inertia.gap.effect import effects_in
 from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.mjcf import compile_spec, load_spec
 
 # A name that would run, be mathematics, and end a CDATA section, if anything let it.
 HOSTILE = "elbow <script>alert('x')</script> $\\frac{1}$ ]]> & \"q\""
@@ -29,8 +30,25 @@ ARM = f"""
 <body name="lower" pos="0 0 -0.4"><joint name="{ESCAPED}" axis="0 1 0.3" damping="0.2" armature="0.03"/>
 <inertial mass="1.2" pos="0.02 0 -0.15" fullinertia="0.01 0.01 0.002 0 0 0.0005"/></body></body></worldbody></mujoco>
 """
+# The same arm as a URDF: what a description package holds, whose meshes are elsewhere.
+URDF = f"""<?xml version="1.0"?>
+<robot name="arm"><!-- kept as it is --><link name="base"/>
+  <link name="upper">
+    <visual><geometry><mesh filename="package://arm_description/meshes/upper.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="package://arm_description/meshes/upper.stl"/></geometry></collision>
+    <inertial><origin xyz="0 0 -0.2"/><mass value="2.0"/>
+      <inertia ixx="0.02" ixy="0" ixz="0.001" iyy="0.02" iyz="0" izz="0.004"/></inertial></link>
+  <link name="lower">
+    <inertial><origin xyz="0.02 0 -0.15"/><mass value="1.2"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0.0005" izz="0.002"/></inertial></link>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <dynamics damping="0.3"/></joint>
+  <joint name="{ESCAPED}" type="continuous"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -0.4"/>
+    <axis xyz="0 1 0.3"/><dynamics damping="0.2"/></joint>
+</robot>
+"""
 NAMED = ("shoulder", HOSTILE)
-DAMPING = 0.15
+DAMPING, LOAD = 0.15, 0.8
 
 
 def wanted(t: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -42,10 +60,15 @@ def wanted(t: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.sum(size * np.sin(angle), 0), np.sum(size * rate * np.cos(angle), 0)
 
 
-def record(damping: float = 0.0, seed: int = 0, seconds: float = 7.0) -> Log:
-    """The arm under feedback, with more friction at its elbow than the model has."""
+def with_friction(damping: float) -> mujoco.MjModel:
+    """The arm with more friction at its elbow than the model has."""
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_damping[1] += damping
+    return model
+
+
+def record(model: mujoco.MjModel, seed: int = 0, seconds: float = 7.0) -> Log:
+    """An arm under feedback."""
     data, rng = mujoco.MjData(model), np.random.default_rng(seed + 50)
     data.qpos[:], data.qvel[:] = wanted(0.0, seed)
     noise, rows = np.array([0.03, 0.01]), []
@@ -73,9 +96,9 @@ def data(tmp_path_factory):
     """A folder with the model, two logs of the robot with friction, and one of the robot as modelled."""
     folder = tmp_path_factory.mktemp("diagnose")
     (folder / "arm.xml").write_text(ARM)
-    write_log(record(DAMPING), folder / "log.npz")
-    write_log(record(DAMPING, seed=7, seconds=5.0), folder / "other.npz")
-    write_log(record(seed=3, seconds=5.0), folder / "sound.npz")
+    write_log(record(with_friction(DAMPING)), folder / "log.npz")
+    write_log(record(with_friction(DAMPING), seed=7, seconds=5.0), folder / "other.npz")
+    write_log(record(with_friction(0.0), seed=3, seconds=5.0), folder / "sound.npz")
     return folder
 
 
@@ -185,24 +208,62 @@ def test_finds_the_friction_and_says_how_far_it_goes(report):
 
 def test_corrected_model_closes_the_gap_when_simulated_again(data, diagnosed, report):
     """Half a second of the true arm under a torque of its own, without feedback, against both models."""
-    ends = {}
-    for name in ("true", "arm.xml", "corrected.xml"):
-        if name == "true":
-            model = mujoco.MjModel.from_xml_string(ARM)
-            model.dof_damping[1] += DAMPING
-        else:
-            folder = diagnosed[1] if name == "corrected.xml" else data
-            model = mujoco.MjModel.from_xml_path(str(folder / name))
-        correct = callback(model, effects_in(report) if name == "corrected.xml" else ())
-        state = mujoco.MjData(model)
-        for k in range(1000):
-            state.qfrc_applied[:] = np.array([2.0, 1.0]) * np.sin(0.01 * k)
-            correct(model, state)
-            mujoco.mj_step(model, state)
-        ends[name] = state.qpos.copy()
-    gap, left = (np.linalg.norm(ends[k] - ends["true"]) for k in ("arm.xml", "corrected.xml"))
+    truth = end_of(with_friction(DAMPING))
+    nominal = end_of(mujoco.MjModel.from_xml_path(str(data / "arm.xml")))
+    corrected = end_of(
+        mujoco.MjModel.from_xml_path(str(diagnosed[1] / "corrected.xml")), effects_in(report)
+    )
+    gap, left = (np.linalg.norm(end - truth) for end in (nominal, corrected))
     assert gap > 0.01
     assert left < 0.15 * gap
+
+
+def end_of(model: mujoco.MjModel, effects=()) -> np.ndarray:
+    """Where half a second of the same torques takes an arm."""
+    model.opt.timestep, model.opt.integrator = 0.0005, mujoco.mjtIntegrator.mjINT_RK4
+    correct, state = callback(model, effects), mujoco.MjData(model)
+    for k in range(1000):
+        state.qfrc_applied[:] = np.array([2.0, 1.0]) * np.sin(0.01 * k)
+        correct(model, state)
+        mujoco.mj_step(model, state)
+    return state.qpos.copy()
+
+
+# --- a URDF ------------------------------------------------------------------------------------------------------
+
+
+def test_a_urdf_comes_back_as_mjcf_and_as_urdf(data, tmp_path):
+    """A load that the model lacks; its bodies and joints are the MJCF's, so that no function is compiled anew."""
+    source, out = tmp_path / "arm.urdf", tmp_path / "out"
+    source.write_text(URDF)
+    loaded = compile_spec(load_spec(source))
+    loaded.opt.timestep, loaded.opt.integrator = 0.0005, mujoco.mjtIntegrator.mjINT_RK4
+    row = loaded.body("lower").id
+    loaded.body_mass[row] += LOAD
+    mujoco.mj_setConst(loaded, mujoco.MjData(loaded))
+    write_log(record(loaded), tmp_path / "log.npz")
+    command = ["diagnose", str(tmp_path / "log.npz"), "--model", str(source), "--max-effects", "2"]
+    assert main([*command, "--exclude", "friction_drift", "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    names = ["corrected.urdf", "corrected.xml", "report.html", "report.json"]
+    assert sorted(p.name for p in out.iterdir()) == names
+    ends = [
+        end_of(model, effects)
+        for model, effects in (
+            (loaded, ()),
+            (compile_spec(load_spec(source)), ()),
+            (mujoco.MjModel.from_xml_path(str(out / "corrected.xml")), effects_in(report)),
+            (compile_spec(load_spec(out / "corrected.urdf")), ()),
+        )
+    ]
+    gap, *left = (np.linalg.norm(end - ends[0]) for end in ends[1:])
+    assert gap > 0.01
+    assert max(left) < 0.05 * gap
+    # Only what was found is changed in it.
+    before, after = (path.read_text() for path in (source, out / "corrected.urdf"))
+    start = '<link name="lower">'
+    assert after.split(start)[0] == before.split(start)[0]
+    assert after.split("</inertial>")[-1] == before.split("</inertial>")[-1]
 
 
 def test_page_fetches_nothing_and_runs_nothing(diagnosed):
