@@ -14,9 +14,10 @@ from rich.table import Table
 from jax_inertia._console import warn
 from jax_inertia._model_output import changed_inertials, loadable
 from jax_inertia.gap.correct import Correction, corrected
-from jax_inertia.gap.diagnosis import Diagnosis, Finding, diagnose
+from jax_inertia.gap.diagnosis import diagnose
 from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.families import NAMES
+from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
@@ -162,22 +163,14 @@ def table(console: Console, found: Diagnosis) -> None:
         rows.add_row(
             f.family,
             escape(f.place.name),
-            escape(sizes(f)),
+            escape("\n".join(f.sizes)),
             f"{100 * f.explained:.0f} %",
-            escape(", ".join(f"{t.family} at {t.place.name} ({t.kind})" for t in f.equivalent)),
+            escape(f.rivals),
         )
     if found.findings:
         console.print(rows)
     else:
         console.print(rows.title)
-
-
-def sizes(f: Finding) -> str:
-    """Every parameter with its interval, one a line."""
-    return "\n".join(
-        f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
-        for name, p in f.parameters.items()
-    )
 
 
 def shrink_lines(result: Result) -> list[tuple[str, str]]:

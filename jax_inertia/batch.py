@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from jax_inertia import _batch_solve, charts
 from jax_inertia._batch_rows import TERMS, Rows, correlation_inflation, rows_of
+from jax_inertia._readable import line, table
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.estimate import Estimate, make_estimator, physical_units
@@ -95,15 +96,16 @@ class BatchFit(eqx.Module):
         rms = [float(np.sqrt(np.mean(x**2))) for x in (self.rms_before, self.rms_after)]
         state = f"settled in {self.steps} steps" if self.converged else "not settled"
         lines = [f"BatchFit({state}; residual {rms[0]:.3g} → {rms[1]:.3g} N m rms; ± 95 %)"]
-        e = self.estimate
-        for k, body in enumerate(self._bodies):
-            mass, half = float(e.pi[k, 0]), 1.96 * float(e.sigma_pi[k, 0])
-            com = ", ".join(f"{1e3 * float(x):.1f}" for x in e.com[k])
-            wide = ", ".join(f"{1.96e3 * float(x):.1f}" for x in e.sigma_com[k])
-            lines.append(
-                f"  {self.robot.body_names[body]}: {mass:.4g} ± {half:.2g} kg at ({com}) ± ({wide}) mm"
-            )
+        for body, (mass, com) in zip(self._bodies, self.estimate.rows(), strict=True):
+            lines.append(f"  {self.robot.body_names[body]}: {mass} kg at {com} mm")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the fitted bodies with 95 % intervals."""
+        names = (self.robot.body_names[b] for b in self._bodies)
+        rows = ((n, *row) for n, row in zip(names, self.estimate.rows(), strict=True))
+        head = ("body", "mass [kg]", "centre of mass [mm]")
+        return line(repr(self).partition("\n")[0]) + table(head, rows)
 
     def draws(self, count: int, seed: int = 0) -> list[Calibrated]:
         """Models drawn from the posterior: run a filter over each to see what the calibration leaves open."""

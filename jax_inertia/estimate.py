@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia import charts, inertia, kalman
+from jax_inertia._readable import has_numbers, line, table
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.measurement import torque_residual, torque_residuals
@@ -53,6 +54,44 @@ class Estimate(eqx.Module):
     sigma_pi: Float[Array, "*t bodies 10"]
     com: Float[Array, "*t bodies 3"]
     sigma_com: Float[Array, "*t bodies 3"]
+
+    def __repr__(self) -> str:
+        lines = [f"Estimate({self._count()}; ± 95 %)"]
+        lines += [f"  {mass} kg at {com} mm" for mass, com in self.rows()]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: mass and centre of mass of each body with 95 % intervals."""
+        head = ("", "mass [kg]", "centre of mass [mm]")
+        rows = ((f"body {k}", *row) for k, row in enumerate(self.rows()))
+        return line(f"Estimate ({self._count()}; ± 95 %)") + table(head, rows)
+
+    def _count(self) -> str:
+        *batch, bodies, _ = self.pi.shape
+        what = f"{bodies} bodies" if bodies > 1 else "one body"
+        if not has_numbers(self.pi):
+            return f"{what}, traced"
+        return f"{what}, {' × '.join(map(str, batch))} samples, the last" if batch else what
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Mass and centre of mass of each body, of the last sample where there are more."""
+        if not has_numbers(self.pi) or 0 in self.pi.shape:
+            return []
+        pi, sigma, com, wide = (
+            np.asarray(x).reshape(-1, *x.shape[-2:])[-1]
+            for x in (self.pi, self.sigma_pi, self.com, self.sigma_com)
+        )
+        return [
+            (
+                f"{pi[k, 0]:.4g} ± {1.96 * sigma[k, 0]:.2g}",
+                f"({_in_mm(com[k])}) ± ({_in_mm(1.96 * wide[k])})",
+            )
+            for k in range(len(pi))
+        ]
+
+
+def _in_mm(x: np.ndarray) -> str:
+    return ", ".join(f"{1e3 * v:.1f}" for v in x)
 
 
 class Trace(eqx.Module):

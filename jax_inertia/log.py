@@ -16,13 +16,13 @@ from typing import Any, Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Float
 
 from jax_inertia._contract import CHANNELS, SHAPES, TEXTS, check_structure, fields_of
 from jax_inertia._files import whole_file
 from jax_inertia._names import listed
 from jax_inertia._npz import LogError, read_npz
+from jax_inertia._readable import has_numbers, line, table
 from jax_inertia._torque_unit import TorqueKind, TorqueUnit
 from jax_inertia.readers.bag import bag_parts, read_bag
 from jax_inertia.readers.delimited import read_csv
@@ -142,8 +142,9 @@ class Log(eqx.Module):
         return dataclasses.replace(self, **{**mapped, **changes})
 
     def __repr__(self) -> str:
-        traced = isinstance(self.time, Tracer)
-        span = "traced" if traced else f"{self.duration:.4g} s at {self.rate:.4g} Hz"
+        span = (
+            f"{self.duration:.4g} s at {self.rate:.4g} Hz" if has_numbers(self.time) else "traced"
+        )
         has = ", ".join(name for name in CHANNELS if getattr(self, name) is not None)
         text = (
             f"Log({span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
@@ -152,6 +153,25 @@ class Log(eqx.Module):
         if self.contact_bodies:
             text += f"; contacts {', '.join(self.contact_bodies)}"
         return text + (f"; {len(self.notes)} notes)" if self.notes else ")")
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the range of each joint's channels, and what the reader noted."""
+        if not has_numbers(self.time):
+            return line(repr(self))
+        names = [n for n in CHANNELS if SHAPES[n][-1] == "n" and getattr(self, n) is not None]
+        rows = [
+            (joint, *(_range_of(np.asarray(getattr(self, name))[:, j]) for name in names))
+            for j, joint in enumerate(self.joint_names)
+        ]
+        notes = "".join(line(note) for note in self.notes)
+        return line(repr(self)) + table(("joint", *names), rows) + notes
+
+
+def _range_of(x: np.ndarray) -> str:
+    """Least and most of what is finite, and how much is not."""
+    ok = x[np.isfinite(x)]
+    lost = f" ({x.size - ok.size} missing)" if ok.size < x.size else ""
+    return (f"{ok.min():.3g} … {ok.max():.3g}" if ok.size else "–") + lost
 
 
 @runtime_checkable

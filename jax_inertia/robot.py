@@ -22,6 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia import spatial
+from jax_inertia._names import listed
+from jax_inertia._readable import has_numbers, line, table
 from jax_inertia._vectors import compose, cross, skew, turn
 
 FREE, BALL, SLIDE, HINGE, WELD = "free", "ball", "slide", "hinge", "weld"
@@ -184,10 +186,35 @@ class Robot(eqx.Module):
         """The same robot with every array in another floating-point type."""
         return jax.tree.map(lambda x: jnp.asarray(x, dtype), self)
 
+    @property
+    def _is_plain(self) -> bool:
+        """One robot with numbers to show: neither traced nor a batch."""
+        return has_numbers(self.pi) and self.pi.ndim == 2
+
     def __repr__(self) -> str:
         base = "free base" if self.has_free_base else "fixed base"
-        mass = float(jnp.sum(self.pi[:, 0]))
-        return f"Robot({base}, {self.nb} bodies, nq={self.nq}, nv={self.nv}, {mass:.4g} kg)"
+        mass = f"{float(jnp.sum(self.pi[:, 0])):.4g} kg" if self._is_plain else "traced or batched"
+        size = f"{self.nb} bodies, nq={self.nq}, nv={self.nv}, {mass}"
+        return f"Robot({base}, {size}; joints {listed(self.joint_names, 12)})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: mass and centre of mass of each body, and the joints that move it."""
+        if not self._is_plain:
+            return line(repr(self))
+        moving = [k for k, kind in enumerate(self.topology.kind) if kind != WELD]
+        rows, first, pi = [], 0, np.asarray(self.pi)
+        for name, node, (m, *h) in zip(
+            self.body_names, self.topology.body_node, pi[:, :4], strict=True
+        ):
+            # A body's nodes end in its own: those after the last body's are its joints.
+            joints = [
+                j for j, k in zip(self.joint_names, moving, strict=True) if first <= k <= node
+            ]
+            com = ", ".join(f"{1e3 * x / m:.1f}" for x in h) if m > 0 else "–"
+            rows.append((name, ", ".join(joints) or "(welded)", f"{m:.4g}", com))
+            first = int(node) + 1
+        head = ("body", "joints", "mass [kg]", "centre of mass [mm]")
+        return line(repr(self)) + table(head, rows)
 
 
 def _index(name: str, names: tuple[str, ...], what: str) -> int:

@@ -1,6 +1,7 @@
 """The command `diagnose`: the contract of its files, what it says of bad input, and that its model closes the gap."""
 
 import contextlib
+import html
 import io
 import json
 import re
@@ -13,7 +14,7 @@ from jax_inertia import load_model
 from jax_inertia.cli import main
 from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.effect import effects_in
-from jax_inertia.gap.families import NAMES
+from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
 from jax_inertia.mjcf import compile_spec, load_spec
@@ -270,6 +271,9 @@ def test_page_fetches_nothing_and_runs_nothing(diagnosed):
     page = (diagnosed[1] / "report.html").read_text()
     assert "<script" not in page.lower()
     assert "&lt;script&gt;" in page
+    # The equation is the finding's own: a family that is not the library's has one as well.
+    (equation,) = (f.equation for f in LIBRARY if f.name == "viscous_friction")
+    assert f"{html.escape(equation)} &nbsp;" in page
     sources = re.findall(r"""(?:src|href|srcset|data|action)\s*=\s*["']([^"']*)""", page)
     assert len(sources) >= 6
     assert all(s.startswith("data:image/svg+xml;base64,") for s in sources)

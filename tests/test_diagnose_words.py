@@ -7,10 +7,10 @@ import pytest
 
 from jax_inertia.demo.command import judged
 from jax_inertia.demo.hidden import Secret
-from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink, Tie
 from jax_inertia.gap.families.base import Place
-from jax_inertia.gap.html import headline
+from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.suggest import suggestions
 from jax_inertia.gap.trace import Trace, regions, shrink_interval
 from jax_inertia.gap.verdict import Verdict
@@ -61,7 +61,8 @@ def found(verdict: Verdict, *findings: Finding) -> Diagnosis:
 
 
 def finding(family: str, place: Place = KNEE, *ties: Tie) -> Finding:
-    return Finding(family, place, {"size": Interval(0.5, 0.4, 0.6, "N m")}, 0.9, 0.8, ties)
+    numbers = {"size": Interval(0.5, 0.4, 0.6, "N m")}
+    return Finding(family, place, numbers, 0.9, 0.8, ties, "b = const & <odd>")
 
 
 @pytest.mark.parametrize(
@@ -95,11 +96,32 @@ def test_two_places_are_moved_one_at_a_time_and_exact_ties_not_at_all():
 
 def test_headlines():
     one = finding("torque_bias")
-    assert "torque bias at knee (0.5 N m)" in headline(found(Verdict.EXPLAINED, one))
-    assert "something more" in headline(found(Verdict.PARTLY, one))
-    assert "not fit" in headline(found(Verdict.UNKNOWN, one))
-    assert "mostly at knee" in headline(found(Verdict.UNKNOWN))
-    assert headline(found(Verdict.NO_GAP)).startswith("No gap")
+    assert "torque bias at knee (0.5 N m)" in found(Verdict.EXPLAINED, one).headline
+    assert "something more" in found(Verdict.PARTLY, one).headline
+    assert "not fit" in found(Verdict.UNKNOWN, one).headline
+    assert "mostly at knee" in found(Verdict.UNKNOWN).headline
+    assert found(Verdict.NO_GAP).headline.startswith("No gap")
+
+
+def test_in_a_console_and_in_a_notebook():
+    """The equation is the finding's own, so that a family of the user's has one too; names are text."""
+    tie = Tie("joint_spring", Place("joint", "<script>", 1), "motion_limited")
+    one = found(Verdict.EXPLAINED, finding("torque_bias", KNEE, tie))
+    assert repr(one).splitlines() == [
+        "explained (confidence 0.90)",
+        "  torque_bias at knee: size 0.5 [0.4, 0.6] N m; or joint_spring at <script> (motion_limited)",
+        "  held out: 0.35 → 0.01 N m (noise 0.01)",
+    ]
+    page = one._repr_html_()
+    for said in (
+        "explained (confidence 90 %)",
+        one.headline,
+        "b = const &amp; &lt;odd&gt;",
+        "held out",
+    ):
+        assert said in page
+    assert "<script" not in page
+    assert "<table" not in found(Verdict.NO_GAP)._repr_html_()
 
 
 def test_shrink_interval_holds_the_shrink_and_narrows_with_data():

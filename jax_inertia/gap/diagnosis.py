@@ -8,7 +8,6 @@ The missing torque (`chain`) is whitened to the sensors' noise (`noise`), the no
 out (`nuisance`, `evidence`), and every family at every place competes for what is left (`families`, `select`).
 """
 
-import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,76 +17,18 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
+from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import stated
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Candidate, Pool, effect_torque
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose
-from jax_inertia.gap.shrink import OtherMotion, Shrink, what_is_left, without_harm
-from jax_inertia.gap.trace import Trace, collect
+from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
+from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, judge, probabilities, second_look, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
-
-
-@dataclasses.dataclass(frozen=True)
-class Tie:
-    """Another explanation that this log cannot tell from the one given."""
-
-    family: str
-    place: Place
-    kind: str
-    """'exact' where no motion of this robot can, 'motion_limited' where another motion would."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One effect that the model lacks."""
-
-    family: str
-    place: Place
-    parameters: dict[str, Interval]
-    explained: float
-    """Share of the gap's excess energy that goes with it, on held-out stretches of the log."""
-    probability: float
-    equivalent: tuple[Tie, ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class Diagnosis:
-    """What `diagnose` found."""
-
-    verdict: Verdict
-    confidence: float
-    chi2: float
-    """Whitened energy per sample before anything is explained; about one without a gap."""
-    noise_floor: float
-    per_joint_rms: dict[str, float]
-    share: dict[str, float]
-    findings: tuple[Finding, ...]
-    heldout: Shrink
-    test: Shrink | None
-    when: tuple[tuple[float, float], ...]
-    undetectable_below: tuple[tuple[str, Place, Parameter], ...]
-    notes: tuple[str, ...]
-    trace: Trace
-
-    def __repr__(self) -> str:
-        head = f"{self.verdict} (confidence {self.confidence:.2f})"
-        rows = [
-            f"  {f.family} at {f.place.name}: "
-            + ", ".join(
-                f"{n} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
-                for n, p in f.parameters.items()
-            )
-            for f in self.findings
-        ]
-        shrink = (
-            f"  held out: {self.heldout.before:.3g} → {self.heldout.after:.3g} N m "
-            f"(noise {self.heldout.noise:.3g})"
-        )
-        return "\n".join([head, *rows, shrink])
 
 
 def diagnose(
@@ -191,6 +132,7 @@ def _finding(
         explained=_explained(pool, chosen, i, search.floor),
         probability=probabilities(rivals, search.misfits, search.noise).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
+        equation=c.family.equation,
     )
 
 

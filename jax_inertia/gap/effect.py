@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
-from jax_inertia.gap.diagnosis import Diagnosis
+from jax_inertia.gap.finding import Diagnosis
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from jax_inertia.gap.diagnosis import Diagnosis
+from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.trace import Trace
 

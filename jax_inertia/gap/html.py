@@ -9,13 +9,12 @@ import numpy as np
 
 from jax_inertia.gap import figures
 from jax_inertia.gap.correct import Correction
-from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink
-from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
+from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.verdict import Verdict
+from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.log import Log
-
-_EQUATIONS = {family.name: family.equation for family in LIBRARY}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,12 +39,7 @@ def page(about: Page) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {
-        "plain": _plain,
-        "number": _number,
-        "percent": _percent,
-        "chance": _chance,
-    }
+    environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
     found, rolled = about.found, about.rollouts
     row = figures.affected(found)
     return environment.get_template("report.html").render(
@@ -53,9 +47,8 @@ def page(about: Page) -> str:
         found=found,
         report=about.report,
         version=version("jax-inertia"),
-        headline=headline(found),
+        headline=found.headline,
         cards=_cards(about),
-        equations=_EQUATIONS,
         row=found.trace.rows[row],
         holding=_holding(found),
         trusted=found.verdict is not Verdict.UNKNOWN,
@@ -74,35 +67,6 @@ def page(about: Page) -> str:
     )
 
 
-def headline(found: Diagnosis) -> str:
-    """The verdict in one or two sentences."""
-    if found.verdict is Verdict.NO_GAP:
-        return "No gap: model and robot agree within the sensors' noise and what a good model may be off by."
-    where = max(found.share, key=lambda name: found.share[name])
-    if not found.findings:
-        return f"Something is missing, mostly at {where}, but no effect in the library explains it."
-    names = [_named(f) for f in found.findings]
-    every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-    them = "it" if len(names) == 1 else "them"
-    shrink = f"With {them}, the missing torque shrinks by {_percent(found.heldout.share)} on held-out data"
-    if found.test is not None:
-        shrink += f" and by {_percent(found.test.share)} on another motion"
-    shrink += "."
-    if found.verdict is Verdict.EXPLAINED:
-        return f"The model lacks {every}. {shrink}"
-    if found.verdict is Verdict.PARTLY:
-        return f"The model lacks {every}, and something more that was not found. {shrink}"
-    nearest = (
-        f"effect is {every}, but it does"
-        if len(names) == 1
-        else f"effects are {every}, but they do"
-    )
-    return (
-        f"Something is missing, mostly at {where}, that no effect in the library explains. The nearest {nearest} "
-        "not fit the data."
-    )
-
-
 @dataclasses.dataclass(frozen=True)
 class _Card:
     """One figure at the top of the page."""
@@ -112,33 +76,25 @@ class _Card:
     detail: str
 
 
-def _named(f: Finding) -> str:
-    """Effect, place and the first of its numbers."""
-    where = "" if f.place.kind == "global" else f" at {f.place.name}"
-    first = next(iter(f.parameters.values()), None)
-    size = "" if first is None else f" ({_number(first.value)}{_unit(first.unit)})"
-    return f"{_plain(f.family)}{where}{size}"
-
-
 def _cards(about: Page) -> list[_Card]:
     found, rolled = about.found, about.rollouts
     out = [
         _Card(
             "gap",
-            f"{_number(np.sqrt(max(found.chi2, 0.0)))} × noise",
+            f"{number(np.sqrt(max(found.chi2, 0.0)))} × noise",
             "missing torque, whitened; a model within its tolerance leaves a few",
         )
     ]
     for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
         if s is not None and found.findings:
             sign = "−" if s.share >= 0 else "+"
-            out.append(_Card(title, f"{sign}{_percent(abs(s.share))}", _detail(s)))
+            out.append(_Card(title, f"{sign}{percent(abs(s.share))}", _detail(s)))
         elif s is not None:
-            detail = f"rms; noise {_number(s.noise)} N m"
-            out.append(_Card(title, f"{_number(s.before)} N m", detail))
+            detail = f"rms; noise {number(s.noise)} N m"
+            out.append(_Card(title, f"{number(s.before)} N m", detail))
     if rolled is not None:
         before, after, floor = (
-            _number(np.rad2deg(x)) for x in (rolled.before, rolled.after, rolled.floor)
+            number(np.rad2deg(x)) for x in (rolled.before, rolled.after, rolled.floor)
         )
         title = f"{rolled.horizon:g} s rollouts"
         if found.findings:
@@ -150,7 +106,7 @@ def _cards(about: Page) -> list[_Card]:
 
 
 def _detail(s: Shrink) -> str:
-    return f"{_number(s.before)} → {_number(s.after)} N m; noise {_number(s.noise)}"
+    return f"{number(s.before)} → {number(s.after)} N m; noise {number(s.noise)}"
 
 
 def _holding(found: Diagnosis) -> str:
@@ -184,33 +140,7 @@ def _undetectable(found: Diagnosis) -> list[_Unseen]:
     out = []
     for family, group in groupby(found.undetectable_below, key=lambda x: x[0]):
         every = sorted(group, key=lambda x: abs(x[2].value))
-        unit = _unit(every[0][2].unit)
-        sizes = [(place.name, f"{_number(abs(p.value))}{unit}") for _, place, p in every]
+        measure = unit(every[0][2].unit)
+        sizes = [(place.name, f"{number(abs(p.value))}{measure}") for _, place, p in every]
         out.append(_Unseen(family, sizes[0][1], sizes[-1][1], sizes[-1][0], sizes))
     return out
-
-
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
-
-
-def _percent(x: float) -> str:
-    return f"{100 * x:.0f} %"
-
-
-def _chance(x: float) -> str:
-    """A probability; nothing is certain."""
-    return "> 99 %" if x > 0.99 else _percent(x)
-
-
-def _number(x: float) -> str:
-    """Three digits that mean something, without an exponent where one can do without."""
-    if x is None or not np.isfinite(x):
-        return "–"
-    if x == 0 or 1e-3 <= abs(x) < 1e4:
-        return f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}"
-    return f"{x:.2g}"

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jax_inertia.gap.diagnosis import Diagnosis, Finding, Shrink
 from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.finding import Diagnosis, Finding
 from jax_inertia.gap.rollout import Rollouts
+from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.suggest import Suggestion, suggestions
 from jax_inertia.gap.trace import regions, shrink_interval
 from jax_inertia.preflight import Finding as Quality

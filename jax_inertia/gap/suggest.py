@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.gap.diagnosis import Diagnosis, Finding, Tie
+from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 
 _DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_coulomb", "load_friction"}
 _LATE = {"time_delay", "actuator_lag"}

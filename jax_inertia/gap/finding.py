@@ -1,0 +1,147 @@
+"""What a diagnosis found, and how it reads in a console and in a notebook."""
+
+import dataclasses
+
+from jax_inertia._readable import line, table
+from jax_inertia.gap.families.base import Parameter, Place
+from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.shrink import Shrink
+from jax_inertia.gap.trace import Trace
+from jax_inertia.gap.verdict import Verdict
+from jax_inertia.gap.words import chance, number, percent, plain, unit
+
+
+@dataclasses.dataclass(frozen=True)
+class Tie:
+    """Another explanation that this log cannot tell from the one given."""
+
+    family: str
+    place: Place
+    kind: str
+    """'exact' where no motion of this robot can, 'motion_limited' where another motion would."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One effect that the model lacks."""
+
+    family: str
+    place: Place
+    parameters: dict[str, Interval]
+    explained: float
+    """Share of the gap's excess energy that goes with it, on held-out stretches of the log."""
+    probability: float
+    equivalent: tuple[Tie, ...]
+    equation: str = ""
+    """The family's torque, as text."""
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Every parameter with its 95 % interval."""
+        return tuple(
+            f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
+            for name, p in self.parameters.items()
+        )
+
+    @property
+    def rivals(self) -> str:
+        """What this log cannot tell it from."""
+        return ", ".join(f"{t.family} at {t.place.name} ({t.kind})" for t in self.equivalent)
+
+    def __repr__(self) -> str:
+        or_else = f"; or {self.rivals}" if self.equivalent else ""
+        return f"{self.family} at {self.place.name}: {', '.join(self.sizes)}{or_else}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """What `diagnose` found."""
+
+    verdict: Verdict
+    confidence: float
+    chi2: float
+    """Whitened energy per sample before anything is explained; about one without a gap."""
+    noise_floor: float
+    per_joint_rms: dict[str, float]
+    share: dict[str, float]
+    findings: tuple[Finding, ...]
+    heldout: Shrink
+    test: Shrink | None
+    when: tuple[tuple[float, float], ...]
+    undetectable_below: tuple[tuple[str, Place, Parameter], ...]
+    notes: tuple[str, ...]
+    trace: Trace
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one or two sentences."""
+        if self.verdict is Verdict.NO_GAP:
+            return "No gap: model and robot agree within the sensors' noise and what a good model may be off by."
+        where = max(self.share, key=lambda name: self.share[name])
+        if not self.findings:
+            return f"Something is missing, mostly at {where}, but no effect in the library explains it."
+        names = [_named(f) for f in self.findings]
+        every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+        them = "it" if len(names) == 1 else "them"
+        shrink = f"With {them}, the missing torque shrinks by {percent(self.heldout.share)} on held-out data"
+        if self.test is not None:
+            shrink += f" and by {percent(self.test.share)} on another motion"
+        shrink += "."
+        if self.verdict is Verdict.EXPLAINED:
+            return f"The model lacks {every}. {shrink}"
+        if self.verdict is Verdict.PARTLY:
+            return f"The model lacks {every}, and something more that was not found. {shrink}"
+        nearest = (
+            f"effect is {every}, but it does"
+            if len(names) == 1
+            else f"effects are {every}, but they do"
+        )
+        return (
+            f"Something is missing, mostly at {where}, that no effect in the library explains. The nearest {nearest} "
+            "not fit the data."
+        )
+
+    def __repr__(self) -> str:
+        lines = [f"{self.verdict} (confidence {self.confidence:.2f})"]
+        lines += [f"  {f!r}" for f in self.findings]
+        lines += [f"  {name}: {text}" for name, text in self._shrinks()]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the verdict in words, the effects as a table, how far the gap shrinks, and what was noted."""
+        verdict = f"{plain(str(self.verdict))} (confidence {chance(self.confidence)})"
+        out = line(verdict, strong=True) + line(self.headline)
+        if self.findings:
+            head = ("effect", "equation", "where", "size, 95 % interval", "explains", "or")
+            out += table(
+                head,
+                (
+                    (
+                        plain(f.family),
+                        f.equation,
+                        f.place.name,
+                        "; ".join(f.sizes),
+                        percent(f.explained),
+                        f.rivals,
+                    )
+                    for f in self.findings
+                ),
+            )
+        return out + "".join(line(f"{name}: {text}") for name, text in self._shrinks())
+
+    def _shrinks(self) -> list[tuple[str, str]]:
+        """Missing torque before and after, where it was predicted rather than fitted."""
+        tried = (("held out", self.heldout), ("other motion", self.test))
+        return [
+            (name, f"{s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})")
+            for name, s in tried
+            if s is not None
+        ]
+
+
+def _named(f: Finding) -> str:
+    """Effect, place and the first of its numbers."""
+    where = "" if f.place.kind == "global" else f" at {f.place.name}"
+    first = next(iter(f.parameters.values()), None)
+    size = "" if first is None else f" ({number(first.value)}{unit(first.unit)})"
+    return f"{plain(f.family)}{where}{size}"

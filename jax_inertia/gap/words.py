@@ -1,0 +1,32 @@
+"""Names and numbers as people read them."""
+
+import numpy as np
+
+
+def plain(name: str) -> str:
+    """A name of the library without underscores."""
+    return name.replace("_", " ")
+
+
+def unit(text: str) -> str:
+    """A unit to stand behind a number."""
+    return "" if text == "1" else f" {text}"
+
+
+def percent(x: float) -> str:
+    """A share."""
+    return f"{100 * x:.0f} %"
+
+
+def chance(x: float) -> str:
+    """A probability; nothing is certain."""
+    return "> 99 %" if x > 0.99 else percent(x)
+
+
+def number(x: float) -> str:
+    """Three digits that mean something, without an exponent where one can do without."""
+    if x is None or not np.isfinite(x):
+        return "–"
+    if x == 0 or 1e-3 <= abs(x) < 1e4:
+        return f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}"
+    return f"{x:.2g}"
