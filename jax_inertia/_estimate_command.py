@@ -44,6 +44,7 @@ def add_parser(subparsers) -> None:
 
     write_help = "write the model with the estimated bodies too: a URDF as URDF, MJCF as MJCF"
     add("--write-model", action="store_true", help=write_help)
+    add("--json", action="store_true", help="print report.json instead of the tables")
 
     group = parser.add_argument_group("torques that are not in N m (motor currents, PWM)")
     gains_help = "N m per logged unit, one for each joint of the log, or one for all"
@@ -157,8 +158,8 @@ def run(args: argparse.Namespace) -> int:
             if args.write_model:
                 best = output.best(result)
                 written = write_with_inertials(folder, "estimated", args.model, best)
-    output.show(result, out)
-    if written is not None:
+    output.show(args, result, out)
+    if written is not None and not args.json:
         print(f"The model with these bodies: {out / written.name}")
     return 0
 

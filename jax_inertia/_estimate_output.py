@@ -32,9 +32,12 @@ def write(folder: Path, args: argparse.Namespace, result: Result) -> None:
     np.savetxt(
         folder / "estimates.csv", table, fmt="%.9g", delimiter=",", header=header, comments=""
     )
-    text = json.dumps(_plain(report(args, result)), indent=1, allow_nan=False)
-    (folder / "report.json").write_text(text + "\n")
+    (folder / "report.json").write_text(_as_json(args, result) + "\n")
     plots.estimate_figure(result).savefig(folder / "estimate.png", dpi=130)
+
+
+def _as_json(args: argparse.Namespace, result: Result) -> str:
+    return json.dumps(_plain(report(args, result)), indent=1, allow_nan=False)
 
 
 def report(args: argparse.Namespace, result: Result) -> dict:
@@ -53,7 +56,7 @@ def report(args: argparse.Namespace, result: Result) -> dict:
         "settings": {
             key: [str(v) for v in value] if isinstance(value, list) else value
             for key, value in vars(args).items()
-            if key not in ("run", "log", "model") and not isinstance(value, Path)
+            if key not in ("run", "log", "model", "json") and not isinstance(value, Path)
         }
         | {
             "prior_mass_kg": float(result.prior.mass),
@@ -105,8 +108,11 @@ def best(result: Result) -> dict[str, np.ndarray]:
     return dict(zip(result.bodies, np.asarray(pi), strict=True))
 
 
-def show(result: Result, out: Path) -> None:
+def show(args: argparse.Namespace, result: Result, out: Path) -> None:
     """Print what was found."""
+    if args.json:
+        print(_as_json(args, result))
+        return
     console = Console()
     table = Table(title="at the end of the log, ± 95 %", title_justify="left")
     table.add_column("")

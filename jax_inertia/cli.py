@@ -16,6 +16,7 @@ from jax_inertia import (
     _estimate_command,
     _suggest_motion_command,
 )
+from jax_inertia._completion import PrintCompletion
 from jax_inertia.demo import command as demo_command
 
 _COMMANDS = (
@@ -25,6 +26,16 @@ _COMMANDS = (
     _suggest_motion_command,
     demo_command,
 )
+
+
+_EPILOG = """
+start with:
+  jax-inertia demo
+
+exit status: 0 where the work was done, whatever it found; 2 for a log, model or option that cannot be used (one line
+on stderr); 130 after Ctrl-C. Where it is not 0, nothing is left half written. With --json stdout holds JSON and nothing
+else; warnings and progress go to stderr.
+"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -39,9 +50,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _Parser(
         prog="jax-inertia",
         description="Masses, centres of mass and inertias of a robot's bodies from its logs, never unphysical.",
-        epilog="start with: jax-inertia demo",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {version('jax-inertia')}")
+    completion_help = "print a completion script for bash, zsh or tcsh, and end"
+    shells = ("bash", "zsh", "tcsh")
+    parser.add_argument(
+        "--print-completion", action=PrintCompletion, choices=shells, help=completion_help
+    )
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in _COMMANDS:
         command.add_parser(subparsers)

@@ -1,11 +1,18 @@
 """The commands `demo` and `estimate`: what they write, what they find, and what they say of bad input."""
 
+import contextlib
 import csv
 import importlib
+import io
 import json
 import re
+import shlex
+import shutil
 import struct
+import subprocess
+import sys
 from pathlib import Path
+from unittest import mock
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +22,7 @@ from models import MODELS
 
 import jax_inertia as ji
 from jax_inertia.cli import main
+from jax_inertia.demo import command as demo_command
 from jax_inertia.estimate import Estimator
 from jax_inertia.inertia import PI_NAMES, is_physical
 from jax_inertia.log import Log, TorqueKind, read_log, write_log
@@ -34,13 +42,18 @@ def png_size(path) -> tuple[int, int]:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """(exit status, folder)."""
-    out = tmp_path_factory.mktemp("demo") / "story"
-    return main(["demo", "--out", str(out)]), out
+    """(exit status, folder, what was printed, what it was printed from)."""
+    out, text = tmp_path_factory.mktemp("demo") / "story", io.StringIO()
+    with (
+        contextlib.redirect_stdout(text),
+        mock.patch.object(demo_command, "_numbers", wraps=demo_command._numbers) as seen,
+    ):
+        status = main(["demo", "--out", str(out), "--json"])
+    return status, out, text.getvalue(), seen.call_args.args
 
 
 def test_demo_tells_its_story_in_files(demo):
-    status, out = demo
+    status, out, *_ = demo
     assert status == 0
     assert sorted(p.name for p in out.iterdir()) == [
         "corrected.xml",
@@ -60,9 +73,26 @@ def test_demo_tells_its_story_in_files(demo):
     assert ji.load_model(out / "model.xml").joint_names == log.joint_names
 
 
+def test_demo_tells_scripts_and_people_the_same(demo, capsys):
+    _, out, printed, (compared, secret, diagnosed) = demo
+    numbers = json.loads(printed)
+    assert numbers["load"] == {"mass_kg": 1.9, "picked_up_s": 4.0, "put_down_s": 10.0}
+    assert [one["name"] for one in numbers["filters"]] == [one.name for one in compared.runs]
+    assert [one["unphysical"] > 0 for one in numbers["filters"]] == [True, False, False]
+    assert numbers["filters"][-1]["rms_kg"] < 0.1
+    assert numbers["diagnosis"] == json.loads((out / "report.json").read_text())
+    demo_command._print(compared, out)
+    demo_command._print_diagnosis(secret, diagnosed, out)
+    table = capsys.readouterr().out
+    for one in numbers["filters"]:
+        assert one["name"] in table
+        assert f"{1e3 * one['rms_kg']:.0f} g" in table or "diverged" in table
+    assert " ".join(numbers["hidden"]["judged"].split()) in " ".join(table.split())
+
+
 def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys):
     """1.9 kg from 4 s to 10 s on a hand of 1.1 kg."""
-    _, data = demo
+    _, data, *_ = demo
     out = tmp_path / "estimates"
     command = ["estimate", str(data / "log.npz"), "--model", str(data / "model.xml")]
     assert main([*command, "--bodies", "hand", "--out", str(out)]) == 0
@@ -129,11 +159,13 @@ def estimate(folder, log="loaded.npz", *options) -> int:
 
 
 @pytest.mark.parametrize("log", ["loaded.npz", "amperes.npz"])
-def test_a_constant_load_by_filter_and_batch_fit(folder, tmp_path, log):
-    """In newton metres, and as currents with their gains."""
+def test_a_constant_load_by_filter_and_batch_fit(folder, tmp_path, log, capsys):
+    """In newton metres, and as currents with their gains; the report on stdout is the one in the file."""
     gains = ["--gains", *[str(GAIN)] * 3] if log == "amperes.npz" else []
-    assert estimate(folder, log, "--out", str(tmp_path), *gains) == 0
+    options = ["--out", str(tmp_path), "--json", "--write-model", *gains]
+    assert estimate(folder, log, *options) == 0
     report = json.loads((tmp_path / "report.json").read_text())
+    assert json.loads(capsys.readouterr().out) == report
     model = loaded(compiled("universal"), "tip")
     truth = body_pi(model, model.body("tip").id)
     body = report["bodies"]["tip"]
@@ -150,6 +182,72 @@ def test_a_constant_load_by_filter_and_batch_fit(folder, tmp_path, log):
     assert seen["rank"] == len(seen["combinations"]) <= seen["parameters"] == 10
     for row in report["residual_rms"].values():
         assert row["batch"] < 0.2 < row["model"]
+
+
+# --- help, and completion ----------------------------------------------------------------------------------------
+
+
+COMMANDS = ("convert", "diagnose", "estimate", "suggest-motion", "demo")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_teaches_with_examples_that_parse(command, capsys, monkeypatch):
+    """Each line of the examples goes through the parser, and every command has --json."""
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert "--json" in said
+    examples = said.partition("examples:")[2].replace("\\\n", " ")
+    lines = re.findall(r"^ +(?:.* && )?jax-inertia (.*)$", examples, re.MULTILINE)
+    lines = [line.partition(" && ")[0] for line in lines]
+    assert any(line.startswith(command) for line in lines)
+    for name in ("convert", "diagnose", "estimate", "suggest_motion"):
+        module = importlib.import_module(f"jax_inertia._{name}_command")
+        monkeypatch.setattr(module, "run", lambda args: 0)
+    monkeypatch.setattr(demo_command, "run", lambda args: 0)
+    assert [main(shlex.split(line)) for line in lines] == [0] * len(lines)
+
+
+def test_help_says_what_the_exit_statuses_mean(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert "exit status: 0" in said
+    assert all(word in said for word in (*COMMANDS, "130", "--json"))
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_completion_knows_commands_options_and_files(tmp_path, capsys):
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit) as end:
+        main(["--print-completion", "bash"])
+    assert end.value.code == 0
+    (tmp_path / "script").write_text(capsys.readouterr().out)
+    (tmp_path / "arm.urdf").write_text("")
+    for typed, wanted in (
+        ("jax-inertia su", "suggest-motion"),
+        ("jax-inertia estimate --write", "--write-model"),
+        ("jax-inertia estimate --model ar", "arm.urdf"),
+    ):
+        lines = (
+            "source ./script",
+            f"COMP_WORDS=({typed}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))",
+            '_shtab_jax_inertia; echo "${COMPREPLY[@]}"',
+        )
+        done = subprocess.run(
+            ["bash", "-c", "\n".join(lines)],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.split() == [wanted]
+
+
+def test_completion_without_its_library_is_one_line(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    refused(capsys, ["--print-completion", "zsh"], "pip install 'jax-inertia[completion]'")
 
 
 # --- bad input ---------------------------------------------------------------------------------------------------

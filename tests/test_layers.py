@@ -19,7 +19,7 @@ LAYERS: dict[str, str] = {
         simulate""",
     "gap": "gap",
     "control": "control",
-    "command line": """_console _convert_command _model_output _diagnose_command _diagnose_run
+    "command line": """_console _completion _convert_command _model_output _diagnose_command _diagnose_run
         _estimate_command _estimate_run _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }

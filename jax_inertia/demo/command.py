@@ -1,6 +1,10 @@
 """`jax-inertia demo`: the whole story on built-in data."""
 
 import argparse
+import dataclasses
+import json
+import math
+import textwrap
 from pathlib import Path
 
 _DESCRIPTION = """
@@ -9,12 +13,28 @@ Kalman filter on plain parameters and extended Kalman filters on physical ones w
 with a hidden effect, drawn by the seed, is diagnosed. Writes log.npz, model.xml, demo.png, and of the diagnosis
 hidden.npz, hidden_test.npz, report.json, report.html and corrected.xml.
 """
+_EXAMPLES = """
+examples:
+  a minute and a half of it, into out/demo
+    jax-inertia demo
+
+  another load's motion and another hidden effect, shown in a window
+    jax-inertia demo --seed 7 --out seven --show
+
+  its own files through the other commands
+    jax-inertia estimate out/demo/log.npz --model out/demo/model.xml --bodies hand
+    jax-inertia diagnose out/demo/hidden.npz --model out/demo/model.xml --test-log out/demo/hidden_test.npz
+"""
 
 
 def add_parser(subparsers) -> None:
     """Add `demo` to the command line."""
     parser = subparsers.add_parser(
-        "demo", help="the whole story on built-in data", description=_DESCRIPTION
+        "demo",
+        help="the whole story on built-in data",
+        description=textwrap.dedent(_DESCRIPTION),
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
@@ -26,6 +46,7 @@ def add_parser(subparsers) -> None:
         metavar="N",
         help="another motion and other noise (default 0)",
     )
+    add("--json", action="store_true", help="print numbers for scripts instead of the tables")
     parser.set_defaults(run=run)
 
 
@@ -55,11 +76,39 @@ def run(args: argparse.Namespace) -> int:
         )
         diagnosed = _diagnose_run.diagnosis(inputs, [], 3, stage)
         _diagnose_run.write(folder, inputs, diagnosed)
-    _print(compared, args.out)
-    _print_diagnosis(case.secret, diagnosed, args.out)
+    if args.json:
+        print(json.dumps(_numbers(compared, case.secret, diagnosed), indent=1, allow_nan=False))
+    else:
+        _print(compared, args.out)
+        _print_diagnosis(case.secret, diagnosed, args.out)
     if args.show:
         _show(compared)
     return 0
+
+
+def _numbers(compared, secret, diagnosed) -> dict:
+    scenario = compared.scenario
+    return {
+        "schema": 1,
+        "load": {
+            "mass_kg": scenario.load.mass,
+            "picked_up_s": scenario.pick_up,
+            "put_down_s": scenario.put_down,
+        },
+        "samples": len(compared.time),
+        "filters": [
+            {
+                "name": one.name,
+                "found_after_s": one.score.found_after,
+                "let_go_after_s": one.score.let_go_after,
+                "rms_kg": one.score.rms if math.isfinite(one.score.rms) else None,
+                "unphysical": one.score.unphysical,
+            }
+            for one in compared.runs
+        ],
+        "hidden": {**dataclasses.asdict(secret), "judged": judged(secret, diagnosed.found)},
+        "diagnosis": diagnosed.report,
+    }
 
 
 def _print(compared, out: Path) -> None:
