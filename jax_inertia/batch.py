@@ -140,6 +140,15 @@ def fit(
     Where the logged torque is a current, `gains` are the torques per unit to start from and `gain_sigma` their
     relative uncertainty (0: they are exact); the log's torque must then still be in its own unit. Raises ValueError
     for unknown names or terms.
+
+    >>> from jax_inertia import batch, load_model, logfilter
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> found = batch.fit(robot, [log], ["lower"], prior=Load(1.0))
+    >>> round(float(found.estimate.pi[0, 0]), 1)  # 1 kg of link, 0.5 kg of load
+    1.5
     """
     chosen = _fittable(robot) if bodies is None else resolve_bodies(robot, bodies)
     if unknown := [t for t in joint_terms if t not in JOINT_TERMS]:

@@ -44,6 +44,18 @@ def consistency(innovation: Innovation, *, skip: int = 0) -> Consistency:
     """Consistency of a run (innovations with a leading time axis), leaving out the first `skip` samples.
 
     Raises ValueError where fewer than 20 samples remain.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.consistency import consistency
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> ekf = logfilter.online(robot, ["lower"], np.full(2, 0.05), prior=Load(1.0), gate=1.0)
+    >>> _, trace = logfilter.run(ekf, ekf.initial(), logfilter.thinned(log))
+    >>> consistency(trace.innovation, skip=10).rejected
+    0.0
     """
     nis, rows, accepted = (
         np.asarray(x)[skip:] for x in (innovation.nis, innovation.rows, innovation.accepted)
@@ -72,10 +84,16 @@ def consistency(innovation: Innovation, *, skip: int = 0) -> Consistency:
 def nees(
     mean: Float[Array, "*t n"], covariance: Float[Array, "*t n n"], truth: Float[Array, " n"]
 ) -> Float[np.ndarray, "*t"]:
-    """Normalised estimation error squared (x − x̂)ᵀ P⁻¹ (x − x̂); χ² with n degrees of freedom when consistent."""
+    """Normalised estimation error squared (x − x̂)ᵀ P⁻¹ (x − x̂); χ² with n degrees of freedom when consistent.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.consistency import nees
+    >>> nees(jnp.array([1.0, 2.0]), jnp.diag(jnp.array([0.25, 1.0])), jnp.array([1.5, 2.0]))
+    array(1.)
+    """
     error = np.asarray(truth) - np.asarray(mean)
     solved = np.linalg.solve(np.asarray(covariance), error[..., None])[..., 0]
-    return np.sum(error * solved, axis=-1)
+    return np.asarray(np.sum(error * solved, axis=-1))
 
 
 def _whiteness(x: np.ndarray, lags: int = 10) -> tuple[float, float]:

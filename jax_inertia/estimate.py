@@ -219,7 +219,15 @@ class Estimator(eqx.Module):
 def physical_units(
     chart: charts.Chart, mean: Float[Array, " n"], covariance: Float[Array, "n n"]
 ) -> Estimate:
-    """A Gaussian in a chart's coordinates (10 for each body) in physical units."""
+    """A Gaussian in a chart's coordinates (10 for each body) in physical units.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.charts import Linear
+    >>> from jax_inertia.estimate import physical_units
+    >>> body = jnp.array([2.0, 0, 0, 0.2, 0.04, 0, 0, 0.04, 0, 0.01])
+    >>> physical_units(Linear(), body, 0.01 * jnp.eye(10)).sigma_pi[0, :2]
+    Array([0.1, 0.1], dtype=float64)
+    """
     return _physical(chart, mean, _own_blocks(covariance))
 
 
@@ -273,6 +281,13 @@ def make_estimator(
     prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), or noise that is not
     positive.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> ekf.estimate(ekf.initial().belief).pi[0, :4].round(6) + 0.0
+    Array([ 1. ,  0. ,  0. , -0.5], dtype=float64)
     """
     chosen = resolve_bodies(robot, bodies)
     if not chosen:

@@ -125,6 +125,15 @@ def knowledge(
 
     `noise` is that of independent samples, correlation taken in, as `BatchFit.noise` is. Raises ValueError for an
     unknown body, and for noise that is not positive.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.identifiability import Source, knowledge
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> knowledge(robot, log, ["lower"], 0.1, prior=Load(1.0)).of(Source.NOTHING)  # it swings in a plane
+    ('lower.hy', 'lower.Ixx', 'lower.Ixy', 'lower.Ixz', 'lower.Iyz', 'lower.Izz')
     """
     y, _, valid = regressors(robot, observation, bodies, bias)
     sigma = np.broadcast_to(np.asarray(noise, float), (robot.nv,))
@@ -140,7 +149,16 @@ def of_rows(
     *,
     prior: Uncertainty | None = None,
 ) -> Knowledge:
-    """`knowledge` of regressors (n = 10 × bodies) in units of their rows' noise."""
+    """`knowledge` of regressors (n = 10 × bodies) in units of their rows' noise.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.identifiability import Source, of_rows
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> weighed = np.eye(1, 10).reshape(1, 1, 10) / 0.01  # a scale of 10 g: the mass, and nothing else
+    >>> of_rows(load_model(double_pendulum()), weighed, ["lower"]).of(Source.DATA)
+    ('lower.m',)
+    """
     chosen = resolve_bodies(robot, bodies)
     names = _names(robot, chosen)
     rows = whitened.reshape(-1, whitened.shape[-1])
@@ -180,6 +198,12 @@ def structure(robot: Robot, bodies: Sequence[int | str] | None = None) -> Identi
 
     From regressors at random states, far from each other and fast; joint limits are left aside. A floating base is
     taken to be measured with the wrench that holds it.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.identifiability import structure
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> structure(load_model(double_pendulum()))
+    Identifiability(rank 6 of 20; 4 determined alone, 3 only in combination, 13 invisible)
     """
     chosen = resolve_bodies(robot, bodies)
     count = 40 + 20 * len(chosen)

@@ -26,14 +26,28 @@ THETA_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3")
 
 
 def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
-    """Rotational inertia I [kg m²] about the frame origin, as a symmetric matrix."""
+    """Rotational inertia I [kg m²] about the frame origin, as a symmetric matrix.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, rotational_inertia
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> rotational_inertia(pi).diagonal()
+    Array([0.04, 0.04, 0.01], dtype=float64)
+    """
     xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(4, 10))
     rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
-    """Centre of mass h/m [m] in the body frame; zero for a massless body."""
+    """Centre of mass h/m [m] in the body frame; zero for a massless body.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import centre_of_mass, from_com
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> centre_of_mass(pi)
+    Array([0. , 0. , 0.1], dtype=float64)
+    """
     m = pi[..., :1]
     return jnp.where(m == 0, 0.0, pi[..., 1:4] / jnp.where(m == 0, 1.0, m))
 
@@ -44,6 +58,12 @@ def from_com(
     """π of a body of `mass` [kg], centre of mass `com` [m] and `inertia` [kg m²] *about the centre of mass*.
 
     Parallel-axis theorem: I = I_c + m (c·c 1 − c cᵀ); h = m c.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> pi  # 2 kg · (0.1 m)² more about the frame's origin
+    Array([2.  , 0.  , 0.  , 0.2 , 0.04, 0.  , 0.  , 0.04, 0.  , 0.01],      dtype=float64)
     """
     shift = jnp.sum(com * com, -1)[..., None, None] * jnp.eye(3, dtype=com.dtype)
     shift = shift - com[..., :, None] * com[..., None, :]
@@ -64,7 +84,14 @@ def from_com(
 
 
 def pseudo_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
-    """Pseudo-inertia P = [[½ tr(I) 1 − I, h], [hᵀ, m]] (Wensing et al. 2018, eq. 12)."""
+    """Pseudo-inertia P = [[½ tr(I) 1 − I, h], [hᵀ, m]] (Wensing et al. 2018, eq. 12).
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, pseudo_inertia
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> pseudo_inertia(pi).diagonal()
+    Array([0.005, 0.005, 0.035, 2.   ], dtype=float64)
+    """
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(10))
     rows = [
         [0.5 * (yy + zz - xx), -xy, -xz, hx],
@@ -76,7 +103,14 @@ def pseudo_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
 
 
 def from_pseudo_inertia(p: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
-    """π of a pseudo-inertia: I = tr(Σ) 1 − Σ, the inverse of `pseudo_inertia`."""
+    """π of a pseudo-inertia: I = tr(Σ) 1 − Σ, the inverse of `pseudo_inertia`.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_pseudo_inertia, pseudo_inertia
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> bool(jnp.allclose(from_pseudo_inertia(pseudo_inertia(pi)), pi))
+    True
+    """
     sx, sy, sz = p[..., 0, 0], p[..., 1, 1], p[..., 2, 2]
     return jnp.stack(
         [
@@ -100,6 +134,12 @@ def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
 
     Tested by Cholesky after scaling the diagonal to one, so that the answer does not depend on units and holds in
     float32 for bodies of ordinary proportions.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, is_physical
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> bool(is_physical(pi)), bool(is_physical(pi.at[0].set(-1.0)))
+    (True, False)
     """
     p = pseudo_inertia(pi)
     diagonal: Array = jnp.diagonal(p, axis1=-2, axis2=-1)
@@ -117,6 +157,12 @@ def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """π = g(θ) with pseudo-inertia UᵀU (Foster et al., eq. log-cholesky); physical for every finite θ.
 
     θ = [α, d1, d2, d3, s12, s13, s23, t1, t2, t3].
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_log_cholesky, is_physical
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> bool(is_physical(from_log_cholesky(jnp.array([0.3, -2, -2, -1, 0.1, 0, 0, 0, 0, 0.2]))))
+    True
     """
     a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
@@ -136,13 +182,30 @@ def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 
 
 def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-    """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical."""
+    """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_log_cholesky, to_log_cholesky
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> theta = to_log_cholesky(pi)
+    >>> bool(jnp.allclose(from_log_cholesky(theta), pi))
+    True
+    """
     u = jnp.swapaxes(jnp.linalg.cholesky(pseudo_inertia(pi)), -1, -2)
     return read_factor(u)
 
 
 def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
-    """∂π/∂θ of `from_log_cholesky` in closed form; equals `jax.jacfwd(from_log_cholesky)(theta)`."""
+    """∂π/∂θ of `from_log_cholesky` in closed form; equals `jax.jacfwd(from_log_cholesky)(theta)`.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_log_cholesky, log_cholesky_jacobian, to_log_cholesky
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> import jax
+    >>> theta = to_log_cholesky(pi)
+    >>> bool(jnp.allclose(log_cholesky_jacobian(theta), jax.jacfwd(from_log_cholesky)(theta)))
+    True
+    """
     return _jacobian(_UTU, theta)
 
 
@@ -150,7 +213,15 @@ def log_cholesky_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 1
 
 
 def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-    """π with pseudo-inertia U Uᵀ: m = e^{2α}, centre of mass t (Rucker and Wensing 2022 as Pinocchio has it)."""
+    """π with pseudo-inertia U Uᵀ: m = e^{2α}, centre of mass t (Rucker and Wensing 2022 as Pinocchio has it).
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_log_cholesky_uut
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> theta = jnp.array([0.5 * jnp.log(2.0), -2, -2, -1, 0.1, 0, 0, 0, 0, 0.1])
+    >>> from_log_cholesky_uut(theta)[:4]  # 2 kg with their centre 0.1 m up
+    Array([2. , 0. , 0. , 0.2], dtype=float64)
+    """
     a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
     xx = e1 * e1 + s12 * s12 + s13 * s13 + t1 * t1
@@ -172,14 +243,30 @@ def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]
 
 
 def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-    """Inverse of `from_log_cholesky_uut`; NaN where the body is not physical."""
+    """Inverse of `from_log_cholesky_uut`; NaN where the body is not physical.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, to_log_cholesky_uut
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> to_log_cholesky_uut(pi)[7:]  # t is the centre of mass
+    Array([0. , 0. , 0.1], dtype=float64)
+    """
     # P = U Uᵀ with U upper: the ordinary Cholesky factor of P with both axes reversed.
     reverse = pseudo_inertia(pi)[..., ::-1, ::-1]
     return read_factor(jnp.linalg.cholesky(reverse)[..., ::-1, ::-1])
 
 
 def log_cholesky_uut_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
-    """∂π/∂θ of `from_log_cholesky_uut` in closed form."""
+    """∂π/∂θ of `from_log_cholesky_uut` in closed form.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import from_com, from_log_cholesky_uut, log_cholesky_uut_jacobian, to_log_cholesky_uut
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> import jax
+    >>> theta = to_log_cholesky_uut(pi)
+    >>> bool(jnp.allclose(log_cholesky_uut_jacobian(theta), jax.jacfwd(from_log_cholesky_uut)(theta)))
+    True
+    """
     return _jacobian(_UUT, theta)
 
 
@@ -231,7 +318,15 @@ def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 1
 
 
 def factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
-    """U of either map as a matrix: e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], …]."""
+    """U of either map as a matrix: e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], …].
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import factor, from_com, pseudo_inertia, to_log_cholesky
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> u = factor(to_log_cholesky(pi))
+    >>> bool(jnp.allclose(u.T @ u, pseudo_inertia(pi)))
+    True
+    """
     at = np.zeros((10, 4, 4))
     for k, place in enumerate(_PLACES):
         at[k][place] = 1.0
@@ -239,7 +334,14 @@ def factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
 
 
 def read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
-    """θ of a matrix U with positive diagonal, the inverse of `factor`."""
+    """θ of a matrix U with positive diagonal, the inverse of `factor`.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.inertia import factor, from_com, read_factor, to_log_cholesky
+    >>> pi = from_com(jnp.array(2.0), jnp.array([0.0, 0.0, 0.1]), jnp.diag(jnp.array([0.02, 0.02, 0.01])))
+    >>> bool(jnp.allclose(read_factor(factor(to_log_cholesky(pi))), to_log_cholesky(pi)))
+    True
+    """
     scale = u[..., 3, 3]
     n = u / scale[..., None, None]
     logs = [jnp.log(n[..., i, i]) for i in range(3)]

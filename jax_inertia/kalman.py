@@ -237,12 +237,24 @@ class Information(Form):
 
 
 def default_form(dtype: jnp.dtype) -> Form:
-    """`Information` where float64 leaves digits to square the condition number, `SquareRoot` elsewhere."""
+    """`Information` where float64 leaves digits to square the condition number, `SquareRoot` elsewhere.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.kalman import default_form
+    >>> default_form(jnp.dtype("float32"))
+    SquareRoot()
+    """
     return Information() if jnp.finfo(dtype).bits >= 64 else SquareRoot()
 
 
 def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
-    """Random walk: the mean stays, P⁻ = P + Q (Foster et al., eq. predict with F = 1)."""
+    """Random walk: the mean stays, P⁻ = P + Q (Foster et al., eq. predict with F = 1).
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.kalman import Belief, predict
+    >>> predict(Belief(jnp.zeros(1), jnp.eye(1)), 0.5 * jnp.eye(1)).covariance
+    Array([[1.5]], dtype=float64)
+    """
     return Belief(belief.mean, belief.covariance + q)
 
 
@@ -264,6 +276,13 @@ def update(
     `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
     False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
     is returned unchanged where the gate rejects or the result would not be finite.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.kalman import Belief, IndependentNoise, update
+    >>> before = Belief(jnp.zeros(1), jnp.eye(1))
+    >>> after, seen = update(before, jnp.array([2.0]), lambda x: x, IndependentNoise(jnp.ones(1)))
+    >>> after.mean.round(6), after.covariance.round(6)
+    (Array([1.], dtype=float64), Array([[0.5]], dtype=float64))
     """
     form = default_form(belief.mean.dtype) if form is None else form
     jacobian = jax.jacfwd(model) if jacobian is None else jacobian
@@ -328,6 +347,12 @@ def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
     A Gram matrix rounded entry by entry is indefinite by up to n ε of its diagonal, so that much is added there,
     and so little that its own square would vanish.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.kalman import positive
+    >>> singular = jnp.ones((2, 2))  # what rounding leaves of it need not have a root
+    >>> bool(jnp.isfinite(jnp.linalg.cholesky(positive(singular))).all())
+    True
     """
     info = jnp.finfo(p.dtype)
     margin = len(p) * info.eps * jnp.diagonal(p) + info.tiny**0.5
@@ -335,7 +360,14 @@ def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular."""
+    """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.kalman import cholesky
+    >>> cholesky(4.0 * jnp.eye(2))
+    Array([[2., 0.],
+           [0., 2.]], dtype=float64)
+    """
     diagonal: Array = jnp.diagonal(p)
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     unit = p / (scale[:, None] * scale[None, :])

@@ -60,6 +60,13 @@ def weighted_least_squares(
     """Weighted least squares with a rank report (Foster et al., eq. least-squares); W = diag(`weight`).
 
     Rows with weight zero are left out. Raises ValueError for non-finite rows or negative weights.
+
+    >>> import numpy as np
+    >>> from jax_inertia.least_squares import weighted_least_squares
+    >>> both = np.array([[1.0, 1.0], [2.0, 2.0]])  # only their sum shows
+    >>> fit = weighted_least_squares(both, np.array([3.0, 6.0]), names=["a", "b"])
+    >>> fit.identifiability.rank, fit.identifiability.combinations
+    (1, ('a +1 b',))
     """
     y, f = np.asarray(regressor, float), np.asarray(measurement, float)
     w = np.broadcast_to(np.asarray(weight, float), f.shape)
@@ -111,6 +118,11 @@ def combinations(
 
     Text such as 'b.hz +0.31 b.m', and its coefficients. Column k of `scaled` is that of parameter k in units of
     `unit`; of what is regrouped, terms below `least` of those units are left out.
+
+    >>> import numpy as np
+    >>> from jax_inertia.least_squares import combinations
+    >>> list(combinations(np.array([[1.0, 2.0]]), np.ones(2), 1, ["a", "b"]))
+    ['b +0.5 a']
     """
     if rank == 0:
         return {}

@@ -42,6 +42,13 @@ class Log(eqx.Module):
     moment about the frame origin of the body named in `contact_bodies`. `sigma_*` are standard
     deviations of one sample. Raises `LogError` where shapes or names do not fit together; values
     are not looked at, so that it may be traced.
+
+    >>> import numpy as np
+    >>> from jax_inertia import Log
+    >>> time = np.arange(200) * 0.01
+    >>> angle = np.sin(time)[:, None]
+    >>> Log(time=time, joint_names=("elbow",), qpos=angle, tau=-2.0 * angle).between(0.5, 1.0)
+    Log(0.5 s at 100 Hz, 51 samples; joints elbow; qpos, tau; torque unknown in N m)
     """
 
     time: Float[AnyArray, "T"]
@@ -199,6 +206,15 @@ def read_log(
     (what, where, what would be right) for a file that is not a sound log: missing or misshapen arrays, other dtypes,
     repeated names, stamps that do not increase. Samples may be NaN (a sensor that dropped out); stamps and noise may
     not. What is outside the contract is left alone and named in `Log.notes`.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import read_log, write_log
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> path = Path(tempfile.mkdtemp()) / "swing.csv"
+    >>> write_log(swing(seconds=0.5), path)
+    >>> read_log(path)
+    Log(0.49 s at 100 Hz, 50 samples; joints shoulder, elbow; qpos, tau, qvel; torque sensor in N m)
     """
     path, options = Path(path), options or Options()
     try:
@@ -257,6 +273,15 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
 def write_log(log: Log, path: str | os.PathLike) -> None:
     """Write a log that `read_log` reads back, as .npz, .csv or .parquet: whole or not at all (a temporary file takes
     the name at the end). Raises ValueError for another suffix.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import read_log, write_log
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> path = Path(tempfile.mkdtemp()) / "swing.csv"
+    >>> write_log(swing(seconds=0.5), path)
+    >>> path.read_text().splitlines()[0]
+    'time,qpos.shoulder,qpos.elbow,tau.shoulder,tau.elbow,qvel.shoulder,qvel.elbow,tau_unit,tau_kind'
     """
     path = Path(path)
     arrays = {

@@ -52,6 +52,13 @@ def observe(
     Every channel passes one zero-phase low-pass of `cutoff` [Hz]; torques stay in the log's unit. One period of the
     cutoff is cut off at both ends, where the filter rings. Raises ValueError for rates that do not fit the log, and
     where too little is left or nothing of it was measured.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> log.a.shape, round(float(log.motion.time[0]), 2)
+    ((378, 2), 0.11)
     """
     rate = min(_RATE_PER_CUTOFF * cutoff, round(log.rate, 6)) if rate is None else rate
     motion = generalised(low_pass(resample(log, rate), cutoff), robot)
@@ -73,6 +80,14 @@ def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0
     """The same with rows of hinges slower than `slowest` [rad/s] masked: dry friction is below its kinetic level there.
 
     For robots whose friction was fitted; sensors on the link side do not see it.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> faster = logfilter.without_slow_rows(log, robot, slowest=0.5)
+    >>> bool(faster.motion.valid.sum() < log.motion.valid.sum())
+    True
     """
     top = robot.topology
     hinge = np.array(top.kind)[top.dof_node] == HINGE
@@ -82,13 +97,29 @@ def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0
 
 
 def stride(observation: Observation, cutoff: float = CUTOFF) -> int:
-    """How many samples of the grid one independent sample spans: rate / (2 cutoff), at least one."""
+    """How many samples of the grid one independent sample spans: rate / (2 cutoff), at least one.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> logfilter.stride(log)
+    5
+    """
     period = float(np.median(np.diff(np.asarray(observation.motion.time))))
     return max(1, int(0.5 / (period * cutoff) + 1e-6))
 
 
 def thinned(observation: Observation, cutoff: float = CUTOFF) -> Observation:
-    """Every `stride`-th observation: twice the cutoff, the rate that filters run at."""
+    """Every `stride`-th observation: twice the cutoff, the rate that filters run at.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> logfilter.thinned(log).a.shape
+    (76, 2)
+    """
     step = stride(observation, cutoff)
     return jax.tree.map(lambda x: x[::step], observation)
 
@@ -96,7 +127,13 @@ def thinned(observation: Observation, cutoff: float = CUTOFF) -> Observation:
 def joint_gains(
     log: Log, robot: Robot, gains: Sequence[float] | Float[np.ndarray, " n"] | float
 ) -> Float[np.ndarray, " nv"]:
-    """Drive gains in the log's order of joints (or one for all) as gains of the robot's rows; 1 on all others."""
+    """Drive gains in the log's order of joints (or one for all) as gains of the robot's rows; 1 on all others.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> logfilter.joint_gains(swing(), load_model(double_pendulum()), [10.0, 4.0])
+    array([10.,  4.])
+    """
     values = np.asarray(gains, float)
     if values.size not in (1, len(log.joint_names)):
         raise ValueError(
@@ -113,7 +150,17 @@ def joint_gains(
 
 
 def in_newton_metres(observation: Observation, gains: Float[np.ndarray, " nv"]) -> Observation:
-    """Observations with torques τ = gain · logged."""
+    """Observations with torques τ = gain · logged.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> import numpy as np
+    >>> twice = logfilter.in_newton_metres(log, np.array([2.0, 2.0]))
+    >>> bool(np.allclose(twice.motion.tau, 2 * log.motion.tau))
+    True
+    """
     return eqx.tree_at(
         lambda o: o.motion.tau, observation, np.asarray(observation.motion.tau) * gains
     )
@@ -130,7 +177,16 @@ def regressors(
     bodies: Sequence[int | str],
     bias: Float[np.ndarray, " nv"] | None = None,
 ) -> tuple[Float[np.ndarray, "T nv n"], Float[np.ndarray, "T nv"], np.ndarray]:
-    """(Y^est with n = 10 × bodies, Δτ, which rows to use) of every observation, zero where not to be used."""
+    """(Y^est with n = 10 × bodies, Δτ, which rows to use) of every observation, zero where not to be used.
+
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> y, missing, valid = logfilter.regressors(robot, log, ["lower"])
+    >>> y.shape, missing.shape, bool(valid.all())
+    ((378, 2, 10), (378, 2), True)
+    """
     chosen = resolve_bodies(robot, bodies)
     bias = np.zeros(robot.nv) if bias is None else bias
     y, delta = (np.asarray(x) for x in _residuals(robot, observation, chosen, jnp.asarray(bias)))
@@ -153,6 +209,16 @@ def residual_noise(
     `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
     residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
     enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead.
+
+    >>> from jax_inertia import batch, load_model, logfilter
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> found = batch.fit(robot, [log], ["lower"], prior=Load(1.0))
+    >>> noise, changed = logfilter.residual_noise(robot, log, ["lower"], prior=Load(1.0), whole=found)
+    >>> bool((noise < 0.05).all()), changed
+    (True, False)
     """
     y, delta, valid = regressors(robot, observation, bodies, bias)
     period = float(np.median(np.diff(np.asarray(observation.motion.time))))
@@ -206,6 +272,16 @@ def online(
     `noise` is that of one sample as the filter gets it (see `thinned`); `gate` the probability of keeping a good
     sample, 1 for no gate. The bodies may drift by the prior's mass in `drift_seconds`: an hour with a gate, which is
     what notices a new load; 3 s without. Raises ValueError as `make_estimator` does.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> ekf = logfilter.online(robot, ["lower"], np.full(2, 0.02), prior=Load(1.0))
+    >>> ekf.bodies, ekf.iterations
+    ((1,), 5)
     """
     if not 0 < gate <= 1:
         raise ValueError(
@@ -233,5 +309,18 @@ _run = eqx.filter_jit(Estimator.run, compiler_options=_QUICK)  # pyright: ignore
 
 
 def run(estimator: Estimator, state: State, observations: Observation) -> tuple[State, Trace]:
-    """`Estimator.run`, compiled."""
+    """`Estimator.run`, compiled.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model, logfilter
+    >>> from jax_inertia.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = logfilter.observe(swing(load=0.5), robot)
+    >>> ekf = logfilter.online(robot, ["lower"], np.full(2, 0.05), prior=Load(1.0), gate=1.0)
+    >>> state, trace = logfilter.run(ekf, ekf.initial(), logfilter.thinned(log))
+    >>> mass, sigma = trace.estimate.pi[-1, 0, 0], trace.estimate.sigma_pi[-1, 0, 0]
+    >>> bool(abs(mass - 1.5) < 2 * sigma < 1.0)  # 1 kg of link, 0.5 kg of load
+    True
+    """
     return _run(estimator, state, observations)

@@ -50,6 +50,11 @@ def load_model(model: str | Path | mujoco.MjModel) -> Robot:
     welded to a moving one are kept. Raises ModelError for a file that cannot be used; warns (ModelWarning) of what
     the model has and rigid-body dynamics does not: tendon forces, equality constraints, fluid, gravity
     compensation. Forces that the model's own flags disable are not there.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> load_model(double_pendulum())  # or load_model("arm.urdf")
+    Robot(fixed base, 2 bodies, nq=2, nv=2, 3 kg; joints shoulder, elbow)
     """
     if not isinstance(model, mujoco.MjModel):
         path, model = model, compile_spec(load_spec(model), model)
@@ -63,7 +68,15 @@ def load_model(model: str | Path | mujoco.MjModel) -> Robot:
 
 
 def body_pi(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """π (10,) of one body of a compiled model, about its frame origin."""
+    """π (10,) of one body of a compiled model, about its frame origin.
+
+    >>> from jax_inertia.mjcf import body_pi
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> model = double_pendulum()
+    >>> body_pi(model, model.body("lower").id).round(3) + 0.0
+    array([ 1.  ,  0.  ,  0.  , -0.5 ,  0.27,  0.  ,  0.  ,  0.27,  0.  ,
+            0.01])
+    """
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
     r = rotation.reshape(3, 3)

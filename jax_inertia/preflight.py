@@ -69,6 +69,13 @@ def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -
 
     `fixed` names joints of the robot that the log may lack. Values are looked at after bridging
     what is not finite, so that one dropout is one finding. Raises nothing.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.preflight import preflight
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = preflight(swing().select(["elbow"]), load_model(double_pendulum()))
+    >>> found.ok, found.findings[0].check
+    (False, 'joint_missing')
     """
     findings = [Finding(Severity.NOTE, "reader", note) for note in log.notes]
     findings += _unit(log)

@@ -136,6 +136,14 @@ class Robot(eqx.Module):
     `pi` (nb, 10) are the inertial parameters of each body about its frame origin [kg, kg m, kg m²]; the other
     arrays are the kinematics (per node) and the joint-side quantities (per degree of freedom). Made by
     `jax_inertia.load_model`; change a leaf with `eqx.tree_at` or `with_pi`.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> robot = load_model(double_pendulum())
+    >>> robot.body_index("lower"), robot.joint_names
+    (1, ('shoulder', 'elbow'))
+    >>> robot.with_pi((1,), 2 * robot.pi[1:])
+    Robot(fixed base, 2 bodies, nq=2, nv=2, 4 kg; joints shoulder, elbow)
     """
 
     topology: Topology = eqx.field(static=True)

@@ -35,7 +35,20 @@ class StateError(ValueError):
 
 
 def save_state(path: str | os.PathLike, estimator: Estimator, state: State) -> None:
-    """Write a state of `estimator`, whole or not at all; ValueError for a name that does not end in .npz."""
+    """Write a state of `estimator`, whole or not at all; ValueError for a name that does not end in .npz.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> from jax_inertia.statefile import load_state, save_state
+    >>> path = Path(tempfile.mkdtemp()) / "state.npz"
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> save_state(path, ekf, ekf.initial())
+    >>> bool((load_state(path, ekf).belief.mean == ekf.initial().belief.mean).all())
+    True
+    """
     _write(Path(path), _settings(estimator), _arrays(state))
 
 
@@ -43,12 +56,40 @@ def load_state(path: str | os.PathLike, estimator: Estimator) -> State:
     """Read a state back, to the last bit.
 
     Raises StateError for a file that is not sound, or of another version or filter (bodies, joints, chart, precision).
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> from jax_inertia.statefile import load_state, save_state
+    >>> path = Path(tempfile.mkdtemp()) / "state.npz"
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> save_state(path, ekf, ekf.initial())
+    >>> bool((load_state(path, ekf).belief.mean == ekf.initial().belief.mean).all())
+    True
     """
     return _state(Path(path), _read(Path(path), _settings(estimator), _FILTER), estimator)
 
 
 def save_stream(path: str | os.PathLike, stream: Stream, state: StreamState) -> None:
-    """Write a stream's state, with the samples that wait; as `save_state`."""
+    """Write a stream's state, with the samples that wait; as `save_state`.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> from jax_inertia.statefile import load_stream, save_stream
+    >>> from jax_inertia.stream import Stream
+    >>> path = Path(tempfile.mkdtemp()) / "state.npz"
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> stream = Stream(ekf)
+    >>> state, _ = stream.feed(stream.start(), swing(seconds=0.5))
+    >>> save_stream(path, stream, state)
+    >>> len(load_stream(path, stream).waiting.time)
+    50
+    """
     arrays = _arrays(state.filter) | {"last": np.asarray(state.last)}
     if (log := state.waiting) is not None:
         arrays |= {
@@ -61,7 +102,23 @@ def save_stream(path: str | os.PathLike, stream: Stream, state: StreamState) -> 
 
 
 def load_stream(path: str | os.PathLike, stream: Stream) -> StreamState:
-    """Read a stream's state back, to the last bit; raises StateError as `load_state` does, and for another window."""
+    """Read a stream's state back, to the last bit; raises StateError as `load_state` does, and for another window.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> from jax_inertia.statefile import load_stream, save_stream
+    >>> from jax_inertia.stream import Stream
+    >>> path = Path(tempfile.mkdtemp()) / "state.npz"
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> stream = Stream(ekf)
+    >>> state, _ = stream.feed(stream.start(), swing(seconds=0.5))
+    >>> save_stream(path, stream, state)
+    >>> len(load_stream(path, stream).waiting.time)
+    50
+    """
     path = Path(path)
     arrays = _read(path, _stream_settings(stream), (*_FILTER, "last"), (*SHAPES, *_TEXTS))
     state = _state(path, arrays, stream.estimator)

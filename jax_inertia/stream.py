@@ -47,7 +47,17 @@ class Part(eqx.Module):
 
 
 class Stream(eqx.Module):
-    """Filter settings and the window; immutable."""
+    """Filter settings and the window; immutable.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimate import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> from jax_inertia.stream import Stream
+    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> chunks = swing().between(0.0, 2.0), swing().between(2.01, 4.0)
+    >>> sum(len(part.time) for part in Stream(ekf, window=8, block=16).run(chunks))  # 399 periods
+    49
+    """
 
     estimator: Estimator
     window: int = eqx.field(static=True, default=16)

@@ -110,6 +110,15 @@ def suggest_motion(
     is: leave room in `limits` for the load. `clear` says which postures are free of collisions. `rate` [Hz] is that of
     the samples given back. Raises ValueError for a robot whose joints are not all hinges and slides, and where not
     even the middle posture keeps the limits.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.motion_limits import Limits
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> from jax_inertia.suggest_motion import suggest_motion
+    >>> robot, limits = load_model(double_pendulum()), Limits.of(double_pendulum(), velocity=2.0)
+    >>> found = suggest_motion(robot, ["lower"], limits, period=4.0, starts=1, steps=10)
+    >>> found.q.shape, bool(abs(found.v).max() <= 2.0)
+    ((401, 2), True)
     """
     if not all(kind in (HINGE, SLIDE) for kind in robot.joint_type):
         raise ValueError(

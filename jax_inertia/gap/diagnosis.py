@@ -47,6 +47,13 @@ def diagnose(
     `exclude` removes families from the library, `extra` adds some of your own, `nominal_uncertainty` states what the
     nominal model may be off by. `test_log`, another motion, only validates. Raises ValueError for an unknown family,
     or one that the library has already, and LogError for a log that does not fit the robot.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.gap import diagnose
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = diagnose(load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> found.findings[0].family, found.findings[0].place.name
+    ('payload', 'lower')
     """
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")

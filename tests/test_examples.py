@@ -1,0 +1,72 @@
+"""Every public function shows how it is used, and what it shows is so.
+
+The examples stand by themselves: nothing is in scope but what they import. Those of `diagnose` and `suggest_motion`
+compile for half a minute, and both have tests of their own: they run with JAX_INERTIA_SLOW=1.
+"""
+
+import doctest
+import importlib
+import inspect
+import os
+
+import jax
+import pytest
+
+import jax_inertia
+import jax_inertia.stream
+
+MODULES = (
+    *("batch", "consistency", "dynamics", "estimate", "identifiability", "inertia", "kalman"),
+    *("least_squares", "log", "logfilter", "mjcf", "preflight", "robots.pendulum", "statefile"),
+    *("stream", "suggest_motion", "gap.diagnosis"),
+)
+SLOW = {"jax_inertia.gap.diagnosis.diagnose", "jax_inertia.suggest_motion.suggest_motion"}
+
+
+def public_functions() -> dict[str, object]:
+    """What `jax_inertia` exports, and the functions without an underscore of its public modules."""
+    found = {}
+    for name in jax_inertia.__all__:
+        thing = getattr(jax_inertia, name)
+        if not (inspect.isclass(thing) and issubclass(thing, Exception | Warning)):
+            found[f"{thing.__module__}.{thing.__name__}"] = thing
+    for name in MODULES:
+        module = importlib.import_module(f"jax_inertia.{name}")
+        for thing in vars(module).values():
+            own = inspect.isfunction(thing) and thing.__module__ == module.__name__
+            if own and not thing.__name__.startswith("_"):
+                found[f"{thing.__module__}.{thing.__name__}"] = thing
+    return found
+
+
+FUNCTIONS = public_functions()
+EXAMPLES = {
+    name: test
+    for name, thing in {**FUNCTIONS, "jax_inertia.stream.Stream": jax_inertia.stream.Stream}.items()
+    for test in doctest.DocTestFinder(recurse=False).find(thing, name, globs={})
+    if test.examples
+}
+
+
+def test_every_public_function_has_an_example():
+    assert len(FUNCTIONS) > 60
+    assert sorted(set(FUNCTIONS) - set(EXAMPLES)) == []
+
+
+@pytest.fixture(autouse=True)
+def quickly():
+    """Compiling is what these spend their time on."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_so(name):
+    if name in SLOW and not os.environ.get("JAX_INERTIA_SLOW"):
+        pytest.skip("half a minute of compiling; set JAX_INERTIA_SLOW=1")
+    said: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    failed, tried = runner.run(EXAMPLES[name], out=said.append)
+    assert tried > 0
+    assert failed == 0, "".join(said)
