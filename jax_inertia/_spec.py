@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jax_inertia._descriptions import PREFIX, description
 from jax_inertia._model_text import ModelError, check_model
+from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia._urdf_repair import ModelWarning, repair
 
 # What MuJoCo raises of a model; RuntimeError is what it makes of memory that ran out.
@@ -22,7 +23,7 @@ def model_path(model: str | Path) -> Path:
     return description(name.removeprefix(PREFIX)) if name.startswith(PREFIX) else Path(model)
 
 
-def load_spec(path: str | Path) -> mujoco.MjSpec:
+def load_spec(path: str | Path) -> MjSpec:
     """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot.
 
     What the file asks for is checked first: it may come from anywhere.
@@ -45,7 +46,7 @@ def load_spec(path: str | Path) -> mujoco.MjSpec:
     return spec
 
 
-def compile_spec(spec: mujoco.MjSpec, where: str | Path = "model") -> mujoco.MjModel:
+def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
     """Compile a spec; `where` says in errors what it came from.
 
     Inertias that break the triangle inequality are balanced, with a warning that names them.
@@ -70,7 +71,7 @@ def compile_spec(spec: mujoco.MjSpec, where: str | Path = "model") -> mujoco.MjM
         raise ModelError(f"{where}: {_one_line(error)}") from None
 
 
-def set_inertials(spec: mujoco.MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:
+def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:
     """Write inertial parameters of named bodies into a spec, as mass, centre and principal moments.
 
     Raises ModelError for an unknown body, for parameters that no body can have, and where the
@@ -136,7 +137,7 @@ def _inertial(
     return m, c, moments, quat
 
 
-def _drop_missing_meshes(spec: mujoco.MjSpec, path: Path) -> None:
+def _drop_missing_meshes(spec: MjSpec, path: Path) -> None:
     """Remove geoms whose mesh file is absent, unless a body's inertia would have come from it."""
     folder = Path(spec.modelfiledir or path.parent)
     missing = {m.name for m in spec.meshes if m.file and not _mesh_file(folder, spec, m).is_file()}
@@ -165,7 +166,7 @@ def _moves(body: mujoco.MjsBody) -> bool:
     return False
 
 
-def _mesh_file(folder: Path, spec: mujoco.MjSpec, mesh) -> Path:
+def _mesh_file(folder: Path, spec: MjSpec, mesh) -> Path:
     name = mesh.file.split("://", 1)[-1]
     return folder / (spec.meshdir or "") / (Path(name).name if spec.strippath else name)
 

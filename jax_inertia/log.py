@@ -192,7 +192,7 @@ class JointNames(Protocol):
 
 
 def read_log(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     options: Options | None = None,
     names: JointNames | None = None,
@@ -270,7 +270,7 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
     return _READERS[path.suffix.lower()]
 
 
-def write_log(log: Log, path: str | os.PathLike) -> None:
+def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     """Write a log that `read_log` reads back, as .npz, .csv or .parquet: whole or not at all (a temporary file takes
     the name at the end). Raises ValueError for another suffix.
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from jax_inertia._model_text import ModelError
+from jax_inertia._mujoco_types import MjModel
 from jax_inertia._spec import compile_spec, load_spec, model_path, set_inertials
 from jax_inertia._urdf import is_urdf, write_urdf
 from jax_inertia._urdf_repair import ModelWarning
@@ -42,7 +43,7 @@ _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARE
 _DISABLE = mujoco.mjtDisableBit
 
 
-def load_model(model: str | Path | mujoco.MjModel) -> Robot:
+def load_model(model: str | Path | MjModel) -> Robot:
     """Read an MJCF or URDF file (or take a compiled `MjModel`) as a `Robot`.
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
@@ -56,18 +57,20 @@ def load_model(model: str | Path | mujoco.MjModel) -> Robot:
     >>> load_model(double_pendulum())  # or load_model("arm.urdf")
     Robot(fixed base, 2 bodies, nq=2, nv=2, 3 kg; joints shoulder, elbow)
     """
-    if not isinstance(model, mujoco.MjModel):
-        path, model = model, compile_spec(load_spec(model), model)
-        if not model.nv:
+    if isinstance(model, str | Path):
+        path, compiled = model, compile_spec(load_spec(model), model)
+        if not compiled.nv:
             raise ModelError(
                 f"{path}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"
             )
-    for line in _left_out(model):
+    else:
+        compiled = model
+    for line in _left_out(compiled):
         warnings.warn(line, ModelWarning, stacklevel=2)
-    return _to_robot(model)
+    return _to_robot(compiled)
 
 
-def body_pi(model: mujoco.MjModel, body: int) -> np.ndarray:
+def body_pi(model: MjModel, body: int) -> np.ndarray:
     """π (10,) of one body of a compiled model, about its frame origin.
 
     >>> from jax_inertia.mjcf import body_pi
@@ -88,7 +91,7 @@ def body_pi(model: mujoco.MjModel, body: int) -> np.ndarray:
 # --- from a compiled model to arrays -----------------------------------------------------------------------------
 
 
-def _to_robot(model: mujoco.MjModel) -> Robot:
+def _to_robot(model: MjModel) -> Robot:
     parent, kind, qpos_adr, body_node, bodies = [], [], [], [], []
     place_r, place_p, anchor, axis, reference = [], [], [], [], []
     # Last node of each MuJoCo body (−1: fixed to the world), and the pose of fixed ones in the world.
@@ -167,18 +170,18 @@ def _to_robot(model: mujoco.MjModel) -> Robot:
     )
 
 
-def _enabled(model: mujoco.MjModel, flag: mujoco.mjtDisableBit) -> bool:
+def _enabled(model: MjModel, flag: mujoco.mjtDisableBit) -> bool:
     return not model.opt.disableflags & int(flag)
 
 
-def _reflected(model: mujoco.MjModel) -> np.ndarray:
+def _reflected(model: MjModel) -> np.ndarray:
     """Whether each actuator's armature and damping are those of one degree of freedom (nu,)."""
     on_joint = np.isin(model.actuator_trntype, _ON_JOINT)
     joint = np.where(on_joint, model.actuator_trnid[:, 0], 0)
     return on_joint & np.isin(model.jnt_type[joint], _SCALAR)
 
 
-def _joint_side(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+def _joint_side(model: MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Armature and damping of every degree of freedom, its actuators' included: gear² times theirs."""
     armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
     for u in np.flatnonzero(_reflected(model)):
@@ -188,7 +191,7 @@ def _joint_side(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     return armature, damping
 
 
-def _left_out(model: mujoco.MjModel) -> Iterator[str]:
+def _left_out(model: MjModel) -> Iterator[str]:
     """One line for each element whose force the rigid-body dynamics does not have."""
     if model.nflex:
         raise ModelError(f"{model.nflex} flex element(s): deformable bodies cannot be represented")

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jax_inertia._mujoco_types import MjModel
 from jax_inertia.robot import Robot
 
 _TOLERANCE = 1e-9
@@ -23,7 +24,7 @@ class Limits(eqx.Module):
     @classmethod
     def of(
         cls,
-        model: mujoco.MjModel,
+        model: MjModel,
         *,
         velocity: Float[np.ndarray, " n"] | float = 1.5,
         swing: float = 1.0,
@@ -78,7 +79,7 @@ class Limits(eqx.Module):
         return ""
 
 
-def _torques(model: mujoco.MjModel) -> Float[np.ndarray, " n"]:
+def _torques(model: MjModel) -> Float[np.ndarray, " n"]:
     """Most torque of each joint: its own limit, or what its motors give; infinite where nothing limits it."""
     out = np.full(model.njnt, np.inf)
     given = np.zeros(model.njnt)
@@ -101,7 +102,7 @@ def _torques(model: mujoco.MjModel) -> Float[np.ndarray, " n"]:
 
 
 def collision_free(
-    model: mujoco.MjModel,
+    model: MjModel,
 ) -> Callable[[Float[np.ndarray, "T n"]], Bool[np.ndarray, " T"]]:
     """A test of postures for MuJoCo's contacts, those of the reference posture apart."""
     data = mujoco.MjData(model)

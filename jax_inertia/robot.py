@@ -14,6 +14,7 @@ last node. Three ideas keep this short to compile and cheap to run:
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -190,7 +191,7 @@ class Robot(eqx.Module):
         """The same robot with other inertial parameters for the chosen bodies (by index)."""
         return eqx.tree_at(lambda r: r.pi, self, self.pi.at[jnp.array(bodies)].set(pi))
 
-    def astype(self, dtype) -> "Robot":
+    def astype(self, dtype: str | type[Any] | np.dtype[Any]) -> "Robot":
         """The same robot with every array in another floating-point type."""
         return jax.tree.map(lambda x: jnp.asarray(x, dtype), self)
 

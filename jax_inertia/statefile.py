@@ -34,7 +34,7 @@ class StateError(ValueError):
     """A file whose state cannot be gone on with; the message is one line: what, and what would be right."""
 
 
-def save_state(path: str | os.PathLike, estimator: Estimator, state: State) -> None:
+def save_state(path: str | os.PathLike[str], estimator: Estimator, state: State) -> None:
     """Write a state of `estimator`, whole or not at all; ValueError for a name that does not end in .npz.
 
     >>> import tempfile
@@ -52,7 +52,7 @@ def save_state(path: str | os.PathLike, estimator: Estimator, state: State) -> N
     _write(Path(path), _settings(estimator), _arrays(state))
 
 
-def load_state(path: str | os.PathLike, estimator: Estimator) -> State:
+def load_state(path: str | os.PathLike[str], estimator: Estimator) -> State:
     """Read a state back, to the last bit.
 
     Raises StateError for a file that is not sound, or of another version or filter (bodies, joints, chart, precision).
@@ -72,7 +72,7 @@ def load_state(path: str | os.PathLike, estimator: Estimator) -> State:
     return _state(Path(path), _read(Path(path), _settings(estimator), _FILTER), estimator)
 
 
-def save_stream(path: str | os.PathLike, stream: Stream, state: StreamState) -> None:
+def save_stream(path: str | os.PathLike[str], stream: Stream, state: StreamState) -> None:
     """Write a stream's state, with the samples that wait; as `save_state`.
 
     >>> import tempfile
@@ -101,7 +101,7 @@ def save_stream(path: str | os.PathLike, stream: Stream, state: StreamState) -> 
     _write(Path(path), _stream_settings(stream), arrays)
 
 
-def load_stream(path: str | os.PathLike, stream: Stream) -> StreamState:
+def load_stream(path: str | os.PathLike[str], stream: Stream) -> StreamState:
     """Read a stream's state back, to the last bit; raises StateError as `load_state` does, and for another window.
 
     >>> import tempfile

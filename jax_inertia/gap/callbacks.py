@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from jax_inertia._mujoco_types import MjData, MjModel
 from jax_inertia.gap.effect import Effect
 
 _LATE = ("time_delay", "actuator_lag")
@@ -122,7 +123,7 @@ class Law:
         return tau, xp.maximum(friction, 0.0), force
 
 
-def law(model: mujoco.MjModel, effects: Sequence[Effect]) -> Law:
+def law(model: MjModel, effects: Sequence[Effect]) -> Law:
     """Bind the effects that need a callback; raises ValueError for a name that the model does not have."""
     mine = tuple(e for e in effects if e.family in HANDLED)
     adr = np.full(model.nv, -1)
@@ -133,9 +134,7 @@ def law(model: mujoco.MjModel, effects: Sequence[Effect]) -> Law:
     return Law(mine, index, adr, model.dof_frictionloss.copy(), model.nbody, model.opt.timestep)
 
 
-def callback(
-    model: mujoco.MjModel, effects: Sequence[Effect]
-) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
+def callback(model: MjModel, effects: Sequence[Effect]) -> Callable[[MjModel, MjData], None]:
     """A `Callback` for MuJoCo C; raises ValueError for a name that the model does not have."""
     return Callback(law(model, effects))
 
@@ -156,7 +155,7 @@ class Callback:
         self._memory, late = self.law.late(np, self._memory, np.array(u, float))
         return late
 
-    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __call__(self, model: MjModel, data: MjData) -> None:
         law = self.law
         if not law.effects:
             return
@@ -175,7 +174,7 @@ class Callback:
 
 
 def mjx_callback(
-    model: mujoco.MjModel, effects: Sequence[Effect]
+    model: MjModel, effects: Sequence[Effect]
 ) -> tuple[Callable[..., tuple], Callable[..., tuple]]:
     """(start, step) for MJX, pure and jittable.
 
@@ -220,7 +219,7 @@ def _vector(values) -> np.ndarray:
     return np.array([values[f"force_{k}"] for k in "xyz"])
 
 
-def _index(model: mujoco.MjModel, effect: Effect) -> int:
+def _index(model: MjModel, effect: Effect) -> int:
     """Row of a joint, index of a body, −1 for all."""
     if effect.kind == "global":
         return -1

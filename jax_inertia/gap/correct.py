@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
+from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.effect import Effect
 from jax_inertia.mjcf import ModelWarning, body_pi, compile_spec, set_inertials
 
@@ -28,7 +29,7 @@ DAMPING_RATIO = 0.06
 class Correction:
     """A nominal model with effects added."""
 
-    spec: mujoco.MjSpec
+    spec: MjSpec
     in_model: tuple[Effect, ...]
     """Done by attributes alone."""
     by_callback: tuple[Effect, ...]
@@ -36,7 +37,7 @@ class Correction:
     notes: tuple[str, ...]
 
 
-def corrected(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> Correction:
+def corrected(spec: MjSpec, effects: Sequence[Effect]) -> Correction:
     """Add effects to a spec, which is changed; it must compile.
 
     Raises ValueError for a joint or body that the model does not have.
@@ -64,7 +65,7 @@ def corrected(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> Correction:
     return Correction(spec, tuple(inside), tuple(outside), tuple(notes))
 
 
-def _name_all(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+def _name_all(spec: MjSpec, model: MjModel) -> None:
     """Names for what has none, as `load_model` calls it."""
     for k, body in enumerate(spec.bodies):
         if not body.name:
@@ -74,7 +75,7 @@ def _name_all(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             joint.name = f"joint_{k}"
 
 
-def _joint(spec: mujoco.MjSpec, effect: Effect):
+def _joint(spec: MjSpec, effect: Effect):
     joint = spec.joint(effect.name)
     if joint is None:
         names = ", ".join(j.name for j in spec.joints)
@@ -82,13 +83,13 @@ def _joint(spec: mujoco.MjSpec, effect: Effect):
     return joint
 
 
-def _angle(spec: mujoco.MjSpec, joint, value: float) -> float:
+def _angle(spec: MjSpec, joint, value: float) -> float:
     """Radians in the spec's own unit of angle."""
     hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
     return float(np.rad2deg(value)) if spec.compiler.degree and hinge else value
 
 
-def _radians(spec: mujoco.MjSpec, joint, value: float) -> float:
+def _radians(spec: MjSpec, joint, value: float) -> float:
     hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
     return float(np.deg2rad(value)) if spec.compiler.degree and hinge else value
 
@@ -259,7 +260,7 @@ def _delay(spec, model, effect: Effect) -> tuple[bool, str]:
     return False, ""
 
 
-def _actuators(spec: mujoco.MjSpec, effect: Effect) -> list:
+def _actuators(spec: MjSpec, effect: Effect) -> list:
     """Actuators on the effect's joint, or on every joint."""
     on_joint = [a for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
     return [a for a in on_joint if effect.kind == "global" or a.target == effect.name]
@@ -306,7 +307,7 @@ _CROWDED = (
 )
 
 
-def _between(spec: mujoco.MjSpec, model: mujoco.MjModel, effect: Effect):
+def _between(spec: MjSpec, model: MjModel, effect: Effect):
     """A second hinge in line with the joint, and the link's inertia about it; (None, 0) where there is no room."""
     joint = _joint(spec, effect)
     body = joint.parent
@@ -335,7 +336,7 @@ def _between(spec: mujoco.MjSpec, model: mujoco.MjModel, effect: Effect):
     return hinge, link
 
 
-_EDITS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel, Effect], tuple[bool, str]]] = {
+_EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {
     "viscous_friction": _damping,
     "friction_drift": _drift,
     "coulomb_friction": _coulomb,

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 from jax_inertia.gap.finding import Diagnosis
 
@@ -29,7 +30,7 @@ def effects_of(found: Diagnosis) -> tuple[Effect, ...]:
     )
 
 
-def effects_in(report: Mapping) -> tuple[Effect, ...]:
+def effects_in(report: Mapping[str, Any]) -> tuple[Effect, ...]:
     """The effects of a report.json as parsed; raises ValueError where it is none."""
     try:
         return tuple(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from jax_inertia.preflight import Finding as Quality
 
 def to_report(
     found: Diagnosis, *, rollouts: Rollouts | None = None, quality: Sequence[Quality] = ()
-) -> dict:
+) -> dict[str, Any]:
     """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN.
 
     Beyond the contract: `where` (rows, bodies, regions of state), `data_quality`, `notes`.
@@ -55,7 +56,7 @@ def to_report(
     return {name: _clean(value) for name, value in report.items()}
 
 
-def _effect(f: Finding) -> dict:
+def _effect(f: Finding) -> dict[str, Any]:
     return {
         "family": f.family,
         "location": _place(f.place),
@@ -71,11 +72,11 @@ def _effect(f: Finding) -> dict:
     }
 
 
-def _shrink(s: Shrink) -> dict:
+def _shrink(s: Shrink) -> dict[str, Any]:
     return {"before": s.before, "after": s.after, "noise": s.noise, "unit": "N m"}
 
 
-def _rollout(r: Rollouts) -> dict:
+def _rollout(r: Rollouts) -> dict[str, Any]:
     return {
         "horizon_s": r.horizon,
         "before": r.before,
@@ -87,7 +88,7 @@ def _rollout(r: Rollouts) -> dict:
     }
 
 
-def _motion(wanted: tuple[Suggestion, ...]) -> dict:
+def _motion(wanted: tuple[Suggestion, ...]) -> dict[str, Any]:
     """The first suggestion, with all others beside it; empty where nothing ties."""
     if not wanted:
         return {}
@@ -104,7 +105,7 @@ def _motion(wanted: tuple[Suggestion, ...]) -> dict:
     return {**every[0], "others": every[1:]}
 
 
-def _where(found: Diagnosis) -> dict:
+def _where(found: Diagnosis) -> dict[str, Any]:
     base = sum(share for row, share in found.share.items() if row.startswith("base["))
     return {
         "rows": {"base": base, "joints": sum(found.share.values()) - base},
@@ -118,7 +119,7 @@ def _where(found: Diagnosis) -> dict:
     }
 
 
-def _place(place: Place) -> dict:
+def _place(place: Place) -> dict[str, Any]:
     return {"kind": place.kind, "name": place.name}
 
 

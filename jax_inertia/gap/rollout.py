@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.callbacks import Callback, law
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.context import Context
@@ -57,7 +58,7 @@ class Rollouts:
 
 
 def rollouts(
-    nominal: mujoco.MjSpec,
+    nominal: MjSpec,
     correction: Correction,
     robot: Robot,
     log: Log,
@@ -186,7 +187,7 @@ class _Recording:
 class _Plant:
     """One model, ready to be run from a state of the log."""
 
-    def __init__(self, spec: mujoco.MjSpec, robot: Robot, effects: Sequence[Effect], step: float):
+    def __init__(self, spec: MjSpec, robot: Robot, effects: Sequence[Effect], step: float):
         spec = spec.copy()
         spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -289,15 +290,15 @@ class _Plant:
         mujoco.mj_forward(model, data)
 
 
-def _joint_id(model: mujoco.MjModel, name: str, k: int) -> int:
+def _joint_id(model: MjModel, name: str, k: int) -> int:
     """By name; joints without one keep their number, since hinges are only added behind named ones."""
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     return found if found >= 0 else k
 
 
-def _dofs(model: mujoco.MjModel, j: int) -> int:
+def _dofs(model: MjModel, j: int) -> int:
     return {0: 6, 1: 3}.get(int(model.jnt_type[j]), 1)
 
 
-def _size(model: mujoco.MjModel, j: int) -> int:
+def _size(model: MjModel, j: int) -> int:
     return {0: 7, 1: 4}.get(int(model.jnt_type[j]), 1)

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from jax_inertia._mujoco_types import MjModel
 from jax_inertia.log import Log, TorqueKind
 
 # Links of 1 m, hung at each other's ends, their masses half-way down.
@@ -11,7 +12,7 @@ _LINK = """<body name="{name}" pos="0 0 {z}"><joint name="{joint}" axis="0 1 0"/
 _NOISE = 0.02
 
 
-def double_pendulum(load: float = 0.0) -> mujoco.MjModel:
+def double_pendulum(load: float = 0.0) -> MjModel:
     """Bodies upper (2 kg) and lower (1 kg), joints shoulder and elbow about y; `load` [kg] sits in the lower's middle.
 
     >>> from jax_inertia.robots.pendulum import double_pendulum
