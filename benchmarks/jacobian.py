@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.harness.core import one_core
+from benchmarks.harness.core import in_this_thread, one_core
 
 one_core()
 
@@ -89,6 +89,7 @@ def agreement(ways: dict[str, Ways], inputs: dict[str, tuple]) -> dict[str, dict
 
 def measure(most: int, budget: float) -> dict:
     """Agreement and times of everything."""
+    in_this_thread()
     jax.config.update("jax_enable_x64", True)
     model = humanoid()
     robot = load_model(model)

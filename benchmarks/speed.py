@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.harness.core import one_core
+from benchmarks.harness.core import in_this_thread, one_core
 
 GPU = "--gpu" in sys.argv
 if not GPU:
@@ -36,6 +36,7 @@ def on_one_core(quick: bool, parts: list[str], saved: Path) -> dict:
     """The measurements on the CPU; those not among `parts` as they were saved, with the commit that they are of."""
     from benchmarks.harness import accuracy, cpu
 
+    in_this_thread()
     jax.config.update("jax_enable_x64", True)
     every = {**cpu.PARTS, "accuracy": lambda _: accuracy.errors()}
     if unknown := set(parts) - set(every):

@@ -224,7 +224,7 @@ def resolve_bodies(robot: Robot, bodies: Sequence[int | str] | None) -> tuple[in
 
 def _inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Float[Array, "nv ..."]:
     kin = forward_kinematics(robot, q)
-    motion = _body_motion(robot, kin, v, a)
+    motion = _body_motion(robot, kin, v, a, range(robot.nb))
     return _torque(robot, kin, motion, robot.pi) + robot.armature * a
 
 
@@ -232,31 +232,34 @@ def _torque_regressor(
     chosen: tuple[int, ...], robot: Robot, q: Array, v: Array, a: Array
 ) -> Float[Array, "nv n 10 ..."]:
     kin = forward_kinematics(robot, q)
-    return _regressor(robot, kin, _body_motion(robot, kin, v, a), chosen)
+    return _regressor(robot, kin, _body_motion(robot, kin, v, a, chosen), chosen)
 
 
 def _condensed_dynamics(
     chosen: tuple[int, ...], robot: Robot, q: Array, v: Array, a: Array
 ) -> tuple[Float[Array, "nv n 10 ..."], Float[Array, "nv ..."]]:
     kin = forward_kinematics(robot, q)
-    motion = _body_motion(robot, kin, v, a)
+    motion = _body_motion(robot, kin, v, a, range(robot.nb))
     known = np.ones((robot.nb, *(1 for _ in robot.pi.shape[1:])))
     known[list(chosen)] = 0.0
     nominal = _torque(robot, kin, motion, robot.pi * jnp.asarray(known, robot.pi.dtype))
-    return _regressor(robot, kin, motion, chosen), nominal + robot.armature * a
+    own = jax.tree.map(lambda x: x[np.array(chosen, int)], motion)
+    return _regressor(robot, kin, own, chosen), nominal + robot.armature * a
 
 
 class _BodyMotion(eqx.Module):
-    """Angular velocity, angular acceleration and proper acceleration of bodies, in their own frames."""
+    """Angular velocity, angular acceleration and proper acceleration of some bodies, in their own frames."""
 
-    angular_velocity: Float[Array, "nb 3 ..."]
-    angular_acceleration: Float[Array, "nb 3 ..."]
-    proper_acceleration: Float[Array, "nb 3 ..."]
+    angular_velocity: Float[Array, "n 3 ..."]
+    angular_acceleration: Float[Array, "n 3 ..."]
+    proper_acceleration: Float[Array, "n 3 ..."]
     """Acceleration of the frame origin minus gravity [m/s²]."""
 
 
-def _body_motion(robot: Robot, kin: Kinematics, v: Array, a: Array) -> _BodyMotion:
-    """Outward pass: spatial velocity and acceleration in world coordinates, then in each body's frame."""
+def _body_motion(
+    robot: Robot, kin: Kinematics, v: Array, a: Array, bodies: Sequence[int]
+) -> _BodyMotion:
+    """Outward pass: spatial velocity and acceleration in world coordinates, then in the frames of these bodies."""
     top = robot.topology
     velocity = accumulate_outward(robot, kin.axes * v[:, None])
     # World-fixed axes (translations of a free joint) do not turn with the body.
@@ -268,7 +271,7 @@ def _body_motion(robot: Robot, kin: Kinematics, v: Array, a: Array) -> _BodyMoti
     rate = jnp.concatenate([cross(w, axis), cross(w, arm) + cross(u, axis)], 1) * turning
     acceleration = accumulate_outward(robot, kin.axes * a[:, None] + rate)
 
-    nodes = np.array(top.body_node, int)
+    nodes = np.array(top.body_node, int)[list(bodies)]
     rotation, position = kin.rotation[nodes], kin.position[nodes]
     w, u = velocity[nodes, :3], velocity[nodes, 3:]
     dw, du = acceleration[nodes, :3], acceleration[nodes, 3:] - robot.gravity
@@ -303,8 +306,7 @@ def _regressor(
     The body's own is [moment; force] = A π about its origin (Atkeson, An and Hollerbach 1986, in this order of π).
     """
     pick = np.array(chosen, int)
-    w = motion.angular_velocity[pick]
-    dw, d = motion.angular_acceleration[pick], motion.proper_acceleration[pick]
+    w, dw, d = motion.angular_velocity, motion.angular_acceleration, motion.proper_acceleration
     spin = skew(w)
     # The force does not depend on I, nor the moment about the body's origin on m.
     force = jnp.concatenate([d[:, :, None], skew(dw) + compose(spin, spin)], 2)

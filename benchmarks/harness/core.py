@@ -16,6 +16,16 @@ def one_core() -> None:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
+def in_this_thread() -> None:
+    """Run XLA's computations in the thread that asks for them, before the first one: a control loop's setting.
+
+    Otherwise all but the smallest calls wait until another thread has woken up, on one core for longer than they take.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
 def quiet_blas() -> None:
     """One BLAS thread: for small matrices LAPACK's threads only spin, on a busy machine for seconds."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):

@@ -82,7 +82,7 @@ def latency(quick: bool) -> dict:
         robot = load_model(model).astype(dtype)
         two = lambda q, v, a, r=robot: torque_regressor(r, q, v, a, BODIES)  # noqa: E731
         for name, one in {"regressor of 2": two, TWO: functions(robot)[TWO]}.items():
-            runners[f"{name}, {dtype}"] = partial(compiled(one, *x)[0], *x)
+            runners[f"{name}, {dtype}"] = partial(jax.jit(one), *x)
     others = peers.pinocchio_runs(model, sample)
     found = race({**runners, **others}, rounds)
     slower = {}
@@ -96,7 +96,7 @@ def latency(quick: bool) -> dict:
 
 def filter_step(quick: bool) -> dict:
     """One step of the estimator inside a scan over a log, and as one call; analytic Jacobian against autodiff."""
-    samples, rounds, calls = (333, 3, 50) if quick else (4 * 333, 9, 2000)
+    samples, rounds, calls = (333, 3, 50) if quick else (4 * 333, 31, 2000)
     out: dict = {}
     for dtype in DTYPES:
         robot = fleet.humanoid_robot(dtype)

@@ -46,6 +46,8 @@ def circumstances() -> dict[str, str]:
     out["python"] = platform.python_version()
     out["processor"] = _processor()
     out["device"] = jax.devices()[0].device_kind
+    if hasattr(os, "getloadavg"):
+        out["load"] = f"{os.getloadavg()[1]:.1f}"
     return out
 
 
@@ -60,10 +62,15 @@ def _processor() -> str:
 def sentence(about: dict[str, str]) -> str:
     """The circumstances as a line of the page."""
     known = [f"{name} {about[name]}" for name in LIBRARIES if about[name] != "not installed"]
+    load = (
+        f", load average {about['load']} (shared with others) at the start"
+        if "load" in about
+        else ""
+    )
     device = "" if about["device"] == "cpu" else f", {about['device']}"
     return (
         f"Commit {about['commit']}; Python {about['python']}, {', '.join(known)}; "
-        f"{about['processor']}{device}."
+        f"{about['processor']}{device}{load}."
     )
 
 
