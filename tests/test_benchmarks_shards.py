@@ -80,7 +80,7 @@ def monte_carlo(out: Path, devices: int, *extra: str) -> subprocess.Popen:
         "--lanes",
         "1",
         "--seconds",
-        "0.8",
+        "1.0",
         "--robot",
         "small",
         *extra,
@@ -103,7 +103,7 @@ def test_two_processes_of_four_devices_give_the_single_devices_numbers(tmp_path:
     finally:
         for run in runs:
             run.kill()
-    asked = {"robot": "small", "seed": 0, "seconds": 0.8, "lanes": 1}
+    asked = {"robot": "small", "seed": 0, "seconds": 1.0, "lanes": 1}
     one, many = (Shards(tmp_path / name, asked, 12, 8).load() for name in ("one", "many"))
     assert sorted(one["index"]) == list(range(12))
     assert len(np.unique(one["load"])) == 12

@@ -27,6 +27,7 @@ STEP, PER_TICK, PICK_UP = 0.002, 2, 0.6  # s, steps, s
 TICK = STEP * PER_TICK
 SIGMA_TAU, SIGMA_V = 0.5, 1e-3  # N m, rad/s
 STIFFNESS, DAMPING = 60.0, 15.0  # 1/s², 1/s
+DRIFT = 1.0  # kg/√s that the filter is told of
 KEPT = 25  # entries of the mass's course that are kept
 
 
@@ -161,18 +162,20 @@ def arm_trial(name: str, seconds: float) -> ArmTrial:
         sigma_tau=sigma_tau,
         prior=Load(2.0, 0.1),
         # A pick-up that the gate does not notice must be within what may happen, or σ shrinks about the old load.
-        drift=Load(1.0, 0.1),
+        drift=Load(DRIFT, 0.1),
         iterations=5,
         chart=LogCholeskyUUt(),
         gate=ChiSquaredGate(0.999, robot.nv),
         reopen_after=0.05,
     )
-    ported = mjx.put_model(model)
+    # Of several processes each must have constants on a device of its own; MJX would put them on the first of all.
+    own = jax.local_devices()[0]
+    ported = mjx.put_model(model, device=own)
     limited = model.actuator_ctrllimited.astype(bool)
     return ArmTrial(
         estimator=estimator,
         model=ported,
-        start=mjx.put_data(model, mujoco.MjData(model)),
+        start=mjx.put_data(model, mujoco.MjData(model), device=own),
         limit=jnp.where(limited, model.actuator_ctrlrange[:, 1], jnp.inf),
         hand=model.body(HAND).id,
         ticks=round(seconds / TICK),
