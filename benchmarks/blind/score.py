@@ -1,11 +1,13 @@
 """Opens the answers of a sealed set, checks the commitment and every log, and writes the tables.
 
     python benchmarks/blind/score.py LOGS SEALED FOUND --commitment HEX --out OUT \\
-        [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json] [--partial]
+        [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json] [--partial] \\
+        [--still FILE]
 
 FOUND is what `solve.py` wrote, each FOLDER what `rivals.py` did. HEX is the commitment as it was published before
 any diagnosis. Writes OUT/RESULTS.md, OUT/rows.json and OUT/figures. A log without a report counts as wrong; with
-`--partial`, logs that `solve.py` has not reached are left out, and the page says how many.
+`--partial`, logs that `solve.py` has not reached are left out, and the page says how many. FILE of `--still` is what
+`still.py` made for a set that was sealed before effects were measured against the same motion without them.
 """
 
 from __future__ import annotations
@@ -41,6 +43,17 @@ def reached(answers: dict, found: Path) -> dict:
     """The answers to logs that were diagnosed, or failed to be; `sealed` keeps how many there were."""
     logs = {n: a for n, a in answers["logs"].items() if (found / "results" / n).exists()}
     return answers | {"logs": logs, "sealed": len(answers["logs"])}
+
+
+def against_still(answers: dict, still: dict[str, dict]) -> dict:
+    """Answers whose effects count as visible by what they add to the same motion without them."""
+    for name, answer in answers["logs"].items():
+        for effect in answer["truth"]["effects"]:
+            seen = effect["visibility"]
+            effect["visibility"] = seen | {
+                k: max(seen[k] - still[name][k], 0.0) for k in ("chi2", "distinct")
+            }
+    return answers
 
 
 def seconds(found: Path) -> list[float]:
@@ -109,6 +122,7 @@ def main() -> None:
     parser.add_argument("--baseline", action="append", default=[], metavar="NAME=FOLDER")
     parser.add_argument("--left-out", type=Path, help="what left_out.py wrote")
     parser.add_argument("--summary", type=Path, help="file for the machine-readable rates")
+    parser.add_argument("--still", type=Path, help="what still.py wrote")
     parser.add_argument("--partial", action="store_true", help="leave out logs not reached yet")
     args = parser.parse_args()
     told = Path(args.commitment)
@@ -117,6 +131,8 @@ def main() -> None:
         answers = vault.unseal(args.sealed, promise, args.logs, args.key)
     except vault.SealBroken as error:
         raise SystemExit(f"score: {error}") from None
+    if args.still:
+        answers = against_still(answers, json.loads(args.still.read_text()))
     if args.partial:
         answers = reached(answers, args.found)
     score(answers, promise, args.logs, args.found, args.out, _pairs(args.baseline), args.left_out)

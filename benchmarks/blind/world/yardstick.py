@@ -16,6 +16,11 @@ from world.sensors import Sensors
 CUT, RATE, REST = 10.0, 50.0, 0.012
 
 
+def beyond(seen: dict, still: dict) -> dict:
+    """`visibility` of an effect alone: what the same motion shows without it (`still`) taken off."""
+    return seen | {k: max(seen[k] - still[k], 0.0) for k in ("chi2", "distinct")}
+
+
 def residual(machine: Machine, log: dict):
     """Low-passed residual (T, nv) of the rigid bodies, damping and Coulomb's friction; joints' speeds (T, n)."""
     model, _ = to_pinocchio(machine)
