@@ -118,7 +118,7 @@ def test_dampings_that_are_all_off_by_as_much_are_a_model_slightly_off(robot):
 def learned(robot, log):
     prepared = prepare(robot, log)
     white, _, _ = whitener(prepared, log)
-    doubts = nuisances(Context(prepared), Tolerance(), 1.0 / log.rate)
+    doubts = nuisances(Context(prepared), Tolerance(), log)
     evidence = Evidence(prepared, white, doubts)
     nothing = np.zeros((len(evidence.y), 0))
     return Learner(evidence, 1.0).beside(nothing, evidence.y), evidence
@@ -146,7 +146,7 @@ def test_rescaled_evidence_is_what_those_scales_give_at_once(robot):
     log = simulate(seconds=3.0)
     prepared = prepare(robot, log)
     white, _, _ = whitener(prepared, log)
-    doubts = nuisances(Context(prepared), Tolerance(), 1.0 / log.rate)
+    doubts = nuisances(Context(prepared), Tolerance(), log)
     scales = {"mass": 0.1, "centre of mass": 2.0, "inertia": 1.0, "damping": 0.3, "armature": 0.5}
     before = Evidence(prepared, white, doubts)
     after, at_once = before.rescaled(scales), Evidence(prepared, white, doubts, scales)

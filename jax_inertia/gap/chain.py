@@ -73,7 +73,7 @@ class Prepared(eqx.Module):
 
     def finish(self, x: Float[np.ndarray, "T *c"]) -> Float[np.ndarray, "R *c"]:
         """The chain's last low-pass, then its slow grid; leading axis time."""
-        smooth = signal.sosfiltfilt(_last_filter(self.settings.after, self.rate), x, axis=0)
+        smooth = signal.sosfiltfilt(last_filter(self.settings.after, self.rate), x, axis=0)
         return smooth[self.kept]
 
     def finish_torque(
@@ -105,7 +105,9 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     """Put a log through the chain up to the fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
-    equation must agree. A commanded torque or a current is held over its period and so acts half a period late.
+    equation must agree. A commanded torque or a current is held over its period and so acts half a period late; a
+    sensor's sample may be of the moment or of the period after it, so it is put in the middle between the two
+    (`nuisance` holds the rest).
     Raises LogError for what `generalised` refuses.
     """
     if settings is None:
@@ -113,10 +115,10 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     log = dataclasses.replace(log, qvel=None, qpos=without_outliers(np.asarray(log.qpos)))
     source = mask(log)
     data = source.log
-    if data.tau_kind is not TorqueKind.SENSOR:
-        data = dataclasses.replace(data, tau=_centred(data.tau))
+    late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5
+    data = dataclasses.replace(data, tau=_later(data.tau, late))
     if data.contact_wrench is not None:
-        data = dataclasses.replace(data, contact_wrench=_centred(data.contact_wrench))
+        data = dataclasses.replace(data, contact_wrench=_later(data.contact_wrench, 0.5))
     source = dataclasses.replace(source, log=data)
     rate = min(settings.grid, log.rate)
     cutoff = min(settings.before, 0.4 * rate)
@@ -129,7 +131,7 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     )
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
-    slow = signal.sosfiltfilt(_last_filter(settings.after, rate), v, axis=0)
+    slow = signal.sosfiltfilt(last_filter(settings.after, rate), v, axis=0)
     rest = at_rest(slow, rate) & _hinges_and_slides(robot)
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
@@ -176,10 +178,12 @@ def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
 
 
 @functools.cache
-def _last_filter(cutoff: float, rate: float) -> np.ndarray:
+def last_filter(cutoff: float, rate: float) -> np.ndarray:
+    """Second-order sections of the chain's low-pass, for both ways."""
     return np.asarray(signal.butter(3, cutoff, fs=rate, output="sos"))
 
 
-def _centred(x) -> np.ndarray:
+def _later(x, share: float) -> np.ndarray:
+    """Samples put off by a share of their period."""
     x = np.asarray(x, float)
-    return np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1])])
+    return np.concatenate([x[:1], (1.0 - share) * x[1:] + share * x[:-1]])

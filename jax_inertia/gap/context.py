@@ -6,9 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import signal
 
 from jax_inertia import dynamics
-from jax_inertia.gap.chain import Prepared, needed_torque, without_friction
+from jax_inertia.gap.chain import Prepared, last_filter, needed_torque, without_friction
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.dry import direction
 from jax_inertia.gap.twomass import separation
@@ -80,6 +81,16 @@ class Context:
     def regressor(self) -> np.ndarray:
         """Torque regressor of all bodies (T, nv, nb, 10)."""
         return _regressor(self.robot, (self.q, self.v, self.a))
+
+    @functools.cached_property
+    def smooth(self) -> tuple[np.ndarray, np.ndarray]:
+        """Acceleration, and the regressor of all bodies with it, below half the chain's last cut-off.
+
+        Noise of accelerations is in the missing torque as well: columns that share it would take a share of it.
+        """
+        rate, cutoff = self.prepared.rate, 0.5 * self.prepared.settings.after
+        a = signal.sosfiltfilt(last_filter(cutoff, rate), self.a, axis=0)
+        return a, _regressor(self.robot, (self.q, self.v, a))
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

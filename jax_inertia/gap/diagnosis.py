@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jax_inertia.gap import locate
+from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
@@ -21,7 +22,7 @@ from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.noise import stated
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.pool import Candidate, Pool, effect_torque
+from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose
 from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
@@ -187,8 +188,8 @@ def _tie_kind(pool: Pool, a: Candidate, b: Candidate) -> str:
 def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
     """Smallest size of each single-number effect that this log would have shown."""
     out = []
-    for family, place, blocks in pool.entries:
-        block = blocks[len(blocks) // 2]
+    for entry in pool.entries:
+        family, place, block = entry.family, entry.place, entry.blocks[len(entry.blocks) // 2]
         if block.columns.shape[1] != 1 or family.grid(pool.context, place):
             continue
         price = STOP + np.log(pool.evidence.rows)

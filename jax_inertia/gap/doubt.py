@@ -10,8 +10,9 @@ import dataclasses
 
 import numpy as np
 
+from jax_inertia.gap.candidate import Candidate, beside
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.pool import Candidate, Pool, beside
+from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import STOP, remaining, stacked
 
 KNOTS = 24

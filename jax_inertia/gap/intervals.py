@@ -12,8 +12,9 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.families.base import Parameter
-from jax_inertia.gap.pool import Candidate, Pool
+from jax_inertia.gap.pool import Pool
 
 GROUPS = 10
 

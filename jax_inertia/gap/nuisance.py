@@ -17,6 +17,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.joint import PRESLIDING
+from jax_inertia.log import Log, TorqueKind
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +33,9 @@ class Tolerance:
     damping: float = 0.05
     """Relative to the model's own damping, frictionloss and armature."""
     period: float = 0.15
-    """Of the log's period, when within it the torque acted: half a period, the most it can be, is three of these."""
+    """Of the log's period, when within it a held torque acted: half a period, the most it can be, is three of these."""
+    sampled: float = 0.25
+    """The same for a torque that a sensor sampled: of the moment, or of the period that followed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,15 +48,15 @@ class Nuisances:
     """Errors of the model's own numbers, by kind of number."""
 
 
-def nuisances(context: Context, tolerance: Tolerance, log_period: float) -> Nuisances:
+def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     """All nuisances of a log."""
     fixed, tolerances = [], {k: [Columns(x)] for k, x in _bodies(context, tolerance).items()}
-    robot, v = context.robot, context.v
+    robot, v, a = context.robot, context.v, context.smooth[0]
     for row in context.joint_dofs.values():
         for kind, own, shape in (
             ("damping", robot.damping, -v[:, row]),
             ("frictionloss", robot.frictionloss, -context.side[:, row]),
-            ("armature", robot.armature, -context.a[:, row]),
+            ("armature", robot.armature, -a[:, row]),
         ):
             if float(own[row]) > 0:
                 column = Columns(tolerance.damping * float(own[row]) * shape[:, None], row)
@@ -65,13 +68,17 @@ def nuisances(context: Context, tolerance: Tolerance, log_period: float) -> Nuis
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
             turned = [z - context.side[:, row] for z in (*late, *early)]
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
+    sampled = log.tau_kind is TorqueKind.SENSOR
+    late = (tolerance.sampled if sampled else tolerance.period) / log.rate
     slope = np.gradient(context.tau, context.time, axis=0)
-    fixed.append(Columns((tolerance.period * log_period * slope)[:, :, None]))
+    bend = np.gradient(slope, context.time, axis=0)
+    fixed.append(Columns(np.stack([late * slope, 0.5 * late**2 * bend], axis=2)))
     return Nuisances(fixed, tolerances)
 
 
 def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
     """Y ∂π for mass, centre of mass and inertia of every body with mass, (T, nv, bodies) and thrice that."""
+    regressor = context.smooth[1]
     changes = {"mass": [], "centre of mass": [], "inertia": []}
     for i, pi in enumerate(np.asarray(context.robot.pi)):
         m, h = pi[0], pi[1:4]
@@ -89,7 +96,7 @@ def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
             change = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
             changes["centre of mass"].append((i, tolerance.com * change))
     return {
-        kind: np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1)
+        kind: np.stack([regressor[:, :, i, :] @ change for i, change in some], axis=-1)
         for kind, some in changes.items()
         if some
     }

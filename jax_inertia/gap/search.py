@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
@@ -16,7 +17,7 @@ from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
-from jax_inertia.gap.pool import Candidate, Echo, Pool, effect_torque
+from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import remaining, row_energy, select, suited
 from jax_inertia.gap.verdict import Verdict, judge
 from jax_inertia.log import Log
@@ -110,7 +111,7 @@ def finder(
         )
     white, replicas, again = whitener(prepared, log)
     context = Context(prepared)
-    own = nuisances(context, tolerance, 1.0 / log.rate)
+    own = nuisances(context, tolerance, log)
     return Finder(context, white, replicas, again, own, library, max_effects, stated(log))
 
 

@@ -7,7 +7,8 @@ still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 import numpy as np
 
 from jax_inertia.gap import locate
-from jax_inertia.gap.pool import Candidate, Pool, effect_torque
+from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.scales import Learner
 
 

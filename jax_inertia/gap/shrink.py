@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 
+from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
-from jax_inertia.gap.pool import Candidate, Pool, effect_torque
+from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
 from jax_inertia.gap.select import stacked
 from jax_inertia.gap.verdict import NOISE_ERROR, Tried
@@ -113,7 +114,7 @@ class OtherMotion:
         own, self._replicas, _ = whitener(prepared, log)
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
-        doubts = nuisances(context, tolerance, 1.0 / log.rate)
+        doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
         self._stated = stated(log)

@@ -9,7 +9,7 @@ import enum
 import numpy as np
 import scipy.special
 
-from jax_inertia.gap.pool import Candidate
+from jax_inertia.gap.candidate import Candidate
 
 
 class Verdict(enum.StrEnum):

@@ -61,6 +61,8 @@ class Family(abc.ABC):
     slow: ClassVar[bool] = False
     """Whether only the motion's own band is evidence. Above it, a column of accelerations meets its own noise in y; and
     a controller that feeds encoder noise back correlates the torque it asks for with that noise."""
+    alike: ClassVar[str] = ""
+    """Families that name the same have the same columns at a place, and differ in their weights."""
     rigid: ClassVar[bool] = False
     """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None
@@ -85,6 +87,10 @@ class Family(abc.ABC):
     def shapes(self, context: Context, place: Place) -> Iterable[Shape]:
         """Where the nonlinear numbers are tried first: everywhere on the grid."""
         return itertools.product(*self.grid(context, place))
+
+    def first(self, context: Context, place: Place) -> Iterable[Shape]:
+        """Those of `shapes` that every log is searched with; the others only where these lead."""
+        return self.shapes(context, place)
 
     def around(self, context: Context, place: Place, shape: Shape) -> list[tuple[float, float]]:
         """Where each nonlinear number may move when a candidate is refined: up to the grid points beside it."""
@@ -117,8 +123,11 @@ class Family(abc.ABC):
         return np.ones(1) if self.whole is not None else theta
 
     def noisy(self, context: Context) -> bool:
-        """Whether the columns carry noise of the sensors that no nuisance carries too: see `pool`."""
-        return False
+        """Whether the columns carry noise of the sensors that matters (`candidate`).
+
+        On a floating base they do: it is what every wrench is turned by.
+        """
+        return context.robot.has_free_base
 
     def starts(
         self, context: Context, place: Place, free: np.ndarray | None

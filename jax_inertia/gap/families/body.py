@@ -8,7 +8,7 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter
 class Inertial(Family):
     """e = −Y δπ(θ), δπ the weights."""
 
-    kind = "body"
+    kind, alike, slow = "body", "−Y", True
 
     def columns(self, context, place, shape):
         return Columns(-context.regressor[:, :, place.index, :])
@@ -76,7 +76,6 @@ class LinkInertia(Inertial):
         "rotational inertia about the centre of mass scaled by s",
         1,
     )
-    slow = True
 
     def starts(self, context, place, free):
         return [np.array([0.1])]

@@ -67,6 +67,10 @@ class _Late(Family):
 
     form_error, whole, slow = 0.03, 0.15, True
 
+    def noisy(self, context):
+        # A torque that is smoother, or later, has less of its own noise in it.
+        return True
+
     def grid(self, context, place):
         return (np.geomspace(1e-3, 0.04, 28),)
 

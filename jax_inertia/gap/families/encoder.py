@@ -5,6 +5,7 @@ its derivative along δ: y = ∂ID/∂q δ + ∂ID/∂v δ̇ + ∂ID/∂a δ̈, 
 """
 
 import abc
+import itertools
 
 import numpy as np
 
@@ -102,6 +103,10 @@ class JointElasticity(TwoMass):
     def grid(self, context, place):
         return (self.stiffnesses(context, place, 28), (0.01, 0.03, 0.08, 0.25))
 
+    def first(self, context, place):
+        stiffness, damping = self.grid(context, place)
+        return itertools.product(stiffness[1::3], damping[1::2])
+
     def coupling(self, shape):
         return shape[0], shape[1], 0.0
 
@@ -118,6 +123,10 @@ class Backlash(TwoMass):
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)
         return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25))
+
+    def first(self, context, place):
+        gap, stiffness, damping = self.grid(context, place)
+        return itertools.product(gap[::2], stiffness[1::3], damping[:1])
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0]

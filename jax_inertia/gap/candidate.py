@@ -1,0 +1,217 @@
+"""An effect at a place with its numbers, and how its numbers are fitted to what is left of the missing torque.
+
+Where a family's columns carry the sensors' noise themselves (accelerations, the logged torque shifted in time), plain
+least squares is biased: the noise w of the columns A + w meets the noise n of y. An *echo*, the log with its noise
+added once more, shows both, and the moments are corrected by it (errors in variables; Fuller 1987, ch. 1):
+
+    AᵀA → (A + w)ᵀ(A + w) − wᵀw,   Aᵀy → (A + w)ᵀ(y + n) − wᵀn
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Family, Place, Shape
+
+
+@dataclasses.dataclass
+class Candidate:
+    """A family at a place, and where its numbers stand."""
+
+    family: Family
+    place: Place
+    shape: Shape
+    theta: np.ndarray
+    columns: Float[np.ndarray, "n k"]
+    """∂e/∂θ in the charged metric, at the present numbers."""
+    offset: Float[np.ndarray, " n"]
+    """e − columns θ: zero for linear families."""
+    grid: int
+    gain: float = 0.0
+    """ΔJ over those chosen before."""
+    aim: float = 0.0
+    """What is maximised over the shape: the gain, in the motion's own band for families that are judged there."""
+    score: float = -np.inf
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.family.name, self.place.kind, self.place.name
+
+    @property
+    def effect(self) -> Float[np.ndarray, " n"]:
+        """e in the charged metric."""
+        return self.offset + self.columns @ self.theta
+
+    def excuses(self, effect: Float[np.ndarray, " n"]) -> float:
+        """Misfit that errors of the family's own equation may leave of its effect on some log."""
+        return self.family.form_error**2 * float(effect @ effect)
+
+    @property
+    def size(self) -> int:
+        """Numbers that were free: θ and the shape, details such as presliding apart."""
+        free = self.family.free_shape
+        return len(self.theta) + (len(self.shape) if free is None else free)
+
+    def price(self, n: int) -> float:
+        """Score that its numbers cost on n samples."""
+        return self.size * np.log(n) + (2 * np.log(self.grid) if self.grid > 1 else 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Columns of one shape in the charged metric, and what noise alone puts into their moments."""
+
+    shape: Shape
+    columns: Float[np.ndarray, "n k"]
+    noise: Float[np.ndarray, "n k"] | None = None
+    """What the echo's noise adds to the columns, where they carry it."""
+    gram: Float[np.ndarray, "k k"] | float = 0.0
+    cross: Float[np.ndarray, " k"] | float = 0.0
+
+    @classmethod
+    def noisy(cls, shape: Shape, columns, noise, of_y: Float[np.ndarray, " n"]) -> "Block":
+        """A block with its noise's moments."""
+        return cls(shape, columns, noise, noise.T @ noise, noise.T @ of_y)
+
+
+def beside(
+    columns: Float[np.ndarray, "n s"], target: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, " n"]]:
+    """An orthonormal basis of the columns, and what they cannot reach of the target."""
+    basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
+    return basis, target - basis @ (basis.T @ target)
+
+
+def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
+    """A found effect's torque on the fast grid of any log."""
+    columns = c.family.columns(context, c.place, c.shape)
+    values = columns.values @ c.family.weights(context, c.place, c.theta)
+    if columns.row is None:
+        return values
+    out = np.zeros((len(values), context.robot.nv))
+    out[:, columns.row] = values
+    return out
+
+
+def fit(
+    context: Context,
+    evidence: Evidence,
+    family: Family,
+    place: Place,
+    block: Block,
+    basis: Float[np.ndarray, "n s"],
+    target: Float[np.ndarray, " n"],
+) -> Candidate | None:
+    """Least squares in θ; Gauss–Newton on the manifold of a body's change; none where the equation has no θ."""
+    columns = block.columns
+    free = columns - basis @ (basis.T @ columns) if basis.shape[1] else columns
+    raw, plain = free.T @ free, free.T @ target
+    if family.slow:
+        seen = evidence.slow(free)
+        gram, cross = seen.T @ seen, seen.T @ evidence.slow(target[:, None])[:, 0]
+    elif family.whole is not None:
+        gram, cross = raw - block.gram, plain - block.cross
+        if gram[0, 0] < MOSTLY_NOISE * raw[0, 0]:
+            return None
+    else:
+        gram, cross = raw, plain
+    offset = np.zeros(len(target))
+    if family.whole is not None:
+        theta = np.zeros(0)
+        # How large it comes out if let free, within what chance does to it.
+        if abs(cross[0] / gram[0, 0] - 1.0) > family.whole + 3.0 / np.sqrt(gram[0, 0]):
+            return None
+        columns, offset = np.zeros((len(target), 0)), columns[:, 0]
+    elif family.size is None:
+        theta = _least_norm(gram, cross)
+        if theta is None:
+            return None
+    else:
+        theta = _manifold(context, family, place, gram, cross)
+        if theta is None:
+            return None
+        tangent = _tangent(lambda t: family.weights(context, place, t), theta)
+        offset = columns @ family.weights(context, place, theta)
+        columns = columns @ tangent
+        offset = offset - columns @ theta
+    w = family.weights(context, place, theta)
+    aim = float(2 * w @ cross - w @ gram @ w)
+    # Numbers may come from the motion's band; what they bring is counted in all of it, without what the columns' own
+    # noise explains of the noise in y. Whatever that noise excuses, an effect has to bring something.
+    gain = float(2 * w @ plain - w @ raw @ w)
+    if block.noise is not None:
+        gain = min(gain, gain - float(2 * w @ block.cross - w @ block.gram @ w))
+    if min(aim, gain) <= 0 or not family.physical(context, place, block.shape, theta):
+        return None
+    if family.slow and aim < SEEN:
+        return None
+    return Candidate(family, place, block.shape, theta, columns, offset, 1, gain, aim)
+
+
+def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, cross: np.ndarray):
+    """min over θ of δπᵀ G δπ − 2 cᵀ δπ with δπ = weights(θ), by a few damped Gauss–Newton steps."""
+
+    def change(t):
+        return family.weights(context, place, t)
+
+    def cost(t):
+        d = change(t)
+        return d @ gram @ d - 2 * cross @ d
+
+    best, best_cost = None, 0.0
+    # Where ten numbers free of each other would put it: from far away the descent may end beside the truth.
+    for theta in family.starts(context, place, _least_norm(gram, cross)):
+        damping, value = 1e-6, cost(theta)
+        for _ in range(30):
+            t = _tangent(change, theta)
+            slope = t.T @ (cross - gram @ change(theta))
+            hessian = t.T @ gram @ t
+            scale = np.diagonal(hessian) + 1e-12 * max(np.max(np.diagonal(hessian)), 1e-300)
+            step = np.linalg.lstsq(hessian + damping * np.diag(scale), slope, rcond=None)[0]
+            trial = cost(theta + step)
+            if trial < value:
+                done = value - trial < 1e-8 * abs(trial)
+                theta, value, damping = theta + step, trial, damping * 0.3
+                if done:
+                    break
+            else:
+                damping = max(damping * 10, 1e-6)
+                if damping > 1e8:
+                    break
+        if value < best_cost:
+            best, best_cost = theta, value
+    return best
+
+
+# A column of which less than this share of the energy is motion says nothing.
+MOSTLY_NOISE = 0.2
+# An effect judged in the motion's band must be seen there: this much misfit, whatever it brings above.
+SEEN = 12.0
+
+
+def _least_norm(gram: np.ndarray, cross: np.ndarray) -> np.ndarray | None:
+    """θ of the normal equations; directions that do nothing (a force across a planar arm) stay zero."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 0.0))
+    alive = scale > 1e-6 * max(float(scale.max()), 1e-3)
+    if not alive.any():
+        return None
+    theta = np.zeros(len(cross))
+    unit = gram[np.ix_(alive, alive)] / scale[alive, None] / scale[None, alive]
+    values, vectors = np.linalg.eigh(unit)
+    kept = values > 1e-8 * values[-1]
+    part = vectors[:, kept]
+    theta[alive] = part @ ((part.T @ (cross[alive] / scale[alive])) / values[kept]) / scale[alive]
+    return theta
+
+
+def _tangent(weights, theta: np.ndarray) -> np.ndarray:
+    """∂(weights)/∂θ by central differences; they are at most cubic, so the step may be large."""
+    out = []
+    for k in range(len(theta)):
+        h = np.zeros(len(theta))
+        h[k] = 1e-4 * max(1.0, abs(theta[k]))
+        out.append((weights(theta + h) - weights(theta - h)) / (2 * h[k]))
+    return np.stack(out, axis=1)
