@@ -15,6 +15,7 @@ from jaxtyping import Float
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.noise import NOISE_ERROR
 
 
 @dataclasses.dataclass
@@ -121,9 +122,14 @@ def fit(
     offset = np.zeros(len(target))
     if family.whole is not None:
         theta = np.zeros(0)
-        # How large it comes out if let free, within what chance does to it.
-        if abs(cross[0] / gram[0, 0] - 1.0) > family.whole + 3.0 / np.sqrt(gram[0, 0]):
+        if not _as_large_as_it_must_be(family.whole, gram, cross):
             return None
+        if not family.slow:
+            # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
+            seen = evidence.slow(free)
+            sought = seen.T @ evidence.slow(target[:, None])[:, 0]
+            if not _as_large_as_it_must_be(family.whole, seen.T @ seen, sought):
+                return None
         columns, offset = np.zeros((len(target), 0)), columns[:, 0]
     elif family.size is None:
         theta = _least_norm(gram, cross)
@@ -143,12 +149,18 @@ def fit(
     # noise explains of the noise in y. Whatever that noise excuses, an effect has to bring something.
     gain = float(2 * w @ plain - w @ raw @ w)
     if block.noise is not None:
-        gain = min(gain, gain - float(2 * w @ block.cross - w @ block.gram @ w))
+        by_noise = float(2 * w @ block.cross - w @ block.gram @ w)
+        gain = min(gain, gain - NOISE_ERROR * by_noise)
     if min(aim, gain) <= 0 or not family.physical(context, place, block.shape, theta):
         return None
     if family.slow and aim < SEEN:
         return None
     return Candidate(family, place, block.shape, theta, columns, offset, 1, gain, aim)
+
+
+def _as_large_as_it_must_be(error: float, gram: np.ndarray, cross: np.ndarray) -> bool:
+    """Whether an effect without θ, its size let free, comes out as one: within its `error` and what chance does."""
+    return bool(abs(cross[0] / gram[0, 0] - 1.0) <= error + 3.0 / np.sqrt(gram[0, 0]))
 
 
 def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, cross: np.ndarray):
@@ -186,8 +198,8 @@ def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, 
     return best
 
 
-# A column of which less than this share of the energy is motion says nothing.
-MOSTLY_NOISE = 0.2
+# A column of which less than this share of the energy is motion, the rest noise, says nothing.
+MOSTLY_NOISE = 0.5
 # An effect judged in the motion's band must be seen there: this much misfit, whatever it brings above.
 SEEN = 12.0
 

@@ -18,6 +18,8 @@ from jax_inertia.log import Log
 ORDER = 3
 # The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.
 FLOOR = 5e-4
+# The noise's own misfit is known to this factor.
+NOISE_ERROR = 1.3
 
 
 class Stage(eqx.Module):
@@ -186,16 +188,23 @@ def memoryless(rows: Float[np.ndarray, "R nv"], period: float) -> bool:
     return float(squares.mean(axis=0) @ energy) < MEMORY * float(energy.sum())
 
 
+IMPACT = 6.0
+
+
 def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:
     """Standard deviation of one sample of each channel: as stated, or from its third differences.
 
-    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². The median keeps impacts out.
+    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². Impacts, beyond `IMPACT` of what most
+    samples show, do not count; heavier tails than a Gaussian's, which a median would miss, do.
     """
     if stated is not None:
         return np.broadcast_to(np.asarray(stated, float), x.shape[1:])
-    third = np.diff(np.asarray(x, float), n=3, axis=0)
-    finite = np.where(np.isfinite(third), third, np.nan)
-    return np.nanmedian(np.abs(finite), axis=0) / 0.6745 / np.sqrt(20.0)
+    third = np.abs(np.diff(np.asarray(x, float), n=3, axis=0))
+    usual = np.nanmedian(np.where(np.isfinite(third), third, np.nan), axis=0) / 0.6745
+    counted = third <= IMPACT * usual
+    return np.sqrt(
+        (third**2).sum(axis=0, where=counted) / np.maximum(counted.sum(axis=0), 1) / 20.0
+    )
 
 
 def perturbed(log: Log, rng: np.random.Generator) -> Log:

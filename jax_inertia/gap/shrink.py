@@ -12,8 +12,8 @@ from jax_inertia.gap.noise import Whitener, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import stacked
-from jax_inertia.gap.verdict import NOISE_ERROR, Tried
+from jax_inertia.gap.select import STOP, stacked
+from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -139,9 +139,9 @@ class OtherMotion:
         )
 
 
-# A share of the misfit that chance may add, and of the missing torque that the nominal model's own errors may: an
+# A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
 # effect may be true and yet undo some of them. More is no cause.
-WORSE, WORSE_TORQUE = 1.1, 1.3
+WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
 def without_harm(
@@ -159,14 +159,15 @@ def without_harm(
         own = held_out(pool, effects, search.replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
-            misfit_held_out(pool, effects) / alone / WORSE,
+            # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
+            misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
             own.after / own.before / WORSE_TORQUE,
         ]
         if trial is not None:
-            # Within the noise, up and down are chance.
-            least = NOISE_ERROR * trial.misfit.floor
+            j = trial.misfit
+            chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
-                trial.misfit.after / max(trial.misfit.before, least) / WORSE,
+                j.after / (j.before + chance + WORSE * max(j.before - j.floor, 0.0)),
                 trial.shrink.after / trial.shrink.before / WORSE_TORQUE,
             ]
         return max(harm), own, trial

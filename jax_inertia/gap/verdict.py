@@ -10,6 +10,7 @@ import numpy as np
 import scipy.special
 
 from jax_inertia.gap.candidate import Candidate
+from jax_inertia.gap.noise import NOISE_ERROR
 
 
 class Verdict(enum.StrEnum):
@@ -31,9 +32,8 @@ class Verdict(enum.StrEnum):
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
 TEMPER = 0.003
-# The noise's own misfit is known to this factor; where the log does not state its noise, a command may have missed
-# its motor by more than the log can show.
-NOISE_ERROR, NOISE_UNSTATED = 1.3, 4.0
+# Where the log does not state its noise, a command may have missed its motor by more than the log can show.
+NOISE_UNSTATED = 4.0
 # A cause that leaves more than this (rms) of what it should explain is not the cause.
 DOUBT = 0.2
 
