@@ -2,19 +2,21 @@
 
     pip install atheris && python benchmarks/fuzz.py --seconds 60
 
-Each kind of file runs in a process of its own, from sound files of the tests as seeds, guided by branches of the package
-and of the pure-Python libraries under it. What counts as a finding: any exception but `LogError`, `ModelError` or
-`StateError` with one printable line; more than ten seconds; more memory than the limit; a crash of the process. Prints
-a row for each kind, and ends with status 1 where something was found; the input is then kept in --out.
+Each kind of file runs in a process of its own, from sound files of the tests as seeds, guided by branches of the
+package and of the pure-Python libraries under it. A finding is any exception but `LogError`, `ModelError`, `StateError`
+with one printable line; more than ten seconds; more memory than the limit; a crash of the process. Prints a row for
+each kind, and ends with status 1 where something was found; the input is then kept in --out.
 """
 
 import argparse
+import importlib
 import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 LOGS = ("csv", "npz", "parquet", "bag", "db3", "mcap")
@@ -24,7 +26,7 @@ SECONDS_MOST, MEGABYTES_MOST = 10, 4000
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Coverage-guided fuzzing of every reader")
     parser.add_argument("--seconds", type=int, default=60, metavar="S", help="for each kind")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), metavar="DIR")
@@ -61,7 +63,7 @@ def _finding(said: str) -> str:
 
 def fuzz(kind: str, seconds: int, out: Path) -> None:
     """Run libFuzzer on one kind; does not return."""
-    import atheris
+    atheris: Any = importlib.import_module("atheris")
 
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     with atheris.instrument_imports(include=list(GUIDES)):
@@ -89,14 +91,11 @@ def fuzz(kind: str, seconds: int, out: Path) -> None:
 def seeds(kind: str, package) -> list[bytes]:
     """Sound files of one kind."""
     if kind in ("csv", "parquet", "bag", "db3", "mcap"):
-        from test_hostile import valid
-
-        return [valid(kind)]
-    if kind in ("mjcf", "urdf"):
-        from models import MODELS
-        from test_model_files import URDF
-
-        return [URDF.encode()] if kind == "urdf" else [t.encode() for t in MODELS.values()]
+        return [importlib.import_module("test_hostile").valid(kind)]
+    if kind == "urdf":
+        return [importlib.import_module("test_model_files").URDF.encode()]
+    if kind == "mjcf":
+        return [text.encode() for text in importlib.import_module("models").MODELS.values()]
     from jax_inertia.robots.pendulum import swing
 
     with tempfile.TemporaryDirectory() as name:
