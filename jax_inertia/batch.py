@@ -30,7 +30,7 @@ from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.estimate import Estimate, make_estimator, physical_units
 from jax_inertia.inertia import is_physical
 from jax_inertia.priors import Load, Uncertainty
-from jax_inertia.robot import HINGE, SLIDE, Robot
+from jax_inertia.robot import Robot
 
 JOINT_TERMS = ("damping", "frictionloss", "armature", "offset")
 
@@ -230,7 +230,7 @@ def _pose(
         terms_start=jnp.zeros((robot.nv, TERMS)),
         terms_sigma=jnp.asarray(_terms_sigma(robot, rows, scale, joint_terms)),
         gain_start=jnp.asarray(gain_start),
-        gain_sigma=jnp.asarray(np.where(_driven(robot), gain_sigma, 0.0)),
+        gain_sigma=jnp.asarray(np.where(robot.topology.dof_scalar, gain_sigma, 0.0)),
         noise=jnp.ones(robot.nv),
     )
     return rows, problem
@@ -244,18 +244,12 @@ def _terms_sigma(
     sigma = scale[:, None] / np.maximum(size, 1e-9)
     sigma[:, :3] = np.maximum(sigma[:, :3], _own_terms(robot))
     wanted = np.array([t in joint_terms for t in JOINT_TERMS])
-    return np.where(wanted & _driven(robot)[:, None] & (size > 0), sigma, 0.0)
+    return np.where(wanted & robot.topology.dof_scalar[:, None] & (size > 0), sigma, 0.0)
 
 
 def _own_terms(robot: Robot) -> np.ndarray:
     """The model's own damping, dry friction and armature (nv, 3)."""
     return np.stack([robot.damping, robot.frictionloss, robot.armature], axis=1)
-
-
-def _driven(robot: Robot) -> np.ndarray:
-    """Rows that belong to a hinge or slide joint."""
-    top = robot.topology
-    return np.isin(np.array(top.kind)[top.dof_node], (HINGE, SLIDE))
 
 
 def _before(

@@ -177,21 +177,34 @@ class Estimator(eqx.Module):
         out = State(belief, state.bias, waited.astype(state.rejected_for.dtype))
         return out, Step(belief, innovation, threshold, reopened)
 
-    def run(self, state: State, observations: Observation) -> tuple[State, Trace]:
+    def run(
+        self,
+        state: State,
+        observations: Observation,
+        *,
+        dt: Float[Array, " T"] | None = None,
+        used: Bool[Array, " T"] | None = None,
+    ) -> tuple[State, Trace]:
         """`step` over a log: regressors in batches, one scan, then physical units in batches. Jit it.
 
-        The time of the first sample is taken to be one period after `state`.
+        `dt` [s] is the time since the sample before, by default that of the log, whose first sample is taken to come
+        one period after `state`. Samples that are not `used` (default: all are) leave no trace in the state.
         """
         regressors, deltas = torque_residuals(self.robot, observations, self.bodies, state.bias)
-        dt = jnp.diff(jnp.asarray(observations.motion.time))
+        if dt is None:
+            dt = jnp.diff(jnp.asarray(observations.motion.time))
+            dt = jnp.concatenate([dt[:1], dt])
 
         def one(carry, x):
-            carry, step = self.update(carry, *x)
+            *sample, use = x
+            after, step = self.update(carry, *sample)
+            if use is not None:
+                after = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
             own = (step.belief.mean, _own_blocks(step.belief.covariance))
-            return carry, (own, step.innovation, step.threshold, step.reopened)
+            return after, (own, step.innovation, step.threshold, step.reopened)
 
         valid = jnp.asarray(observations.motion.valid)
-        steps = (regressors, deltas, valid, jnp.concatenate([dt[:1], dt]))
+        steps = (regressors, deltas, valid, dt, used)
         state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
         estimate = jax.lax.map(lambda x: _physical(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)

@@ -81,6 +81,11 @@ class Topology:
         return (kind == FREE) & (self.dof_local < 3)
 
     @functools.cached_property
+    def dof_scalar(self) -> np.ndarray:
+        """Whether each degree of freedom is a joint of its own, a hinge or slide (nv,)."""
+        return np.isin(np.array(self.kind)[self.dof_node], (HINGE, SLIDE))
+
+    @functools.cached_property
     def ancestors(self) -> np.ndarray:
         """0/1 matrix (nodes, nodes): entry [i, j] says that j is i or an ancestor of i."""
         n = len(self.parent)
@@ -257,7 +262,7 @@ def forward_kinematics(robot: Robot, q: Float[Array, "nq ..."]) -> Kinematics:
         rotation = compose(up_r, rotation)
 
     node, local = top.dof_node, top.dof_local
-    joint = np.isin(np.array(top.kind)[node], (HINGE, SLIDE))[:, None]
+    joint = top.dof_scalar[:, None]
     columns = np.eye(3, dtype=q.dtype)[local % 3]
     own = robot.joint_axis[node]
     own = jnp.where(_over(joint, own), own, _over(columns, own))

@@ -46,11 +46,6 @@ def matvec(m: Float[Array, "*b i j"], x: Float[Array, "*b j"]) -> Float[Array, "
     return jnp.sum(m * x[..., None, :], axis=-1)
 
 
-def matvec_t(m: Float[Array, "*b i j"], x: Float[Array, "*b i"]) -> Float[Array, "*b j"]:
-    """mᵀ x for small matrices."""
-    return jnp.sum(m * x[..., :, None], axis=-2)
-
-
 def matmul(a: Float[Array, "*b i j"], b: Float[Array, "*b j k"]) -> Float[Array, "*b i k"]:
     """a b for small matrices, fused like `matvec`."""
     return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)

@@ -19,13 +19,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jax_inertia._contract import CHANNELS
 from jax_inertia.differences import Observation, aligned_differences
 from jax_inertia.estimate import Estimator, State, Trace
-from jax_inertia.log import AnyArray, Log, LogError
-from jax_inertia.measurement import torque_residuals
+from jax_inertia.log import Log, LogError
 from jax_inertia.motion import generalised
 
 
@@ -121,7 +120,7 @@ class Stream(eqx.Module):
             dt = np.diff(time, prepend=before)
             full, dt = jax.tree.map(lambda x: _padded(x, self.block), (observation, dt))
             used = np.arange(self.block) < number
-            carried, trace = _filter(self.estimator, carried, full, dt, used)
+            carried, trace = _filter(self.estimator, carried, full, dt=dt, used=jnp.asarray(used))
             trace = jax.tree.map(lambda x, n=number: np.asarray(x)[:n], trace)
             parts.append(Part(time, trace))
             last = float(time[-1])
@@ -177,26 +176,4 @@ def _padded(x: np.ndarray, size: int) -> np.ndarray:
     return np.asarray(x)[np.minimum(np.arange(size), len(x) - 1)]
 
 
-@eqx.filter_jit
-def _filter(
-    estimator: Estimator,
-    state: State,
-    observations: Observation,
-    dt: Float[AnyArray, " T"],
-    used: Bool[AnyArray, " T"],
-) -> tuple[State, Trace]:
-    """`Estimator.run` over a block, of which the entries not `used` leave no trace in the state."""
-    regressors, deltas = torque_residuals(
-        estimator.robot, observations, estimator.bodies, state.bias
-    )
-
-    def one(carry, x):
-        *sample, use = x
-        after, step = estimator.update(carry, *sample)
-        carry = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
-        return carry, step
-
-    valid = jnp.asarray(observations.motion.valid)
-    state, steps = jax.lax.scan(one, state, (regressors, deltas, valid, dt, used))
-    estimate = jax.vmap(estimator.estimate)(steps.belief)
-    return state, Trace(estimate, steps.innovation, steps.threshold, steps.reopened)
+_filter = eqx.filter_jit(Estimator.run)

@@ -209,8 +209,9 @@ class _Task(eqx.Module):
         )
         return Series(self.period, middle + half * x[:, 0], sine, cosine)
 
-    def times(self) -> Float[np.ndarray, " T"]:
-        return np.arange(self.samples) / self.samples
+    def times(self) -> Float[Array, " T"]:
+        """When the motion is looked at [s]."""
+        return jnp.arange(self.samples) / self.samples * self.period
 
     def look(self, state: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """(whitened regressors in units of the prior (T, nv, p), torque (T, nv)) of a batch of states."""
@@ -238,13 +239,13 @@ _look = eqx.filter_jit(_Task.look, compiler_options=_QUICK)  # pyright: ignore[r
 
 
 def _gain(task: _Task, series: Series) -> Float[Array, ""]:
-    return task.gain(_look(task, series.at(jnp.asarray(task.times()) * task.period))[0])
+    return task.gain(_look(task, series.at(task.times()))[0])
 
 
 @eqx.filter_jit
 def _sought(x: Float[Array, "n w"], task: _Task) -> tuple[Array, Array]:
     def loss(x):
-        q, v, a = task.series(x).at(jnp.asarray(task.times()) * task.period)
+        q, v, a = task.series(x).at(task.times())
         rows, torque = task.look((q, v, a))
         half, middle = 0.5 * (task.high - task.low), 0.5 * (task.high + task.low)
         used = [(q - middle) / half, v / task.velocity, torque / task.torque]
@@ -281,7 +282,7 @@ def _within(task: _Task, limits: Limits, clear: Callable | None, x: np.ndarray) 
 
 
 def _known(task: _Task, series: Series, prior: Uncertainty) -> Knowledge:
-    rows = np.asarray(_look(task, series.at(jnp.asarray(task.times()) * task.period))[0])
+    rows = np.asarray(_look(task, series.at(task.times()))[0])
     return of_rows(task.robot, rows @ np.linalg.inv(task.root), task.bodies, prior=prior)
 
 

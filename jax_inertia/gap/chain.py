@@ -26,7 +26,7 @@ from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
-from jax_inertia.robot import HINGE, SLIDE, Robot
+from jax_inertia.robot import Robot
 from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
 
 
@@ -132,7 +132,7 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
     slow = signal.sosfiltfilt(last_filter(settings.after, rate), v, axis=0)
-    rest = at_rest(slow, rate) & _hinges_and_slides(robot)
+    rest = at_rest(slow, rate) & robot.topology.dof_scalar
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)
@@ -141,14 +141,6 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     ok = np.asarray(observation.motion.valid)
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
     return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate)
-
-
-def _hinges_and_slides(robot: Robot) -> Bool[np.ndarray, " nv"]:
-    """Rows with an axis of their own, at which friction may act."""
-    out = np.zeros(robot.nv, bool)
-    for kind, dof in zip(robot.joint_type, robot.joint_dofadr, strict=True):
-        out[dof] = kind in (HINGE, SLIDE)
-    return out
 
 
 def without_friction(robot: Robot) -> Robot:
