@@ -36,6 +36,9 @@ _ELSE = {
     "boost_serialization": "an archive of Pinocchio's: give the URDF that its model was built from",
 }
 
+# What `_text` puts where bytes are no UTF-8.
+_NO_LETTER = "\ufffd"
+
 _COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
 _TAG = re.compile(r"<(/?)([A-Za-z_][\w:.-]*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 _ATTRIBUTE = re.compile(r"([A-Za-z_][\w:.-]*)\s*=\s*(\"[^\"]*\"|'[^']*')")
@@ -43,6 +46,11 @@ _ATTRIBUTE = re.compile(r"([A-Za-z_][\w:.-]*)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 class ModelError(ValueError):
     """A model that cannot be used: one line that says what, where, and what would be right."""
+
+    def __init__(self, message: str) -> None:
+        # Names from the file are quoted in messages, by MuJoCo too; they may hold line breaks or move a cursor.
+        text = " ".join(message.split())
+        super().__init__("".join(c if c.isprintable() else "?" for c in text))
 
 
 class Tag(NamedTuple):
@@ -87,6 +95,7 @@ def check_model(path: Path) -> str:
         text = _text(path, file)
         found = list(tags(text))
         first = first or (found[0].name if found else "-")
+        _check_letters(path, found)
         more, most = _check_tags(path, found)
         # An include inside <replicate> multiplies what its file copies.
         bodies, copies = bodies + more, copies * most
@@ -117,6 +126,16 @@ def _text(path: Path, file: Path) -> str:
     if text.count("<") > _MOST_TAGS:
         raise ModelError(f"{path}: {file.name} holds more than {_MOST_TAGS} tags: is it a model?")
     return text
+
+
+def _check_letters(path: Path, found: list[Tag]) -> None:
+    """Refuse names that are not in UTF-8: MuJoCo takes them, and cannot hand them on. Comments may be in anything."""
+    for tag in found:
+        for key, value in tag.attributes.items():
+            if _NO_LETTER in value:
+                raise ModelError(
+                    f"{path}: {key}={value[:80]!r} of <{tag.name}> is not in UTF-8; save the file as UTF-8"
+                )
 
 
 def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:

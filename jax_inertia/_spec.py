@@ -37,7 +37,7 @@ def load_spec(path: str | Path) -> MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except _REFUSALS as error:
-        raise ModelError(f"{path}: {_one_line(error)}") from None
+        raise ModelError(f"{path}: {error}") from None
     # A welded link must stay a body of its own: its parameters may be what is asked for.
     spec.compiler.fusestatic = False
     _drop_missing_meshes(spec, path)
@@ -55,7 +55,7 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
         return spec.compile()
     except _REFUSALS as error:
         if "balanceinertia" not in str(error):
-            raise ModelError(f"{where}: {_one_line(error)}") from None
+            raise ModelError(f"{where}: {error}") from None
     bodies = [(i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)]
     names = [b.name or f"body_{i}" for i, b in bodies]
     warnings.warn(
@@ -68,7 +68,7 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
     try:
         return spec.compile()
     except _REFUSALS as error:
-        raise ModelError(f"{where}: {_one_line(error)}") from None
+        raise ModelError(f"{where}: {error}") from None
 
 
 def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:
@@ -183,7 +183,3 @@ def _triangle(body) -> bool:
 def _split(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = pi
     return m, np.array([hx, hy, hz]), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -1,7 +1,7 @@
 """Every public function shows how it is used, and what it shows is so.
 
-The examples stand by themselves: nothing is in scope but what they import. Those of `diagnose` and `suggest_motion`
-compile for half a minute, and both have tests of their own: they run with JAX_INERTIA_SLOW=1.
+The examples stand by themselves: nothing is in scope but what they import. A few compile for half a minute and are of
+functions that have tests of their own: they run with JAX_INERTIA_SLOW=1.
 """
 
 import doctest
@@ -20,7 +20,15 @@ MODULES = (
     *("least_squares", "log", "logfilter", "mjcf", "preflight", "robots.pendulum", "statefile"),
     *("stream", "suggest_motion", "gap.diagnosis"),
 )
-SLOW = {"jax_inertia.gap.diagnosis.diagnose", "jax_inertia.suggest_motion.suggest_motion"}
+SLOW = {
+    f"jax_inertia.{name}"
+    for name in (
+        "batch.fit",
+        "gap.diagnosis.diagnose",
+        "logfilter.residual_noise",
+        "suggest_motion.suggest_motion",
+    )
+}
 
 
 def public_functions() -> dict[str, object]:
@@ -64,7 +72,7 @@ def quickly():
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_is_so(name):
     if name in SLOW and not os.environ.get("JAX_INERTIA_SLOW"):
-        pytest.skip("half a minute of compiling; set JAX_INERTIA_SLOW=1")
+        pytest.skip("compiles for long; set JAX_INERTIA_SLOW=1")
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
     failed, tried = runner.run(EXAMPLES[name], out=said.append)

@@ -474,6 +474,20 @@ def test_models_made_to_hurt(tmp_path, text, said):
     assert said in model_refusal(folder / "robot.xml")
 
 
+def test_names_are_utf_8_and_comments_may_be_anything(tmp_path):
+    """Found by fuzzing: MuJoCo reads a name in Latin-1, and Python cannot take it from there."""
+    path = tmp_path / "arm.urdf"
+    comment = URDF.replace("made by hand", "für Jörg").replace("schloß", "lock")
+    path.write_bytes(comment.encode("latin-1"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ji.ModelWarning)
+        assert "lock" in ji.load_model(path).body_names
+    path.write_bytes(URDF.encode("latin-1"))
+    assert "of <link> is not in UTF-8" in model_refusal(path)
+    path.write_bytes(URDF.replace("<robot", "<?xml \x1b[2J\x07 <robot").encode())
+    assert model_refusal(path).isprintable()
+
+
 def test_copies_multiply_across_includes(tmp_path):
     (tmp_path / "part.xml").write_text(
         f'<mujocoinclude><replicate count="60">{BODY}</replicate></mujocoinclude>'
