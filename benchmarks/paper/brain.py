@@ -143,7 +143,7 @@ def foot_wrenches(
     """[force; moment about the foot's frame origin], world axes, of forces at the soles' corners."""
     rotation, _ = body_poses(robot, q)
     index = np.array([robot.body_index(name) for name in FEET])
-    arm = spatial.matvec(rotation[index][:, None], jnp.asarray(POINTS, q.dtype))
+    arm = jnp.einsum("fij,fpj->fpi", rotation[index], jnp.asarray(POINTS, q.dtype))
     force = force.reshape(2, 4, 3)
     moment = spatial.cross(arm, force)
     return jnp.concatenate([force.sum(axis=1), moment.sum(axis=1)], axis=-1)

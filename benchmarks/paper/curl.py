@@ -5,6 +5,7 @@ over at no more than 3 kg/s; at last it curls: 0.7 rad at 0.333 Hz. Runs with si
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -90,6 +91,7 @@ def run(
     calibrated: bool = True,
     settings: Settings = SETTINGS,
     sensors: Sensors = SENSORS,
+    watch_also: Callable[[Fleet], dict[str, np.ndarray]] = lambda fleet: {},
     label: str = "curl",
 ) -> Run:
     """Elbow angle and reference [rad], estimated, handed and true mass of forearm and dumbbell [kg]."""
@@ -110,6 +112,7 @@ def run(
 
     def watch(fleet: Fleet, out) -> dict[str, np.ndarray]:
         return {
+            **watch_also(fleet),
             "angle": fleet.q[:, joint],
             "wanted": out.record[:, joint - 7],
             "mass": out.pi[:, 0, 0],
