@@ -105,8 +105,13 @@ def fit(
     block: Block,
     basis: Float[np.ndarray, "n s"],
     target: Float[np.ndarray, " n"],
+    *,
+    coarse: bool = False,
 ) -> Candidate | None:
-    """Least squares in θ; Gauss–Newton on the manifold of a body's change; none where the equation has no θ."""
+    """Least squares in θ; Gauss–Newton on the manifold of a body's change; none where the equation has no θ.
+
+    `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
+    """
     columns = block.columns
     free = columns - basis @ (basis.T @ columns) if basis.shape[1] else columns
     raw, plain = free.T @ free, free.T @ target
@@ -122,13 +127,14 @@ def fit(
     offset = np.zeros(len(target))
     if family.whole is not None:
         theta = np.zeros(0)
-        if not _as_large_as_it_must_be(family.whole, gram, cross):
+        error = COARSE if coarse else family.whole
+        if not _as_large_as_it_must_be(error, gram, cross):
             return None
         if not family.slow:
             # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
             seen = evidence.slow(free)
             sought = seen.T @ evidence.slow(target[:, None])[:, 0]
-            if not _as_large_as_it_must_be(family.whole, seen.T @ seen, sought):
+            if not _as_large_as_it_must_be(error, seen.T @ seen, sought):
                 return None
         columns, offset = np.zeros((len(target), 0)), columns[:, 0]
     elif family.size is None:
@@ -200,6 +206,8 @@ def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, 
 
 # A column of which less than this share of the energy is motion, the rest noise, says nothing.
 MOSTLY_NOISE = 0.5
+# Between the few shapes looked at first, an effect without θ may be this much larger or smaller.
+COARSE = 0.7
 # An effect judged in the motion's band must be seen there: this much misfit, whatever it brings above.
 SEEN = 12.0
 

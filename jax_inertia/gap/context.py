@@ -78,19 +78,18 @@ class Context:
         return np.percentile(np.abs(self.v), 99.5, axis=0)
 
     @functools.cached_property
-    def regressor(self) -> np.ndarray:
-        """Torque regressor of all bodies (T, nv, nb, 10)."""
-        return _regressor(self.robot, (self.q, self.v, self.a))
+    def acceleration(self) -> np.ndarray:
+        """Acceleration below half the chain's last cut-off, for columns that it is in (T, nv).
 
-    @functools.cached_property
-    def smooth(self) -> tuple[np.ndarray, np.ndarray]:
-        """Acceleration, and the regressor of all bodies with it, below half the chain's last cut-off.
-
-        Noise of accelerations is in the missing torque as well: columns that share it would take a share of it.
+        Its noise above is in the missing torque as well: columns that share it would take a share of it.
         """
         rate, cutoff = self.prepared.rate, 0.5 * self.prepared.settings.after
-        a = signal.sosfiltfilt(last_filter(cutoff, rate), self.a, axis=0)
-        return a, _regressor(self.robot, (self.q, self.v, a))
+        return signal.sosfiltfilt(last_filter(cutoff, rate), self.a, axis=0)
+
+    @functools.cached_property
+    def regressor(self) -> np.ndarray:
+        """Torque regressor of all bodies, with `acceleration` (T, nv, nb, 10)."""
+        return _regressor(self.robot, (self.q, self.v, self.acceleration))
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -51,7 +51,7 @@ class Nuisances:
 def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     """All nuisances of a log."""
     fixed, tolerances = [], {k: [Columns(x)] for k, x in _bodies(context, tolerance).items()}
-    robot, v, a = context.robot, context.v, context.smooth[0]
+    robot, v, a = context.robot, context.v, context.acceleration
     for row in context.joint_dofs.values():
         for kind, own, shape in (
             ("damping", robot.damping, -v[:, row]),
@@ -78,7 +78,6 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
 
 def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
     """Y ∂π for mass, centre of mass and inertia of every body with mass, (T, nv, bodies) and thrice that."""
-    regressor = context.smooth[1]
     changes = {"mass": [], "centre of mass": [], "inertia": []}
     for i, pi in enumerate(np.asarray(context.robot.pi)):
         m, h = pi[0], pi[1:4]
@@ -96,7 +95,7 @@ def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
             change = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
             changes["centre of mass"].append((i, tolerance.com * change))
     return {
-        kind: np.stack([regressor[:, :, i, :] @ change for i, change in some], axis=-1)
+        kind: np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1)
         for kind, some in changes.items()
         if some
     }

@@ -130,7 +130,10 @@ class Pool:
     def _best_of(
         self, entry: Entry, basis: np.ndarray, target: np.ndarray, noise: float
     ) -> Candidate | None:
-        fits = [self._fit(entry.family, entry.place, b, basis, target) for b in entry.blocks]
+        fits = [
+            self._fit(entry.family, entry.place, b, basis, target, coarse=bool(entry.rest))
+            for b in entry.blocks
+        ]
         top = max((f for f in fits if f is not None), key=lambda c: c.aim, default=None)
         if top is not None:
             # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
@@ -180,7 +183,7 @@ class Pool:
                 entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
                 entry.rest = []
                 found = self._best_of(entry, basis, target, noise)
-                return found if found is not None and found.aim > candidate.aim else candidate
+                return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
         return candidate
 
     def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
@@ -193,5 +196,5 @@ class Pool:
         fitted.grid, fitted.score = candidate.grid, candidate.score
         return self.refined(fitted, residual, chosen, 1.0)
 
-    def _fit(self, family, place, block: Block, basis, target) -> Candidate | None:
-        return fit(self.context, self.evidence, family, place, block, basis, target)
+    def _fit(self, family, place, block: Block, basis, target, **how) -> Candidate | None:
+        return fit(self.context, self.evidence, family, place, block, basis, target, **how)

@@ -167,7 +167,7 @@ def without_harm(
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
-                j.after / (j.before + chance + WORSE * max(j.before - j.floor, 0.0)),
+                j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
                 trial.shrink.after / trial.shrink.before / WORSE_TORQUE,
             ]
         return max(harm), own, trial

@@ -151,7 +151,7 @@ class Armature(Joint):
     slow = True
 
     def columns(self, context, place, shape):
-        return Columns(-context.a[:, place.index, None], place.index)
+        return Columns(-context.acceleration[:, place.index, None], place.index)
 
     def physical(self, context, place, shape, theta):
         own = context.armature[place.index]
