@@ -20,10 +20,13 @@ Coupling = tuple[float, float, float]
 
 
 class Context:
-    """Cached quantities of one prepared log; arrays have time first, on the fast grid."""
+    """Cached quantities of one prepared log; arrays have time first, on the fast grid.
 
-    def __init__(self, prepared: Prepared):
-        self.prepared = prepared
+    `band`: up to which frequency [Hz] its accelerations are motion (`noise.motion_band`); without it, all of them.
+    """
+
+    def __init__(self, prepared: Prepared, band: float = np.inf):
+        self.prepared, self.band = prepared, band
         self.robot = prepared.robot
         motion = prepared.observation.motion
         self.time = np.asarray(motion.time) - np.asarray(motion.time)[0]
@@ -45,7 +48,7 @@ class Context:
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
-        out = Context(again)
+        out = Context(again, self.band)
         # A cached property lives in the instance's dictionary.
         out.__dict__["sensitivity"] = self.sensitivity
         return out
@@ -79,12 +82,13 @@ class Context:
 
     @functools.cached_property
     def acceleration(self) -> np.ndarray:
-        """Acceleration below half the chain's last cut-off, for columns that it is in (T, nv).
+        """Acceleration in the motion's band, for columns that it is in (T, nv).
 
         Its noise above is in the missing torque as well: columns that share it would take a share of it.
         """
-        rate, cutoff = self.prepared.rate, 0.5 * self.prepared.settings.after
-        return signal.sosfiltfilt(last_filter(cutoff, rate), self.a, axis=0)
+        if self.band >= self.prepared.settings.after:
+            return self.a
+        return signal.sosfiltfilt(last_filter(self.band, self.prepared.rate), self.a, axis=0)
 
     @functools.cached_property
     def regressor(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import linalg
+from scipy import linalg, signal
 
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.log import Log
@@ -18,6 +18,8 @@ from jax_inertia.log import Log
 ORDER = 3
 # The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.
 FLOOR = 5e-4
+# No robot's motion ends below this [Hz].
+SLOWEST = 4.0
 # The noise's own misfit is known to this factor.
 NOISE_ERROR = 1.3
 
@@ -119,6 +121,19 @@ def whitener(
     sigma = np.sqrt(np.mean(noise**2, axis=(0, 1)))
     everywhere = np.ones(noise.shape[1:], bool)
     return Whitener(sigma, (stage_of(noise, everywhere),)), noise, noisy
+
+
+def motion_band(
+    prepared: Prepared, white: Whitener, replicas: Float[np.ndarray, "K R nv"]
+) -> float:
+    """Up to which frequency [Hz] there is more motion than noise in the needed torque, all rows in units of noise."""
+    needed = prepared.finish_torque(prepared.inverse) / white.sigma
+    rate = prepared.settings.decimated
+    pieces = min(len(needed), round(2 * rate))
+    frequency, power = signal.welch(needed, rate, nperseg=pieces, axis=0)
+    noise = signal.welch(replicas / white.sigma, rate, nperseg=pieces, axis=1)[1].mean(axis=0)
+    more = np.flatnonzero(power.sum(axis=1) > 2.0 * noise.sum(axis=1))
+    return float(max(frequency[more[-1]] if len(more) else 0.0, SLOWEST))
 
 
 def _with_friction_of(own: Prepared, noisy: Prepared) -> Prepared:

@@ -15,7 +15,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
 from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
-from jax_inertia.gap.noise import Whitener, memoryless, stated, whitener
+from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import remaining, row_energy, select, suited
@@ -110,7 +110,7 @@ def finder(
             "balances, so a robot that stands still tells nothing"
         )
     white, replicas, again = whitener(prepared, log)
-    context = Context(prepared)
+    context = Context(prepared, motion_band(prepared, white, replicas))
     own = nuisances(context, tolerance, log)
     return Finder(context, white, replicas, again, own, library, max_effects, stated(log))
 

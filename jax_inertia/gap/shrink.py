@@ -8,7 +8,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import Whitener, stated, whitener
+from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
@@ -110,8 +110,8 @@ class OtherMotion:
 
     def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
         prepared = prepare(robot, log)
-        context = Context(prepared)
         own, self._replicas, _ = whitener(prepared, log)
+        context = Context(prepared, motion_band(prepared, own, self._replicas))
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
         doubts = nuisances(context, tolerance, log)
