@@ -1,5 +1,6 @@
 """The page and the figure of speed.py."""
 
+import json
 from pathlib import Path
 
 from benchmarks.harness import accuracy, results
@@ -145,8 +146,27 @@ def _gpu(gpu: dict | None) -> str:
         cost = f"\n\nThe estimator's cost on top of an MJX rollout of the same robots: {tick / filter_:.1%}."
     about = gpu["about"]
     return (
-        f"{about['device']}, commit {about['commit']}, jax {about['jax']}, MuJoCo {about['mujoco']}; several GPUs: "
-        f"not run.\n\n{results.table(head, rows)}{cost}"
+        f"{about['device']}, commit {about['commit']}, jax {about['jax']}, MuJoCo {about['mujoco']}.\n\n"
+        f"{results.table(head, rows)}{cost}{several()}"
+    )
+
+
+def several() -> str:
+    """What `benchmarks.several_gpus` found; nothing where it has not run."""
+    file = results.RESULTS / "several_gpus.json"
+    if not file.exists():
+        return ""
+    found = json.loads(file.read_text())
+    one = found["1"]["per_s"]
+    told = [
+        f"{n}: {row['per_s']:.3g} ({row['per_s'] / int(n) / one:.0%})"
+        for n, row in found.items()
+        if isinstance(row, dict)
+    ]
+    note = f" ({found['note']})" if "note" in found else ""
+    return (
+        f"\n\nFilter steps per second in information form, sharded over several {found['device']}, 65 536 robots on "
+        f"each{note}: {', '.join(told)}; goal 90 % of as many single ones."
     )
 
 
