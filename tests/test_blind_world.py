@@ -174,6 +174,18 @@ def test_a_log_without_a_gap_is_at_the_noise_under_mujoco(robot, engine, tmp_pat
     assert (np.sqrt((r[moving] ** 2).mean(0)) < allowed + friction).all()
 
 
+def test_a_rough_drive_alone_shows_nothing_beyond_itself():
+    from world.yardstick import beyond
+
+    bench = silent()
+    rough = dataclasses.replace(bench.sensors, ripple=0.05 * bench.peak)
+    bench.sensors = rough
+    still = bench.still()
+    seen = bench.seen(bench.simulate([], 0), bench.true)
+    assert still["distinct"] > 10
+    assert beyond(seen, still)["distinct"] == 0
+
+
 @pytest.mark.parametrize(
     "family", ["viscous_friction", "torque_bias", "joint_spring", "cogging", "torque_gain"]
 )

@@ -12,7 +12,7 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import whitener
+from jax_inertia.gap.noise import motion_band, sensor_noise, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
@@ -173,6 +173,50 @@ def test_standing_still_is_refused_in_one_line(robot):
     noise = QPOS * np.random.default_rng(0).standard_normal(still.shape)
     with pytest.raises(ValueError, match="stands still"):
         diagnose(robot, dataclasses.replace(log, qpos=still + noise))
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_torque_sensors_sample_may_be_of_the_moment_or_of_the_period(robot, held):
+    log = simulate(seconds=5.0)
+    tau = log.tau if held else np.concatenate([log.tau[:1], 0.5 * (log.tau[1:] + log.tau[:-1])])
+    found = diagnose(robot, dataclasses.replace(log, tau=tau, tau_kind=TorqueKind.SENSOR))
+    assert found.verdict is Verdict.NO_GAP
+
+
+def test_noise_of_a_torque_sensor_is_no_lag(robot):
+    # A lagged torque is a smoother one, and so has less of its own noise.
+    log = simulate(seconds=5.0)
+    noise = 10 * TAU * np.random.default_rng(3).standard_normal(log.tau.shape)
+    loud = dataclasses.replace(log, tau=log.tau + noise, sigma_tau=10 * TAU)
+    assert diagnose(robot, loud).verdict is Verdict.NO_GAP
+
+
+@pytest.mark.parametrize("draw", ["normal", "laplace"])
+def test_unstated_noise_is_measured_with_its_tails_and_without_impacts(draw):
+    rng = np.random.default_rng(0)
+    noise = {
+        "normal": lambda: rng.normal(size=(4000, 3)),
+        "laplace": lambda: rng.laplace(scale=np.sqrt(0.5), size=(4000, 3)),
+    }[draw]()
+    x = 0.01 * noise + np.sin(np.linspace(0, 30, 4000))[:, None]
+    x[1000:] += 3.0
+    assert sensor_noise(x, None) == pytest.approx(0.01 * np.ones(3), rel=0.05)
+
+
+def test_the_motion_band_ends_where_noise_begins(robot):
+    log = simulate(seconds=5.0)
+    loud = dataclasses.replace(
+        log,
+        qpos=log.qpos + 2e-3 * np.random.default_rng(1).standard_normal(log.qpos.shape),
+        sigma_qpos=np.full(JOINTS, 2e-3),
+    )
+    bands = []
+    for one in (log, loud):
+        prepared = prepare(robot, one)
+        white, replicas, _ = whitener(prepared, one)
+        bands.append(motion_band(prepared, white, replicas))
+    # The fastest of its sines has 0.7 Hz, and its torque products of some of them.
+    assert 2.0 < bands[1] < bands[0]
 
 
 def test_at_rest_is_slow_for_long():

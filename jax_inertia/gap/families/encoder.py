@@ -114,19 +114,36 @@ class JointElasticity(TwoMass):
         return {"stiffness": Parameter(shape[0], "N m/rad")}
 
 
+ALL = 1e3
+"""A frequency [Hz] that is above all others."""
+
+
 class Backlash(TwoMass):
+    """Its last shape is the frequency [Hz] up to which it counts: the motion's band, or all.
+
+    Teeth rattle at other moments than computed: then the computed effect is worse than none above the motion's band.
+    """
+
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    # Teeth that rattle do so at other moments than computed.
     free_shape, form_error = 2, 0.5
 
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)
-        return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25))
+        bands = (context.motion_band, ALL)
+        return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25), bands)
 
     def first(self, context, place):
-        gap, stiffness, damping = self.grid(context, place)
-        return itertools.product(gap[::2], stiffness[1::3], damping[:1])
+        gap, stiffness, damping, bands = self.grid(context, place)
+        return itertools.product(gap[::2], stiffness[1::3], damping[:1], bands)
+
+    def around(self, context, place, shape):
+        *free, _ = super().around(context, place, shape)
+        return [*free, (shape[3], shape[3])]
+
+    def columns(self, context, place, shape):
+        every = super().columns(context, place, shape)
+        return every if shape[3] == ALL else Columns(context.below(shape[3], every.values))
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0]
