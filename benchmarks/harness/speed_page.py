@@ -65,7 +65,7 @@ def _latency(part: dict) -> str:
     return (
         results.table(head, rows)
         + "\n\nWith `jax_cpu_enable_async_dispatch` off, as a control loop should have it: otherwise every call waits "
-        "for another thread to wake up, 17 µs on an idle core and 40 on a busy one."
+        "for another thread to wake up, 17 µs on an idle core and some 30 on a busy one."
     )
 
 
