@@ -1,6 +1,6 @@
 """The notebooks: cleared of outputs, each opening with a picture, and their code runs.
 
-Those on the diagnosis compile for a minute and stand on code that has tests of its own: they run with
+Those on the diagnosis and on Monte Carlo compile for a minute and stand on code that has tests of its own: they run with
 JAX_INERTIA_SLOW=1.
 """
 
@@ -15,7 +15,7 @@ import pytest
 
 HERE = Path(__file__).parent
 NOTEBOOKS = sorted((HERE.parent / "notebooks").glob("*.ipynb"))
-SLOW = {"5_your_robot", "6_your_own_effect"}
+SLOW = {"4_monte_carlo", "5_your_robot", "6_your_own_effect"}
 
 
 def cells_of(path: Path) -> list[dict]:
