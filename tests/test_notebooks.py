@@ -1,7 +1,7 @@
 """The notebooks: cleared of outputs, each opening with a picture, and their code runs.
 
-Those on the diagnosis and on Monte Carlo compile for a minute and stand on code that has tests of its own: they run with
-JAX_INERTIA_SLOW=1.
+Those on the diagnosis and on Monte Carlo compile for a minute and stand on code that has tests of its own: they run
+with JAX_INERTIA_SLOW=1.
 """
 
 import ast
