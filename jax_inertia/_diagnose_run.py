@@ -22,6 +22,7 @@ from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.units import drive_gains, in_newton_metres
+from jax_inertia.gap.words import percent, plain
 from jax_inertia.log import Log, LogError, read_log
 from jax_inertia.mjcf import (
     compile_spec,
@@ -154,7 +155,7 @@ def show(result: Result, out: Path, *, as_json: bool) -> None:
 def table(console: Console, found: Diagnosis) -> None:
     """Verdict and effects."""
     rows = Table(
-        title=f"{str(found.verdict).replace('_', ' ')} (confidence {found.confidence:.2f})",
+        title=f"{plain(str(found.verdict))} (confidence {found.confidence:.2f})",
         title_justify="left",
     )
     for name in ("effect", "where", "size, 95 % interval", "explains", "or"):
@@ -164,7 +165,7 @@ def table(console: Console, found: Diagnosis) -> None:
             f.family,
             escape(f.place.name),
             escape("\n".join(f.sizes)),
-            f"{100 * f.explained:.0f} %",
+            percent(f.explained),
             escape(f.rivals),
         )
     if found.findings:

@@ -45,14 +45,11 @@ def reached(answers: dict, found: Path) -> dict:
     return answers | {"logs": logs, "sealed": len(answers["logs"])}
 
 
-def against_still(answers: dict, still: dict[str, dict]) -> dict:
+def against_still(answers: dict, visible: dict[str, list[dict]]) -> dict:
     """Answers whose effects count as visible by what they add to the same motion without them."""
     for name, answer in answers["logs"].items():
-        for effect in answer["truth"]["effects"]:
-            seen = effect["visibility"]
-            effect["visibility"] = seen | {
-                k: max(seen[k] - still[name][k], 0.0) for k in ("chi2", "distinct")
-            }
+        for effect, seen in zip(answer["truth"]["effects"], visible[name], strict=True):
+            effect["visibility"] = seen
     return answers
 
 

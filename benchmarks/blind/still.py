@@ -1,9 +1,9 @@
-"""What each motion of an opened set shows with nothing hidden in it, for `score.py --still`.
+"""How visible each effect of an opened set is against the same motion with nothing hidden, for `score.py --still`.
 
     python benchmarks/blind/still.py SEALED LOGS OUT --commitment HEX --jobs 2
 
 Sets 1 and 2 measured an effect's visibility on its log alone, the noise of the drives included: on a robot with a
-rough drive the faintest effect counted as clear. Sets sealed since then have what is written here taken off already.
+rough drive the faintest effect counted as clear. Sets sealed since then say what is written here already.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ import vault
 from rich.progress import track
 from world.make import Bench
 from world.plan import Setting
+from world.yardstick import beyond
 
 
-def still(truth: dict) -> dict:
-    """χ² and `distinct` of one log's motion without its effects; zero where nothing was hidden."""
+def visible(truth: dict) -> list[dict]:
+    """`visibility` of each of one log's effects beyond the same motion without them."""
     if not truth["effects"]:
-        return {"chi2": 0.0, "distinct": 0.0}
+        return []
     bench = Bench(
         Setting(**{k: tuple(x) if isinstance(x, list) else x for k, x in truth["setting"].items()})
     )
     bench.take(truth["attempt"])
-    seen = bench.still()
-    return {k: seen[k] for k in ("chi2", "distinct")}
+    still = bench.still()
+    return [beyond(e["visibility"], still) for e in truth["effects"]]
 
 
 def main() -> None:
@@ -48,7 +49,7 @@ def main() -> None:
     args = parser.parse_args()
     answers = vault.unseal(args.sealed, args.commitment, args.logs)["logs"]
     with ProcessPoolExecutor(args.jobs) as pool:
-        every = pool.map(still, [a["truth"] for a in answers.values()])
+        every = pool.map(visible, [a["truth"] for a in answers.values()])
         found = dict(zip(answers, track(every, total=len(answers)), strict=True))
     part = args.out.with_suffix(".part")
     part.write_text(json.dumps(found, indent=1) + "\n")

@@ -8,6 +8,7 @@ added once more, shows both, and the moments are corrected by it (errors in vari
 """
 
 import dataclasses
+import functools
 
 import numpy as np
 from jaxtyping import Float
@@ -78,12 +79,41 @@ class Block:
         return cls(shape, columns, noise, noise.T @ noise, noise.T @ of_y)
 
 
-def beside(
-    columns: Float[np.ndarray, "n s"], target: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, " n"]]:
-    """An orthonormal basis of the columns, and what they cannot reach of the target."""
-    basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
-    return basis, target - basis @ (basis.T @ target)
+@dataclasses.dataclass(frozen=True)
+class Beside:
+    """What is left to explain where the columns of chosen effects are free to take their share."""
+
+    evidence: Evidence
+    basis: Float[np.ndarray, "n s"]
+    """Of the chosen columns, orthonormal."""
+    target: Float[np.ndarray, " n"]
+    """What they cannot reach."""
+
+    @classmethod
+    def of(
+        cls,
+        evidence: Evidence,
+        columns: Float[np.ndarray, "n s"],
+        target: Float[np.ndarray, " n"],
+    ) -> "Beside":
+        """Beside chosen columns, of a target in the charged metric."""
+        basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
+        return cls(evidence, basis, target - basis @ (basis.T @ target))
+
+    def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """What the chosen cannot reach of other columns."""
+        if not self.basis.shape[1]:
+            return columns
+        return columns - self.basis @ (self.basis.T @ columns)
+
+    def slow_moments(self, free: Float[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
+        """AᵀA and Aᵀy of free columns in the motion's own band."""
+        seen = self.evidence.slow(free)
+        return seen.T @ seen, seen.T @ self._slow_target
+
+    @functools.cached_property
+    def _slow_target(self) -> Float[np.ndarray, " m"]:
+        return self.evidence.slow(self.target[:, None])[:, 0]
 
 
 def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
@@ -99,12 +129,10 @@ def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
 
 def fit(
     context: Context,
-    evidence: Evidence,
     family: Family,
     place: Place,
     block: Block,
-    basis: Float[np.ndarray, "n s"],
-    target: Float[np.ndarray, " n"],
+    left: Beside,
     *,
     coarse: bool = False,
 ) -> Candidate | None:
@@ -112,31 +140,26 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    columns = block.columns
-    free = columns - basis @ (basis.T @ columns) if basis.shape[1] else columns
-    raw, plain = free.T @ free, free.T @ target
+    columns, free = block.columns, left.free(block.columns)
+    raw, plain = free.T @ free, free.T @ left.target
     if family.slow:
-        seen = evidence.slow(free)
-        gram, cross = seen.T @ seen, seen.T @ evidence.slow(target[:, None])[:, 0]
+        gram, cross = left.slow_moments(free)
     elif family.whole is not None:
         gram, cross = raw - block.gram, plain - block.cross
         if gram[0, 0] < MOSTLY_NOISE * raw[0, 0]:
             return None
     else:
         gram, cross = raw, plain
-    offset = np.zeros(len(target))
+    offset = np.zeros(len(columns))
     if family.whole is not None:
         theta = np.zeros(0)
         error = COARSE if coarse else family.whole
         if not _as_large_as_it_must_be(error, gram, cross):
             return None
-        if not family.slow:
-            # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
-            seen = evidence.slow(free)
-            sought = seen.T @ evidence.slow(target[:, None])[:, 0]
-            if not _as_large_as_it_must_be(error, seen.T @ seen, sought):
-                return None
-        columns, offset = np.zeros((len(target), 0)), columns[:, 0]
+        # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
+        if not family.slow and not _as_large_as_it_must_be(error, *left.slow_moments(free)):
+            return None
+        columns, offset = np.zeros((len(columns), 0)), columns[:, 0]
     elif family.size is None:
         theta = _least_norm(gram, cross)
         if theta is None:

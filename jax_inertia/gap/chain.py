@@ -73,8 +73,7 @@ class Prepared(eqx.Module):
 
     def finish(self, x: Float[np.ndarray, "T *c"]) -> Float[np.ndarray, "R *c"]:
         """The chain's last low-pass, then its slow grid; leading axis time."""
-        smooth = signal.sosfiltfilt(last_filter(self.settings.after, self.rate), x, axis=0)
-        return smooth[self.kept]
+        return below(self.settings.after, x, self.rate)[self.kept]
 
     def finish_torque(
         self, x: Float[np.ndarray, "T *c"], row: int | None = None
@@ -131,7 +130,7 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     )
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
-    slow = signal.sosfiltfilt(last_filter(settings.after, rate), v, axis=0)
+    slow = below(settings.after, v, rate)
     rest = at_rest(slow, rate) & robot.topology.dof_scalar
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
@@ -169,9 +168,13 @@ def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
     return out
 
 
+def below(cutoff: float, x: Float[np.ndarray, "T *c"], rate: float) -> Float[np.ndarray, "T *c"]:
+    """The part of signals below a frequency [Hz], without delay; leading axis time."""
+    return signal.sosfiltfilt(_low_pass(cutoff, rate), x, axis=0)
+
+
 @functools.cache
-def last_filter(cutoff: float, rate: float) -> np.ndarray:
-    """Second-order sections of the chain's low-pass, for both ways."""
+def _low_pass(cutoff: float, rate: float) -> np.ndarray:
     return np.asarray(signal.butter(3, cutoff, fs=rate, output="sos"))
 
 

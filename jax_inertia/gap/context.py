@@ -9,7 +9,7 @@ import numpy as np
 from scipy import signal
 
 from jax_inertia import dynamics
-from jax_inertia.gap.chain import Prepared, last_filter, needed_torque, without_friction
+from jax_inertia.gap.chain import Prepared, below, needed_torque, without_friction
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.dry import direction
 from jax_inertia.gap.twomass import separation
@@ -92,10 +92,10 @@ class Context:
 
     def below(self, cutoff: float, x: np.ndarray) -> np.ndarray:
         """The part of signals on the fast grid (T, ...) below a frequency [Hz]."""
-        return signal.sosfiltfilt(last_filter(cutoff, self.prepared.rate), x, axis=0)
+        return below(cutoff, x, self.prepared.rate)
 
     @functools.cached_property
-    def motion_band(self) -> float:
+    def slow_band(self) -> float:
         """Frequency that holds nine tenths of the needed torque's energy and half as much again, 1.5 to 5 Hz."""
         needed = self.inverse / np.maximum(self.inverse.std(axis=0), 1e-9)
         frequency, power = signal.periodogram(needed, self.prepared.rate, axis=0)

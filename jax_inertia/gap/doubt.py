@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.gap.candidate import Candidate, beside
+from jax_inertia.gap.candidate import Beside, Candidate
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import STOP, remaining, stacked
@@ -57,16 +57,16 @@ def better_than(
             for k, x in enumerate(chosen)
             if k != i and not (c.family.passing and x.family.passing)
         ]
-        basis, target = beside(*stacked(pool, others))
+        rest = Beside.of(pool.evidence, *stacked(pool, others))
         size = c.size * (len(chosen) - len(others))
         allowed = c.excuses(c.effect)
         if c.family.passing:
             # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there.
             allowed = min(allowed, max(now - noise, 0.0))
         for h in hidden:
-            free = h.columns - basis @ (basis.T @ h.columns)
-            left = np.linalg.lstsq(free, target, rcond=None)
-            after = float(np.sum((target - free @ left[0]) ** 2))
+            free = rest.free(h.columns)
+            left = np.linalg.lstsq(free, rest.target, rcond=None)
+            after = float(np.sum((rest.target - free @ left[0]) ** 2))
             price = (h.columns.shape[1] - size) * np.log(pool.evidence.rows)
             won = (now - after - allowed) / unit - price - STOP
             if won > most:

@@ -14,12 +14,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.noise import ORDER, Whitener
+from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
 
 # Shapes that go through the filters at once: more would leave the cache.
@@ -118,7 +118,7 @@ class Evidence:
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""
-        return self.charge(self._flat(self._whitening(y)[:, :, None]))[:, 0]
+        return self.charge(self._whitening(y)[self.used][:, None])[:, 0]
 
     def noise_energy(self, replicas: Float[np.ndarray, "K R nv"]) -> float:
         """Charged misfit of noise alone: the mean over its replicas, finished but not whitened."""
@@ -137,26 +137,25 @@ class Evidence:
 
     def slow(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
         """The part in the motion's own band, by its cosines; lengths are kept."""
-        rows = np.zeros((*self.used.shape, x.shape[-1]))
-        rows[self.used] = x
-        cosines = np.asarray(scipy.fft.dct(rows, axis=0, norm="ortho"))
+        cosines = np.asarray(scipy.fft.dct(self.unflatten(x), axis=0, norm="ortho"))
         return cosines[: self.slow_modes].reshape(-1, x.shape[-1])
 
-    def unflatten(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
+    def unflatten(self, x: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "R nv *k"]:
         """Whitened samples back on their rows; zero where not used."""
-        out = np.zeros(self.used.shape)
+        out = np.zeros((*self.used.shape, *x.shape[1:]))
         out[self.used] = x
         return out
 
-    def _flat(self, x: Float[np.ndarray, "R nv k"]) -> Float[np.ndarray, "n k"]:
-        return x[self.used]
+    def part(self, count: int) -> Int[np.ndarray, " n"]:
+        """Which of `count` equal stretches of the log each sample lies in."""
+        return np.nonzero(self.used)[0] * count // len(self.used)
 
     def _whiten(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         row = columns.row
         finished = self.prepared.finish_torque(columns.values, row)
         whitening = self._whitening
         white = whitening(finished) if row is None else whitening.one_row(finished, row)
-        return self._flat(white)
+        return white[self.used]
 
 
 # The chain's last filter carries what happens at rest this many samples into the motion.
@@ -170,9 +169,4 @@ def used(prepared: Prepared) -> Bool[np.ndarray, "R nv"]:
     """
     rest = prepared.rest[prepared.kept] * 1.0
     moving = ndimage.maximum_filter1d(rest, 2 * CARRIED + 1, axis=0) == 0
-    own = prepared.valid & moving
-    out = own.copy()
-    for lag in range(1, ORDER + 1):
-        out[lag:] &= own[:-lag]
-    out[:ORDER] = False
-    return out
+    return with_all_before(prepared.valid & moving)

@@ -61,8 +61,7 @@ def _jackknife(
     pool: Pool, a: Float[np.ndarray, "n k"], residual: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "k k"]:
     """Covariance of the fit from its values with each tenth of the log left out in turn."""
-    used = pool.evidence.used
-    group = np.nonzero(used)[0] * GROUPS // len(used)
+    group = pool.evidence.part(GROUPS)
     fits = []
     for g in range(GROUPS):
         kept = group != g

@@ -85,6 +85,15 @@ class Whitening:
         return triangles[self._which] @ _innovations(x, coefficients.T[:, :, None])
 
 
+def with_all_before(used: Bool[np.ndarray, "R nv"]) -> Bool[np.ndarray, "R nv"]:
+    """Which samples are used, and so are all those before them that their innovation leans on."""
+    out = used.copy()
+    for lag in range(1, ORDER + 1):
+        out[lag:] &= used[:-lag]
+    out[:ORDER] = False
+    return out
+
+
 def _innovations(x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """x less its prediction from the samples before, coefficients by lag; the first see zeros before them."""
     out = x.copy()
@@ -162,10 +171,7 @@ def stage_of(
         if lags[0] > 0:
             coefficients[j] = linalg.solve_toeplitz(lags[:-1], lags[1:])
     innovation = _innovations(np.moveaxis(noise, 0, 2), coefficients.T[:, :, None])
-    whole = used.copy()
-    for lag in range(1, ORDER + 1):
-        whole[lag:] &= used[:-lag]
-    whole[:ORDER] = False
+    whole = with_all_before(used)
     flat = np.moveaxis(innovation * whole[:, :, None], 2, 0).reshape(-1, nv)
     counts = len(noise) * (whole.T.astype(float) @ whole)
     covariance = flat.T @ flat / np.maximum(counts, 1.0)

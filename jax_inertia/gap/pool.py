@@ -8,7 +8,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from jax_inertia.gap.candidate import Block, Candidate, beside, fit
+from jax_inertia.gap.candidate import Beside, Block, Candidate, fit
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
@@ -123,15 +123,13 @@ class Pool:
         self, residual: Float[np.ndarray, " n"], chosen: Float[np.ndarray, "n s"], noise: float
     ) -> list[Candidate]:
         """Every candidate fitted to a residual beside the chosen columns, best score first."""
-        basis, target = beside(chosen, residual)
-        every = (self._best_of(e, basis, target, noise) for e in self.entries)
+        left = Beside.of(self.evidence, chosen, residual)
+        every = (self._best_of(e, left, noise) for e in self.entries)
         return sorted((c for c in every if c is not None), key=lambda c: -c.score)
 
-    def _best_of(
-        self, entry: Entry, basis: np.ndarray, target: np.ndarray, noise: float
-    ) -> Candidate | None:
+    def _best_of(self, entry: Entry, left: Beside, noise: float) -> Candidate | None:
         fits = [
-            self._fit(entry.family, entry.place, b, basis, target, coarse=bool(entry.rest))
+            fit(self.context, entry.family, entry.place, b, left, coarse=bool(entry.rest))
             for b in entry.blocks
         ]
         top = max((f for f in fits if f is not None), key=lambda c: c.aim, default=None)
@@ -147,8 +145,8 @@ class Pool:
         family, place = candidate.family, candidate.place
         if not candidate.shape:
             return candidate
-        basis, target = beside(chosen, residual)
-        best = self._on_all(candidate, basis, target, noise)
+        left = Beside.of(self.evidence, chosen, residual)
+        best = self._on_all(candidate, left, noise)
         for _ in range(2):
             before = best.aim
             for axis in range(len(best.shape)):
@@ -160,7 +158,7 @@ class Pool:
                     nonlocal best
                     shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
                     [block] = self.blocks(family, place, [shape])
-                    fitted = self._fit(family, place, block, basis, target)
+                    fitted = fit(self.context, family, place, block, left)
                     if fitted is None:
                         return 0.0
                     if fitted.aim > best.aim:
@@ -176,25 +174,22 @@ class Pool:
                 break
         return best
 
-    def _on_all(self, candidate: Candidate, basis, target, noise: float) -> Candidate:
+    def _on_all(self, candidate: Candidate, left: Beside, noise: float) -> Candidate:
         """The candidate at the best of all its shapes, those not tried so far included."""
         for entry in self.entries:
             if (entry.family, entry.place) == (candidate.family, candidate.place) and entry.rest:
                 entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
                 entry.rest = []
-                found = self._best_of(entry, basis, target, noise)
+                found = self._best_of(entry, left, noise)
                 return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
         return candidate
 
     def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
-        basis, target = beside(chosen, residual)
+        left = Beside.of(self.evidence, chosen, residual)
         [block] = self.blocks(candidate.family, candidate.place, [candidate.shape])
-        fitted = self._fit(candidate.family, candidate.place, block, basis, target)
+        fitted = fit(self.context, candidate.family, candidate.place, block, left)
         if fitted is None:
             return None
         fitted.grid, fitted.score = candidate.grid, candidate.score
         return self.refined(fitted, residual, chosen, 1.0)
-
-    def _fit(self, family, place, block: Block, basis, target, **how) -> Candidate | None:
-        return fit(self.context, self.evidence, family, place, block, basis, target, **how)

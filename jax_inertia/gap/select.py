@@ -67,6 +67,14 @@ def _noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: 
     return noise * _redness(pool, chosen, added) if noise > 1.2 else noise
 
 
+def _others(
+    pool: Pool, chosen: list[Candidate], columns: np.ndarray, target: np.ndarray
+) -> list[Candidate]:
+    """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
+    own = {c.key for c in chosen}
+    return [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+
+
 # How many of the leading candidates may show that the model is better than its tolerances.
 LEADING = 12
 
@@ -74,9 +82,7 @@ LEADING = 12
 def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) -> dict[str, float]:
     """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays."""
     columns, target = stacked(pool, chosen)
-    own = {c.key for c in chosen}
-    ranked = [c for c in pool.best(target, columns, 1.0) if c.key not in own]
-    ranked = sorted(ranked, key=lambda c: -c.gain)[:LEADING]
+    ranked = sorted(_others(pool, chosen, columns, target), key=lambda c: -c.gain)[:LEADING]
     noise = _noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
     learner = Learner(pool.evidence, noise)
     without = learner.beside(columns, target)
@@ -130,8 +136,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     """Candidates to add, best first, the leading ones refined; simpler families first where they do as well."""
     columns, target = stacked(pool, chosen)
     n = pool.evidence.rows
-    own = {c.key for c in chosen}
-    ranked = [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+    ranked = _others(pool, chosen, columns, target)
     if not ranked:
         return []
     before = misfit(pool, chosen)

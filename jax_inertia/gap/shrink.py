@@ -74,7 +74,7 @@ def _predicted(
         return out
     columns, target = stacked(pool, chosen)
     fold_of = np.arange(len(out)) * folds // len(out)
-    flat = np.nonzero(pool.evidence.used)[0] * folds // len(out)
+    flat = pool.evidence.part(folds)
     own = np.concatenate([c.theta for c in chosen])
     for fold in range(folds):
         train = flat != fold

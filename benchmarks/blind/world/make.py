@@ -132,11 +132,11 @@ def make(setting: Setting) -> tuple[dict, dict, str, dict]:
             log = bench.simulate(hidden, 0)
             test = bench.simulate(hidden, 1)
             alone = [bench.simulate([h], 0) for h in hidden] if len(hidden) > 1 else []
-            still = bench.still()
+            whole = bench.seen(log, bench.true)
+            still = bench.still() if hidden else whole
         except Unstable as error:
             reason = str(error)
             continue
-        whole = bench.seen(log, bench.true)
         seen = [bench.seen(x, bench.true) for x in alone] if len(hidden) > 1 else [whole]
         truth = {
             "effects": [

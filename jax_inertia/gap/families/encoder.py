@@ -130,7 +130,7 @@ class Backlash(TwoMass):
 
     def grid(self, context, place):
         gaps = np.geomspace(0.0008, 0.05, 10)
-        bands = (context.motion_band, ALL)
+        bands = (context.slow_band, ALL)
         return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25), bands)
 
     def first(self, context, place):
