@@ -66,17 +66,34 @@ class Candidate:
 class Block:
     """Columns of one shape in the charged metric, and what noise alone puts into their moments."""
 
+    evidence: Evidence
     shape: Shape
     columns: Float[np.ndarray, "n k"]
     noise: Float[np.ndarray, "n k"] | None = None
     """What the echo's noise adds to the columns, where they carry it."""
-    gram: Float[np.ndarray, "k k"] | float = 0.0
-    cross: Float[np.ndarray, " k"] | float = 0.0
+    noise_gram: Float[np.ndarray, "k k"] | float = 0.0
+    noise_cross: Float[np.ndarray, " k"] | float = 0.0
 
     @classmethod
-    def noisy(cls, shape: Shape, columns, noise, of_y: Float[np.ndarray, " n"]) -> "Block":
+    def noisy(
+        cls, evidence: Evidence, shape: Shape, columns, noise, of_y: Float[np.ndarray, " n"]
+    ) -> "Block":
         """A block with its noise's moments."""
-        return cls(shape, columns, noise, noise.T @ noise, noise.T @ of_y)
+        return cls(evidence, shape, columns, noise, noise.T @ noise, noise.T @ of_y)
+
+    @functools.cached_property
+    def gram(self) -> Float[np.ndarray, "k k"]:
+        """AᵀA."""
+        return self.columns.T @ self.columns
+
+    @functools.cached_property
+    def slow(self) -> Float[np.ndarray, "m k"]:
+        """The columns in the motion's own band."""
+        return self.evidence.slow(self.columns)
+
+
+# Columns of which the chosen effects leave less than this share of the energy are theirs.
+REACHED = 1e-10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,10 +123,26 @@ class Beside:
             return columns
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def slow_moments(self, free: Float[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
-        """AᵀA and Aᵀy of free columns in the motion's own band."""
-        seen = self.evidence.slow(free)
+    def moments(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """AᵀA and Aᵀy of a block's free columns A; zero for columns that are not free."""
+        cross = block.columns.T @ self.target
+        if not self.basis.shape[1]:
+            return block.gram, cross
+        shared = self.basis.T @ block.columns
+        gram = block.gram - shared.T @ shared
+        alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
+        return gram * np.outer(alive, alive), cross * alive
+
+    def slow_moments(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """The same in the motion's own band."""
+        seen = block.slow
+        if self.basis.shape[1]:
+            seen = seen - self._slow_basis @ (self.basis.T @ block.columns)
         return seen.T @ seen, seen.T @ self._slow_target
+
+    @functools.cached_property
+    def _slow_basis(self) -> Float[np.ndarray, "m s"]:
+        return self.evidence.slow(self.basis)
 
     @functools.cached_property
     def _slow_target(self) -> Float[np.ndarray, " m"]:
@@ -140,12 +173,14 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    columns, free = block.columns, left.free(block.columns)
-    raw, plain = free.T @ free, free.T @ left.target
+    columns = block.columns
+    raw, plain = left.moments(block)
+    if not raw.any():
+        return None
     if family.slow:
-        gram, cross = left.slow_moments(free)
+        gram, cross = left.slow_moments(block)
     elif family.whole is not None:
-        gram, cross = raw - block.gram, plain - block.cross
+        gram, cross = raw - block.noise_gram, plain - block.noise_cross
         if gram[0, 0] < MOSTLY_NOISE * raw[0, 0]:
             return None
     else:
@@ -157,7 +192,7 @@ def fit(
         if not _as_large_as_it_must_be(error, gram, cross):
             return None
         # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
-        if not family.slow and not _as_large_as_it_must_be(error, *left.slow_moments(free)):
+        if not family.slow and not _as_large_as_it_must_be(error, *left.slow_moments(block)):
             return None
         columns, offset = np.zeros((len(columns), 0)), columns[:, 0]
     elif family.size is None:
@@ -178,7 +213,7 @@ def fit(
     # noise explains of the noise in y. Whatever that noise excuses, an effect has to bring something.
     gain = float(2 * w @ plain - w @ raw @ w)
     if block.noise is not None:
-        by_noise = float(2 * w @ block.cross - w @ block.gram @ w)
+        by_noise = float(2 * w @ block.noise_cross - w @ block.noise_gram @ w)
         gain = min(gain, gain - NOISE_ERROR * by_noise)
     if min(aim, gain) <= 0 or not family.physical(context, place, block.shape, theta):
         return None

@@ -39,6 +39,7 @@ class Context:
         r = prepared.robot
         self.armature, self.damping = np.asarray(r.armature), np.asarray(r.damping)
         self.stiffness, self.frictionloss = np.asarray(r.stiffness), np.asarray(r.frictionloss)
+        self.pi = np.asarray(r.pi)
         self.contacts = motion.contact_bodies
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
@@ -128,12 +129,24 @@ class Context:
     @functools.cached_property
     def tilt(self) -> np.ndarray:
         """∂(needed torque)/∂(rotation of gravity about world x and y) (T, nv, 2)."""
-        return _tilt(self.robot, self.q)
+        g = np.asarray(self.robot.gravity)
+        turns = np.stack([np.cross(e, g) for e in np.eye(3)[:2]], axis=1)
+        return -np.einsum("b,tbjc,ck->tjk", self.pi[:, 0], self.force_rows, turns)
 
     @functools.cached_property
     def force_rows(self) -> np.ndarray:
-        """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3)."""
-        return _force_rows(self.robot, self.q)
+        """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3).
+
+        Minus what holds a unit mass there against a gravity of one: one compiled regressor serves for all.
+        """
+        still = np.zeros_like(self.v)
+        mass = np.concatenate([np.ones((len(self.pi), 1)), centre_of_mass(self.robot.pi)], axis=1)
+        along = []
+        for axis in np.eye(3):
+            robot = eqx.tree_at(lambda r: r.gravity, self.robot, jnp.asarray(axis))
+            held = _regressor(robot, (self.q, still, still))[..., :4]
+            along.append(-np.einsum("tjbk,bk->tbj", held, mass))
+        return np.stack(along, axis=-1)
 
     @functools.cached_property
     def com_velocity(self) -> np.ndarray:
@@ -212,49 +225,18 @@ def _sensitivity(robot, o):
     ).reshape(-1, 2)
     dofs, adrs = rows[:, 0], rows[:, 1]
 
-    q, v, a = o.motion.q, o.motion.v, o.a
-    wide = jax.jacfwd(lambda x: needed_torque(robot, q.at[adrs].add(x), v, a, o))(
-        jnp.zeros(len(adrs), q.dtype)
+    def needed(dq, v, a):
+        return needed_torque(robot, o.motion.q.at[adrs].add(dq), v, a, o)
+
+    wide, dv, da = jax.jacfwd(needed, argnums=(0, 1, 2))(
+        jnp.zeros(len(adrs), o.motion.q.dtype), o.motion.v, o.a
     )
-    dq = jnp.zeros((robot.nv, robot.nv), q.dtype).at[:, dofs].set(wide)
-    dv = jax.jacfwd(lambda x: needed_torque(robot, q, x, a, o))(v)
-    return dq, dv, dynamics.mass_matrix(robot, q)
-
-
-@over_samples
-def _tilt(robot, q):
-    g = robot.gravity
-    turns = jnp.stack([jnp.cross(jnp.array(e), g) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-
-    zero = jnp.zeros(robot.nv, q.dtype)
-
-    def needed(dg):
-        turned = eqx.tree_at(lambda r: r.gravity, robot, g + dg)
-        return dynamics.inverse_dynamics(turned, q, zero, zero)
-
-    return jax.jacfwd(needed)(jnp.zeros(3, q.dtype)) @ turns.T
-
-
-@over_samples
-def _force_rows(robot, q):
-    com = centre_of_mass(robot.pi)
-    rotation, _ = dynamics.body_poses(robot, q)
-    jacobians = jnp.stack([dynamics.body_jacobian(robot, q, i) for i in range(robot.nb)])
-    lever = jnp.einsum("bij,bj->bi", rotation, com)
-    # Velocity of the CoM: linear + ω × lever.
-    angular = jacobians[:, 3:]
-    linear = jacobians[:, :3] + jnp.cross(jnp.swapaxes(angular, 1, 2), lever[:, None, :]).swapaxes(
-        1, 2
-    )
-    return jnp.swapaxes(linear, 1, 2)
+    return jnp.zeros_like(da).at[:, dofs].set(wide), dv, da
 
 
 @over_samples
 def _contact_rows(shared, x):
     robot, bodies = shared
     q, w = x
-    rows = [
-        dynamics.contact_torque(robot, q, w[i : i + 1], bodies[i : i + 1])
-        for i in range(len(bodies))
-    ]
-    return jnp.stack(rows)
+    alone = jnp.eye(len(bodies))[:, :, None] * w
+    return jax.vmap(lambda x: dynamics.contact_torque(robot, q, x, bodies))(alone)

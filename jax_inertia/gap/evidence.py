@@ -26,25 +26,28 @@ from jax_inertia.gap.nuisance import Nuisances
 WIDE = 16
 
 
-class Charge:
-    """M^{1/2} x and back, for M = (1 + N Nᵀ)⁻¹ of few columns N."""
+class Span:
+    """The span of few columns N, and maps that act in it and leave alone what is orthogonal to it."""
 
     def __init__(self, n: Float[np.ndarray, "n k"]):
-        # 1 + N Nᵀ = (in the span of N) 1 + s²: M^{1/2} scales each left singular vector by (1 + s²)^{-1/2}.
         values, vectors = scipy.linalg.eigh(n.T @ n)
         kept = values > 1e-12 * max(values[-1], 1e-300)
-        self._left = n @ (vectors[:, kept] / np.sqrt(values[kept]))
-        self._scale = 1.0 / np.sqrt(1.0 + values[kept])
+        size = np.sqrt(values[kept])
+        self._basis = n @ (vectors[:, kept] / size)
+        self._coordinates = size[:, None] * vectors[:, kept].T
 
-    def __call__(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        return self._times(self._scale, x)
+    def charging(self, scales: Float[np.ndarray, " k"] | float = 1.0) -> Float[np.ndarray, "s s"]:
+        """M^{1/2} in the span, for M = (1 + N Λ² Nᵀ)⁻¹ with scales Λ."""
+        scaled = self._coordinates * scales
+        values, vectors = scipy.linalg.eigh(scaled @ scaled.T)
+        return (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T
 
-    def undo(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """M^{-1/2} x."""
-        return self._times(1.0 / self._scale, x)
-
-    def _times(self, scale: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return x + self._left @ ((scale - 1.0)[:, None] * (self._left.T @ x))
+    def apply(
+        self, inside: Float[np.ndarray, "s s"], x: Float[np.ndarray, "n k"]
+    ) -> Float[np.ndarray, "n k"]:
+        """x, its part in the span mapped."""
+        part = self._basis.T @ x
+        return x + self._basis @ (inside @ part - part)
 
 
 class Evidence:
@@ -62,12 +65,14 @@ class Evidence:
         self.used = used(prepared)
         self._whitening = whitener.over(self.used)
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
-        self._fixed = Charge(self._side_by_side(nuisances.fixed))
+        self._fixed = Span(self._side_by_side(nuisances.fixed))
+        self._fixed_charging = self._fixed.charging()
         self.tolerances = {
-            kind: self._fixed(self._side_by_side(columns))
+            kind: self._charge_fixed(self._side_by_side(columns))
             for kind, columns in nuisances.tolerances.items()
         }
         """Columns of each kind of tolerance, once the fixed nuisances are charged."""
+        self._own = Span(np.concatenate(list(self.tolerances.values()), axis=1))
         self._take(dict.fromkeys(self.tolerances, 1.0) | (scales or {}))
 
     def rescaled(self, scales: dict[str, float]) -> "Evidence":
@@ -78,8 +83,8 @@ class Evidence:
 
     def _take(self, scales: dict[str, float]) -> None:
         self.scales = scales
-        wide = [scales[kind] * x for kind, x in self.tolerances.items()]
-        self._own = Charge(np.concatenate(wide, axis=1))
+        each = [np.full(x.shape[1], scales[kind]) for kind, x in self.tolerances.items()]
+        self._charging = self._own.charging(np.concatenate(each))
         self.y = self.charge(self.raw)[:, 0]
 
     def _side_by_side(self, columns: list[Columns]) -> Float[np.ndarray, "n k"]:
@@ -92,17 +97,20 @@ class Evidence:
 
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""
-        return self._own(self._fixed(x))
+        return self._own.apply(self._charging, self._charge_fixed(x))
+
+    def _charge_fixed(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        return self._fixed.apply(self._fixed_charging, x)
 
     def without_tolerances(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What was charged with all nuisances, charged with the fixed ones alone."""
-        return self._own.undo(x)
+        return self._own.apply(np.linalg.inv(self._charging), x)
 
     def recharged(
         self, x: Float[np.ndarray, "n k"], before: "Evidence"
     ) -> Float[np.ndarray, "n k"]:
         """What was charged with the tolerances' scales `before`, with those of now."""
-        return self._own(before.without_tolerances(x))
+        return self._own.apply(self._charging @ np.linalg.inv(before._charging), x)
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

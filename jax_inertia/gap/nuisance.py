@@ -16,6 +16,7 @@ import numpy as np
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.families.joint import PRESLIDING
 from jax_inertia.log import Log, TorqueKind
 
@@ -79,13 +80,12 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
 def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
     """Y ∂π for mass, centre of mass and inertia of every body with mass, (T, nv, bodies) and thrice that."""
     changes = {"mass": [], "centre of mass": [], "inertia": []}
-    for i, pi in enumerate(np.asarray(context.robot.pi)):
+    for i, pi in enumerate(context.pi):
         m, h = pi[0], pi[1:4]
         if m <= 0:
             continue
         c = h / m
-        steiner = m * (c @ c * np.eye(3) - np.outer(c, c))
-        central = pi[4:] - steiner[np.triu_indices(3)]
+        central = pi[4:] - steiner(m, c)
         changes["mass"].append((i, tolerance.mass * pi))
         turned = np.concatenate([np.zeros(4), central])
         changes["inertia"].append((i, tolerance.inertia * turned))

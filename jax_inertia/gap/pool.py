@@ -83,12 +83,15 @@ class Pool:
             return self.evidence.of_many(family.columns(context, place, s) for s in shapes)
 
         if not family.noisy(self.context):
-            return [Block(s, x) for s, x in zip(shapes, columns(self.context), strict=True)]
+            return [
+                Block(self.evidence, s, x)
+                for s, x in zip(shapes, columns(self.context), strict=True)
+            ]
         out = []
         for s, x, again in zip(
             shapes, columns(self.context), columns(self.echo.context), strict=True
         ):
-            out.append(Block.noisy(s, x, again - x, self.echo.noise))
+            out.append(Block.noisy(self.evidence, s, x, again - x, self.echo.noise))
         return out
 
     def rescaled(self, scales: dict[str, float]) -> "Pool":
@@ -106,10 +109,12 @@ class Pool:
         def moved(blocks: list[Block]) -> list[Block]:
             columns = move_all([b.columns for b in blocks])
             if blocks[0].noise is None:
-                return [Block(b.shape, x) for b, x in zip(blocks, columns, strict=True)]
+                return [
+                    Block(out.evidence, b.shape, x) for b, x in zip(blocks, columns, strict=True)
+                ]
             noise = move_all([b.noise for b in blocks if b.noise is not None])
             return [
-                Block.noisy(b.shape, x, w, out.echo.noise)
+                Block.noisy(out.evidence, b.shape, x, w, out.echo.noise)
                 for b, x, w in zip(blocks, columns, noise, strict=True)
             ]
 

@@ -5,6 +5,13 @@ import numpy as np
 from jax_inertia.gap.families.base import Columns, Family, Parameter
 
 
+def steiner(m: float, c: np.ndarray) -> np.ndarray:
+    """Inertia [xx, xy, xz, yy, yz, zz] of a mass point at c: m (c·c 1 − c cᵀ)."""
+    # Scalars: the fit on a body's manifold asks for it a hundred thousand times.
+    x, y, z = c.tolist()
+    return m * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+
+
 class Inertial(Family):
     """e = −Y δπ(θ), δπ the weights."""
 
@@ -14,7 +21,7 @@ class Inertial(Family):
         return Columns(-context.regressor[:, :, place.index, :])
 
     def pi(self, context, place) -> np.ndarray:
-        return np.asarray(context.robot.pi[place.index])
+        return context.pi[place.index]
 
 
 class Payload(Inertial):
@@ -24,7 +31,7 @@ class Payload(Inertial):
     form_error = 0.05
 
     def starts(self, context, place, free):
-        scale = max(float(context.robot.pi[place.index, 0]), 0.1)
+        scale = max(float(self.pi(context, place)[0]), 0.1)
         out = [np.concatenate([[m * scale], np.zeros(3)]) for m in (0.05, 0.3, 1.0)]
         if free is not None and free[0] > 0:
             out.append(np.concatenate([free[:1], free[1:4] / free[0]]))
@@ -32,8 +39,7 @@ class Payload(Inertial):
 
     def weights(self, context, place, theta):
         m, c = theta[0], theta[1:4]
-        i = m * (c @ c * np.eye(3) - np.outer(c, c))
-        return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+        return np.array([m, *(m * c), *steiner(m, c)])
 
     def physical(self, context, place, shape, theta):
         return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < 1.0)
@@ -55,13 +61,7 @@ class ComShift(Inertial):
         if m <= 0:
             return np.zeros(10)
         old, new = pi[1:4] / m, pi[1:4] / m + theta[:3]
-
-        def steiner(c):
-            return m * (c @ c * np.eye(3) - np.outer(c, c))
-
-        i = steiner(new) - steiner(old)
-        h = m * theta[:3]
-        return np.array([0.0, *h, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+        return np.array([0.0, *(m * theta[:3]), *(steiner(m, new) - steiner(m, old))])
 
     def physical(self, context, place, shape, theta):
         return bool(np.linalg.norm(theta) < 0.15)
@@ -82,12 +82,10 @@ class LinkInertia(Inertial):
 
     def weights(self, context, place, theta):
         pi = self.pi(context, place)
-        m, h = pi[0], pi[1:4]
+        m = pi[0]
         if m <= 0:
             return np.zeros(10)
-        s = (h @ h * np.eye(3) - np.outer(h, h)) / m
-        own = pi[4:] - np.array([s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
-        return np.concatenate([np.zeros(4), theta[0] * own])
+        return np.array([0.0, 0.0, 0.0, 0.0, *(theta[0] * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
     def physical(self, context, place, shape, theta):
         return bool(theta[0] > -0.98)
