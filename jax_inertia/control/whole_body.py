@@ -27,6 +27,8 @@ from jax_inertia.control.terms import Terms, terms
 from jax_inertia.robot import Robot
 
 PELVIS, TORSO, LEFT, RIGHT = range(4)
+# Arrays where a loop is compiled once for all gains.
+_Pair = tuple[float | Float[Array, ""], float | Float[Array, ""]]
 _TOLERANCE = 1e-3  # of the forces, far below what a contact model is worth
 _EDGES = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 
@@ -191,7 +193,7 @@ class WholeBody(eqx.Module):
         return acceleration, weight.astype(q.dtype)
 
     def _upright(
-        self, now: Terms, body: int, turn: Float[Array, "3 3"], gain: tuple[float, float]
+        self, now: Terms, body: int, turn: Float[Array, "3 3"], gain: _Pair
     ) -> Float[Array, "3"]:
         return _pd(gain, _rotation_error(now.rotation[body], turn), -now.velocity[body, 3:])
 
@@ -258,9 +260,7 @@ def make_whole_body(
     )
 
 
-def _pd(
-    gain: tuple[float, float], error: Float[Array, "*n"], rate: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
+def _pd(gain: _Pair, error: Float[Array, "*n"], rate: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return gain[0] * error + gain[1] * rate
 
 
