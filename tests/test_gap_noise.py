@@ -16,6 +16,7 @@ from jax_inertia.gap.noise import motion_band, sensor_noise, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
+from jax_inertia.gap.strain import strained
 from jax_inertia.log import Log, TorqueKind
 
 JOINTS = 5
@@ -122,6 +123,23 @@ def learned(robot, log):
     evidence = Evidence(prepared, white, doubts)
     nothing = np.zeros((len(evidence.y), 0))
     return Learner(evidence, 1.0).beside(nothing, evidence.y), evidence
+
+
+def test_a_number_of_the_model_beyond_its_tolerance_is_named(robot):
+    _, right = learned(robot, simulate())
+    assert not strained(right, right.y)
+    _, off = learned(robot, simulate(DAMPING * np.array([1.0, 1.0, 1.3, 1.0, 1.0])))
+    first, *_ = strained(off, off.y)
+    assert first.name == "damping of axis3"
+    assert abs(first.off - 0.3 / Tolerance().damping) < 4.0 * first.error
+    assert first.error < 0.5
+
+
+def test_an_effect_that_a_tolerance_swallows_is_no_absence_of_a_gap(robot):
+    wrong = DAMPING * np.array([1.0, 1.0, 1.4, 1.0, 1.0])
+    found = diagnose(robot, simulate(wrong), exclude=["viscous_friction", "friction_drift"])
+    assert found.verdict is Verdict.UNKNOWN
+    assert any("damping of axis3" in note for note in found.notes)
 
 
 def test_scales_tell_which_numbers_of_the_model_are_off(robot):

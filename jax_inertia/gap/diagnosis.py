@@ -20,14 +20,13 @@ from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval, intervals
-from jax_inertia.gap.noise import stated
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose
 from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
-from jax_inertia.gap.verdict import Verdict, judge, probabilities, second_look, ties
+from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -80,7 +79,7 @@ def diagnose(
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
-            verdict = judge(first.misfits[:1], first.floor, 0.0, stated(log))
+            verdict = Verdict.of_nothing(first.bare)
     elif trial is not None and chosen and not any(c.family.passing for c in chosen):
         # A wrong cause may fit one motion; it seldom fits two.
         verdict = second_look(verdict, trial.misfit)
@@ -95,9 +94,7 @@ def diagnose(
     label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
     return Diagnosis(
         verdict=verdict,
-        confidence=findings[0].probability
-        if findings
-        else verdict.confidence(first.misfits, first.floor),
+        confidence=findings[0].probability if findings else verdict.confidence(first.bare),
         chi2=float(np.sum(raw**2) / evidence.rows),
         noise_floor=float(first.floor / evidence.rows),
         per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
@@ -146,24 +143,32 @@ def _finding(
 
 # A free function says something of what is left from this share of it.
 TELLING = 0.3
+# Numbers of the model that are told to be beyond their tolerances, at most.
+SHOWN = 3
 
 
 def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict) -> list[str]:
     """What the log says of an effect that is not in the library."""
     if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
         return []
+    beyond = [
+        f"the log wants the model's {x}: the number is wrong, or stands for an effect that is not in the library"
+        for x in search.strains[:SHOWN]
+    ]
     if search.rival is not None:
         c, hidden = search.rival
         return [
+            *beyond,
             f"a free function of {hidden.joint}'s {hidden.of} fits better than {c.family.name} at {c.place.name}: "
-            "the cause depends on it and is not in the library"
+            "the cause depends on it and is not in the library",
         ]
     hidden, share = leans_on(search.pool, chosen)
     if share < TELLING:
-        return []
+        return beyond
     return [
+        *beyond,
         f"a free function of {hidden.joint}'s {hidden.of} takes {share:.0%} of what is left "
-        "(energy against the noise): look there for what is not in the library"
+        "(energy against the noise): look there for what is not in the library",
     ]
 
 

@@ -72,6 +72,8 @@ class Evidence:
             for kind, columns in nuisances.tolerances.items()
         }
         """Columns of each kind of tolerance, once the fixed nuisances are charged."""
+        self.named = [name for kind in self.tolerances for name in nuisances.named[kind]]
+        """What each column of the tolerances, kind by kind, is an error of."""
         self._own = Span(np.concatenate(list(self.tolerances.values()), axis=1))
         self._take(dict.fromkeys(self.tolerances, 1.0) | (scales or {}))
 
@@ -111,6 +113,24 @@ class Evidence:
     ) -> Float[np.ndarray, "n k"]:
         """What was charged with the tolerances' scales `before`, with those of now."""
         return self._own.apply(self._charging @ np.linalg.inv(before._charging), x)
+
+    def deviations(
+        self, left: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        """How far off each number of the model is by what effects leave, its error, and the size of its column.
+
+        The first two in the tolerances that were stated, whatever their scales now.
+        """
+        columns = np.concatenate(list(self.tolerances.values()), axis=1)
+        scale = np.concatenate(
+            [np.full(x.shape[1], self.scales[kind]) for kind, x in self.tolerances.items()]
+        )
+        # Of left = M^{1/2} x, M x once more.
+        off = scale**2 * (columns.T @ self._own.apply(self._charging, left[:, None])[:, 0])
+        gram = columns.T @ columns
+        inside = np.eye(len(scale)) + scale[:, None] * gram * scale
+        error = scale * np.sqrt(np.diagonal(np.linalg.inv(inside)))
+        return off, error, np.sqrt(np.diagonal(gram))
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

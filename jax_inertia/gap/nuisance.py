@@ -12,6 +12,7 @@ tells (`scales`).
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
@@ -47,13 +48,18 @@ class Nuisances:
     """What no model states: friction about a reversal, and when within its period a torque acted."""
     tolerances: dict[str, list[Columns]]
     """Errors of the model's own numbers, by kind of number."""
+    named: dict[str, list[str]]
+    """What each column of a kind is an error of."""
 
 
 def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     """All nuisances of a log."""
-    fixed, tolerances = [], {k: [Columns(x)] for k, x in _bodies(context, tolerance).items()}
+    fixed, tolerances, named = [], {}, {}
+    for kind, (x, bodies) in _bodies(context, tolerance).items():
+        tolerances[kind] = [Columns(x)]
+        named[kind] = [f"{kind} of {context.robot.body_names[i]}" for i in bodies]
     robot, v, a = context.robot, context.v, context.acceleration
-    for row in context.joint_dofs.values():
+    for joint, row in context.joint_dofs.items():
         for kind, own, shape in (
             ("damping", robot.damping, -v[:, row]),
             ("frictionloss", robot.frictionloss, -context.side[:, row]),
@@ -62,6 +68,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             if float(own[row]) > 0:
                 column = Columns(tolerance.damping * float(own[row]) * shape[:, None], row)
                 tolerances.setdefault(kind, []).append(column)
+                named.setdefault(kind, []).append(f"{kind} of {joint}")
         # How soon the model's own dry friction turns over is not in the model: bristles turn late, MuJoCo's soft
         # constraint early, by about q̈ times its time constant.
         if (friction := float(robot.frictionloss[row])) > 0:
@@ -74,11 +81,13 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     slope = np.gradient(context.tau, context.time, axis=0)
     bend = np.gradient(slope, context.time, axis=0)
     fixed.append(Columns(np.stack([late * slope, 0.5 * late**2 * bend], axis=2)))
-    return Nuisances(fixed, tolerances)
+    return Nuisances(fixed, tolerances, named)
 
 
-def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
-    """Y ∂π for mass, centre of mass and inertia of every body with mass, (T, nv, bodies) and thrice that."""
+def _bodies(
+    context: Context, tolerance: Tolerance
+) -> dict[str, tuple[Float[np.ndarray, "T nv k"], list[int]]]:
+    """Y ∂π for mass, centre of mass (thrice) and inertia of every body with mass, and the column's body."""
     changes = {"mass": [], "centre of mass": [], "inertia": []}
     for i, pi in enumerate(context.pi):
         m, h = pi[0], pi[1:4]
@@ -95,7 +104,10 @@ def _bodies(context: Context, tolerance: Tolerance) -> dict[str, np.ndarray]:
             change = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
             changes["centre of mass"].append((i, tolerance.com * change))
     return {
-        kind: np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1)
+        kind: (
+            np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1),
+            [i for i, _ in some],
+        )
         for kind, some in changes.items()
         if some
     }

@@ -19,7 +19,8 @@ from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whi
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import remaining, row_energy, select, suited
-from jax_inertia.gap.verdict import Verdict, judge
+from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
+from jax_inertia.gap.verdict import Verdict, judge, with_strain
 from jax_inertia.log import Log
 
 
@@ -43,6 +44,10 @@ class Search:
     verdict: Verdict
     rival: tuple[Candidate, Hidden] | None
     """A found effect, and the free function of the state that fits better in its place."""
+    bare: Strangeness
+    """What the log shows without any effect."""
+    strains: list[Strained]
+    """Numbers of the model that are beyond their tolerances, beside the effects."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,21 +78,30 @@ class Finder:
                 break
             pool = pool.rescaled(scales)
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
-        evidence = pool.evidence
-        allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
-        if not self.stated and misfits[-1] > floor:
-            left = evidence.unflatten(remaining(pool, chosen))
-            if memoryless(left, 1.0 / context.prepared.settings.decimated):
-                floor = misfits[-1]
-        verdict = judge(misfits, floor, allowed, self.stated)
-        if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= max(2, len(chosen) / 2):
-            verdict = Verdict.PARTLY
+        evidence, sensors, left = pool.evidence, floor, remaining(pool, chosen)
+        if (
+            not self.stated
+            and misfits[-1] > floor
+            and memoryless(evidence.unflatten(left), 1.0 / context.prepared.settings.decimated)
+        ):
+            floor = misfits[-1]
+        bare = strangeness(evidence, self.replicas, floor, sensors, self.stated)
+        strains = strained(evidence, left)
         rival = better_than(pool, chosen, against)
-        if rival is not None:
-            verdict = Verdict.UNKNOWN
+        verdict = Verdict.of_nothing(bare)
+        if chosen:
+            allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
+            verdict = judge(misfits, floor, allowed, self.stated)
+            rows = max(2, len(chosen) / 2)
+            if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= rows:
+                verdict = Verdict.PARTLY
+            verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
+            if rival is not None:
+                verdict = Verdict.UNKNOWN
         return Search(
-            pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival
-        )
+            pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
+            bare, strains,
+        )  # fmt: skip
 
     def _selected(self, pool: Pool, noise: float | None):
         """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""

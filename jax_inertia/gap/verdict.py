@@ -11,6 +11,7 @@ import scipy.special
 
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.noise import NOISE_ERROR
+from jax_inertia.gap.strain import NOISE_UNSTATED, Strained, Strangeness
 
 
 class Verdict(enum.StrEnum):
@@ -21,42 +22,46 @@ class Verdict(enum.StrEnum):
     UNKNOWN = "unknown"
     NO_GAP = "no_gap"
 
-    def confidence(self, misfits: list[float], floor: float) -> float:
-        """How sure a verdict without effects is: by how far the misfit is from the border between the two."""
-        ratio = misfits[0] / max(floor, 1.0)
-        distance = np.log(ratio / NOISE_ONLY)
+    @classmethod
+    def of_nothing(cls, bare: Strangeness) -> "Verdict":
+        """The verdict where no effect was found."""
+        return cls.UNKNOWN if bare.most > 1.0 else cls.NO_GAP
+
+    def confidence(self, bare: Strangeness) -> float:
+        """How sure a verdict without effects is: by how far the log is from the border between the two."""
         side = 1.0 if self is Verdict.UNKNOWN else -1.0
-        return float(1.0 / (1.0 + np.exp(-4.0 * side * distance)))
+        return float(scipy.special.expit(4.0 * side * np.log(max(bare.most, 1e-9))))
 
 
-# Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
-NOISE_ONLY = 2.0
 TEMPER = 0.003
-# Where the log does not state its noise, a command may have missed its motor by more than the log can show.
-NOISE_UNSTATED = 4.0
 # A cause that leaves more than this (rms) of what it should explain is not the cause.
 DOUBT = 0.2
 
 
 def judge(misfits: list[float], floor: float, allowed: float, stated: bool) -> Verdict:
-    """The verdict for misfits after 0, 1, 2 ... effects.
+    """The verdict for misfits after 0, 1, 2 ... effects, one at least.
 
     Explained: what is left is within the noise and the errors of the found effects' own equations. Partly: a fifth
     of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
     `allowed`: misfit that the found equations' own errors may leave. `stated`: whether the log states its noise.
     """
     error = NOISE_ERROR if stated else NOISE_UNSTATED
-    if len(misfits) == 1:
-        return (
-            Verdict.UNKNOWN
-            if misfits[0] > NOISE_ONLY * error / NOISE_ERROR * floor
-            else Verdict.NO_GAP
-        )
     left = misfits[-1] - error * floor
     if left <= max(allowed, 0.2 * floor):
         return Verdict.EXPLAINED
     excess = max(misfits[0] - floor, 1e-300)
     return Verdict.PARTLY if left < DOUBT**2 * excess else Verdict.UNKNOWN
+
+
+def with_strain(verdict: Verdict, strains: list[Strained], explained: float) -> Verdict:
+    """The verdict where numbers of the model have to be further off than their tolerances for the effects to do.
+
+    `explained`: the misfit that the effects took.
+    """
+    if not strains or verdict is Verdict.UNKNOWN:
+        return verdict
+    granted = sum(x.energy for x in strains)
+    return Verdict.UNKNOWN if granted > DOUBT**2 * (granted + explained) else Verdict.PARTLY
 
 
 @dataclasses.dataclass(frozen=True)

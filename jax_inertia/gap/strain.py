@@ -1,0 +1,87 @@
+"""What a misfit as small as noise may hide: errors of the model beyond its tolerances, and slow motion in fast noise.
+
+The nominal model's tolerances are integrated out (`evidence`), and one of many columns may be bent far at a price that
+a whole log hardly feels: an armature 70 % off costs no more than noise does. So what the log wants each number of the
+model to be, z = Λ² Nᵀ (1 + N Λ² Nᵀ)⁻¹ (y − A θ) with its posterior error, is held against the tolerance stated. What
+is missing at the motion's own few frequencies is held against the noise there, not against all of it.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.noise import NOISE_ERROR
+
+# Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
+NOISE_ONLY = 2.0
+# The same of the misfit in the motion's own band, some hundred numbers.
+SLOWLY = 8.0
+# A number of the model that has to be this many times its tolerance off is not within it.
+STRAINED = 4.0
+# Where the log does not state its noise, a command may have missed its motor by more than the log can show.
+NOISE_UNSTATED = 4.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Strained:
+    """A number of the nominal model that the log wants further off than its tolerance allows."""
+
+    name: str
+    off: float
+    """How far, in tolerances."""
+    error: float
+    """One standard deviation of that."""
+    energy: float
+    """Misfit that the error would leave if it were not granted."""
+
+    def __str__(self) -> str:
+        return f"{self.name} off by {self.off:.1f} ± {self.error:.1f} times its tolerance"
+
+
+def strained(evidence: Evidence, left: Float[np.ndarray, " n"]) -> list[Strained]:
+    """The numbers of the model that are strained by what effects leave, the furthest first."""
+    off, error, size = evidence.deviations(left)
+    out = [
+        Strained(name, abs(float(o)), float(e), float((o * s) ** 2))
+        for name, o, e, s in zip(evidence.named, off, error, size, strict=True)
+        # A direction that the log hardly sees may lie anywhere.
+        if abs(o) > STRAINED * max(1.0, e)
+    ]
+    return sorted(out, key=lambda x: -x.off)
+
+
+@dataclasses.dataclass(frozen=True)
+class Strangeness:
+    """What a log shows without any effect, each number against the border above which something is there."""
+
+    misfit: float
+    slow: float
+    strain: float
+
+    @property
+    def most(self) -> float:
+        """Above one, the sensors' noise and the model's tolerances are not all there is."""
+        return max(self.misfit, self.slow, self.strain)
+
+
+def strangeness(
+    evidence: Evidence,
+    replicas: Float[np.ndarray, "K R nv"],
+    floor: float,
+    noise: float,
+    stated: bool,
+) -> Strangeness:
+    """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less."""
+    y = evidence.y
+    # That is at random: nothing of it gathers in the motion's band.
+    slack = 1.0 if stated else NOISE_UNSTATED / NOISE_ERROR
+    own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
+    slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300)) * noise / floor
+    worst = strained(evidence, y)
+    return Strangeness(
+        float(y @ y) / (NOISE_ONLY * slack * floor),
+        slow / SLOWLY,
+        worst[0].off / STRAINED if worst else 0.0,
+    )
