@@ -16,7 +16,8 @@ from jax_inertia.gap.noise import motion_band, sensor_noise, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
-from jax_inertia.gap.strain import strained
+from jax_inertia.gap.strain import Strained, strained
+from jax_inertia.gap.verdict import with_strain
 from jax_inertia.log import Log, TorqueKind
 
 JOINTS = 5
@@ -133,6 +134,16 @@ def test_a_number_of_the_model_beyond_its_tolerance_is_named(robot):
     assert first.name == "damping of axis3"
     assert abs(first.off - 0.3 / Tolerance().damping) < 4.0 * first.error
     assert first.error < 0.5
+
+
+@pytest.mark.parametrize(
+    ("energy", "verdict"),
+    [(0.0, Verdict.EXPLAINED), (20.0, Verdict.PARTLY), (90.0, Verdict.UNKNOWN)],
+)
+def test_an_explanation_that_leans_on_a_bent_model_is_doubted(energy, verdict):
+    strains = [Strained("mass of arm", 6.0, 0.5, energy)] if energy else []
+    assert with_strain(Verdict.EXPLAINED, strains, explained=1000.0) is verdict
+    assert with_strain(Verdict.UNKNOWN, strains, explained=1000.0) is Verdict.UNKNOWN
 
 
 def test_an_effect_that_a_tolerance_swallows_is_no_absence_of_a_gap(robot):

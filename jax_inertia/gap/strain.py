@@ -17,7 +17,7 @@ from jax_inertia.gap.noise import NOISE_ERROR
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
 # The same of the misfit in the motion's own band, some hundred numbers.
-SLOWLY = 8.0
+SLOWLY = 16.0
 # A number of the model that has to be this many times its tolerance off is not within it.
 STRAINED = 4.0
 # Where the log does not state its noise, a command may have missed its motor by more than the log can show.
@@ -56,9 +56,9 @@ def strained(evidence: Evidence, left: Float[np.ndarray, " n"]) -> list[Strained
 class Strangeness:
     """What a log shows without any effect, each number against the border above which something is there."""
 
-    misfit: float
-    slow: float
-    strain: float
+    misfit: float = 0.0
+    slow: float = 0.0
+    strain: float = 0.0
 
     @property
     def most(self) -> float:
