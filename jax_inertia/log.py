@@ -7,9 +7,10 @@ N m; base as in MuJoCo (position and linear velocity in the world, quaternion wx
 in the body).
 """
 
+import contextlib
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -217,10 +218,22 @@ def read_log(
     Log(0.49 s at 100 Hz, 50 samples; joints shoulder, elbow; qpos, tau, qvel; torque sensor in N m)
     """
     path, options = Path(path), options or Options()
+    with naming(path):
+        return log_of(_reader(path)(path, options, max_bytes), options, names)
+
+
+def log_of(contents: Contents, options: Options, names: JointNames | None) -> Log:
+    """What a reader found as a log, checked; raises LogError as `read_log`."""
+    contents = applied(contents, options)
+    log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
+    return log if names is None else _of_robot(log, names)
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong with a file into one printable line that names the file."""
     try:
-        contents = applied(_reader(path)(path, options, max_bytes), options)
-        log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
-        return log if names is None else _of_robot(log, names)
+        yield
     except (LogError, OSError) as error:
         # Names from the file are quoted in messages; they may hold line breaks or move the terminal's cursor.
         text = " ".join(f"{path}: {error}".split())

@@ -9,7 +9,7 @@ import contextlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 _LONGEST_TEXT = 1000
 _OVERHEAD = 2 << 30
+_PAGES = 1 << 20
 
 
 def read(
@@ -53,10 +54,28 @@ def read(
             return {name: arrays[f"column_{k}"] for k, name in enumerate(names)}
 
 
-def opened(parquet: Any, path: Path) -> Any:
+def batches(path: Path, wanted: Sequence[str], rows: int) -> Iterator[dict[str, np.ndarray]]:
+    """Columns of plain numbers as float64 (T,), up to so many rows at a time and no row group as a whole.
+
+    Raises ValueError for columns of lists and texts, whose size no number of rows bounds.
+    """
+    import pyarrow.parquet as parquet
+
+    with opened(parquet, path, buffer_size=_PAGES) as file:
+        for name in wanted:
+            kind = str(file.schema_arrow.field(name).type)
+            if not (_is_number(kind) or kind.startswith("timestamp")):
+                raise ValueError(
+                    f"column {name!r} holds {kind[:60]}; only columns of numbers, one a joint, are read in chunks"
+                )
+        for batch in file.iter_batches(batch_size=rows, columns=list(wanted)):
+            yield {name: _values(name, batch.column(name)) for name in wanted}
+
+
+def opened(parquet: Any, path: Path, **how: Any) -> Any:
     """The file, with bounds on what its header may make Arrow allocate."""
     return parquet.ParquetFile(
-        path, thrift_string_size_limit=1 << 24, thrift_container_size_limit=1 << 22
+        path, thrift_string_size_limit=1 << 24, thrift_container_size_limit=1 << 22, **how
     )
 
 

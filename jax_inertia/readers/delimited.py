@@ -25,42 +25,57 @@ def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
     Empty fields are NaN. Raises `LogError` with the line for what is no number, for rows of another length, and for a
     file whose numbers would need more than `max_bytes`.
     """
+    size, growing = os.path.getsize(path), _growing(path, options)
+    table, _ = next(growing)
+    for _, taken in growing:
+        _check_budget(table, size / max(taken, 1), max_bytes)
+    return columns.arrays(table.plan, table.values())
+
+
+def csv_parts(path: Path, options: Options) -> Iterator[tuple[columns.Plan, dict[str, np.ndarray]]]:
+    """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same."""
+    for table, _ in _growing(path, options):
+        yield table.plan, table.values()
+        table.blocks.clear()
+
+
+def _growing(path: Path, options: Options) -> Iterator[tuple["_Table", int]]:
+    """One table, before its first block and after each, and how many characters went into it."""
     options.check("a CSV file", ("columns",))
     try:
         # A byte order mark is not part of the first heading.
         with open(path, encoding="utf-8-sig") as file:
             headings, delimiter, first_line = _header(file)
             plan = columns.plan(headings, options)
-            wanted = [headings.index(heading) for heading in plan.columns]
-            if not wanted:
+            if not plan.columns:
                 columns.arrays(plan, {})
-            words = [k for k in wanted if plan.columns[headings[k]].array in TEXTS]
-            table = _Table(len(headings), wanted, words, delimiter, first_line)
-            size, taken = os.path.getsize(path), 0
+            table, taken = _Table(headings, plan, delimiter, first_line), 0
+            yield table, taken
             for lines in _blocks(file):
-                table.add(lines, headings)
+                table.add(lines)
                 taken += sum(map(len, lines)) + len(lines)
-                _check_budget(table, size / max(taken, 1), max_bytes)
+                yield table, taken
     except UnicodeDecodeError:
         raise LogError("not text in UTF-8; is it a CSV file?") from None
     except csv.Error as error:
         raise LogError(f"cannot be read as CSV: {error}") from None
-    return columns.arrays(plan, table.values(headings))
 
 
 class _Table:
     """The numbers read so far, and the first row's words."""
 
     def __init__(
-        self, width: int, wanted: Sequence[int], words: Sequence[int], delimiter: str, line: int
+        self, headings: Sequence[str], plan: columns.Plan, delimiter: str, line: int
     ) -> None:
-        self.width, self.delimiter, self.line = width, delimiter, line
-        self.words, self.numbers = words, [k for k in wanted if k not in words]
+        self.headings, self.plan, self.delimiter, self.line = headings, plan, delimiter, line
+        wanted = [headings.index(heading) for heading in plan.columns]
+        self.words = [k for k in wanted if plan.columns[headings[k]].array in TEXTS]
+        self.numbers = [k for k in wanted if k not in self.words]
         self.said: dict[int, str] = {}
         self.blocks: list[np.ndarray] = []
         self.rows = 0
 
-    def add(self, lines: list[str], headings: Sequence[str]) -> None:
+    def add(self, lines: list[str]) -> None:
         if not any(line.strip() for line in lines):
             self.line += len(lines)
             return
@@ -71,9 +86,9 @@ class _Table:
                 raise LogError(f"a quoted field after line {self.line - 1} runs over its line")
         for k, line in enumerate(lines):
             count = len(fields[k]) if fields else line.count(self.delimiter) + 1
-            if count != self.width and line.strip():
+            if count != len(self.headings) and line.strip():
                 raise LogError(
-                    f"line {self.line + k} has {count} fields, the heading {self.width}; "
+                    f"line {self.line + k} has {count} fields, the heading {len(self.headings)}; "
                     "is the file cut off, or has it decimal commas?"
                 )
         if not self.said:
@@ -90,12 +105,12 @@ class _Table:
                 ndmin=2,
             )
         except ValueError:
-            block = self._slowly(lines, headings)
+            block = self._slowly(lines)
         self.line += len(lines)
         self.rows += len(block)
         self.blocks.append(block)
 
-    def _slowly(self, lines: list[str], headings: Sequence[str]) -> np.ndarray:
+    def _slowly(self, lines: list[str]) -> np.ndarray:
         """Field by field: empty ones are NaN, and what is no number is named with its line."""
         rows = []
         for k, row in enumerate(csv.reader(lines, delimiter=self.delimiter)):
@@ -108,15 +123,15 @@ class _Table:
                     values.append(np.nan if text.lower() in _NOTHING else float(text))
                 except ValueError:
                     raise LogError(
-                        f"line {self.line + k}, column {headings[column]!r}: {text[:40]!r} is no number"
+                        f"line {self.line + k}, column {self.headings[column]!r}: {text[:40]!r} is no number"
                     ) from None
             rows.append(values)
         return np.array(rows, dtype=float).reshape(len(rows), len(self.numbers))
 
-    def values(self, headings: Sequence[str]) -> dict[str, np.ndarray]:
+    def values(self) -> dict[str, np.ndarray]:
         whole = np.concatenate(self.blocks) if self.blocks else np.zeros((0, len(self.numbers)))
-        out = {headings[k]: whole[:, i] for i, k in enumerate(self.numbers)}
-        return out | {headings[k]: np.array(text) for k, text in self.said.items()}
+        out = {self.headings[k]: whole[:, i] for i, k in enumerate(self.numbers)}
+        return out | {self.headings[k]: np.array(text) for k, text in self.said.items()}
 
 
 def _header(file: TextIO) -> tuple[list[str], str, int]:

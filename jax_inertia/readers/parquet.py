@@ -1,13 +1,16 @@
 """Parquet: columns of numbers, or of lists as LeRobot's datasets have them."""
 
+import contextlib
 import json
+import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jax_inertia._contract import TEXTS
 from jax_inertia._names import listed
 from jax_inertia._npz import LogError
 from jax_inertia.readers import arrow_columns, columns
@@ -48,15 +51,53 @@ def read_dataset(folder: Path, options: Options, max_bytes: int) -> Contents:
     return _read(files, _info(folder / "meta" / "info.json"), options, max_bytes)
 
 
+def parquet_parts(
+    path: Path, options: Options, rows: int
+) -> Iterator[tuple[columns.Plan, dict[str, np.ndarray]]]:
+    """The columns of `read_parquet` by heading, up to so many rows at a time and in bounded memory.
+
+    Raises `LogError` as it does, and for columns of lists, as LeRobot's datasets have them.
+    """
+    options.check("a Parquet file in chunks", ("columns",))
+    parquet = required("pyarrow.parquet", "Parquet")
+    with _as_log_errors():
+        headings, said = _schema(parquet, path, sys.maxsize)
+        plan = columns.plan(headings, options)
+        words = [name for name, column in plan.columns.items() if column.array in TEXTS]
+        numbers = [name for name in plan.columns if name not in words]
+        texts = arrow_columns.read(path, words, None, _MOST_INFO) if words else {}
+        # What the metadata says goes for a column that says it in every row.
+        stated = {plan.columns[name].array for name in words}
+        more = {name: text for name, text in said.items() if name not in stated}
+        plan = plan._replace(
+            columns={**plan.columns, **{name: columns.Column(name, "", "", "") for name in more}}
+        )
+        texts |= {name: np.array(text) for name, text in more.items()}
+        if not numbers:
+            columns.arrays(plan, texts)
+        for part in arrow_columns.batches(path, numbers, rows):
+            yield plan, part | texts
+
+
 def _read(
     files: Sequence[Path], info: Mapping[str, Any], options: Options, max_bytes: int
 ) -> Contents:
     parquet = required("pyarrow.parquet", "Parquet")
-    try:
+    with _as_log_errors():
         headings, texts = _schema(parquet, files[0], max_bytes)
         asked = _lerobot(headings, options) if "observation.state" in headings else options
         plan = columns.plan(headings, asked)
         values = _values(files, plan, "episode_index" in headings, options.episode, max_bytes)
+    contents = columns.arrays(plan, values, options.joints or _names(info, plan))
+    for name, text in texts.items():
+        contents.arrays.setdefault(name, np.array(text))
+    return contents
+
+
+@contextlib.contextmanager
+def _as_log_errors() -> Iterator[None]:
+    try:
+        yield
     except LogError:
         raise
     except MemoryError:
@@ -66,10 +107,6 @@ def _read(
         text = " ".join(str(error).split())[:200] or type(error).__name__
         own = type(error) is ValueError
         raise LogError(text if own else f"cannot be read as Parquet: {text}") from None
-    contents = columns.arrays(plan, values, options.joints or _names(info, plan))
-    for name, text in texts.items():
-        contents.arrays.setdefault(name, np.array(text))
-    return contents
 
 
 def _values(
