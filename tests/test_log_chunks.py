@@ -198,3 +198,12 @@ def test_memory_is_a_chunk_s_whatever_the_file_s(tmp_path, kind, monkeypatch):
         tracemalloc.stop()
     assert count == samples
     assert peak < 0.5 * samples * 7 * 8
+
+
+@pytest.mark.parametrize("read", [read_log, lambda path: next(read_chunks(path))])
+@pytest.mark.parametrize("heading", ["time,qpos.a,tau.a", "time,qpos.a,tau.a,tau_unit"])
+def test_headings_without_rows_are_refused_in_one_line(tmp_path, read, heading):
+    path = tmp_path / "empty.csv"
+    path.write_text(heading + "\n")
+    with pytest.raises(LogError, match=r"no rows; expected at least two"):
+        read(path)

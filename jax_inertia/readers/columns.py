@@ -119,6 +119,8 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
     for array in ("time", "qpos", "tau"):
         if array not in found:
             raise LogError(_missing(array, [*plan.others, *plan.columns]))
+    if not any(len(x) for x in values.values() if x.ndim):
+        raise LogError("has headings and no rows; expected at least two samples")
     out: dict[str, np.ndarray] = {}
     notes: list[str] = []
     joints, left_out = _joints(found, values, names)
