@@ -207,3 +207,22 @@ def test_headings_without_rows_are_refused_in_one_line(tmp_path, read, heading):
     path.write_text(heading + "\n")
     with pytest.raises(LogError, match=r"no rows; expected at least two"):
         read(path)
+
+
+def test_row_groups_that_were_read_are_let_go(tmp_path):
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    path, size = tmp_path / "long.parquet", 20_000
+    noise = np.random.default_rng(0).normal(size=(20, 2, size))
+    rows = [
+        arrow.table({"time": k * size + np.arange(size) * 1.0, "qpos.a": q, "tau.a": tau})
+        for k, (q, tau) in enumerate(noise)
+    ]
+    with parquet.ParquetWriter(path, rows[0].schema) as file:
+        for table in rows:
+            file.write_table(table)
+    del rows, table
+    before, held = arrow.total_allocated_bytes(), []
+    for chunk in read_chunks(path, rows=size):
+        held.append(arrow.total_allocated_bytes() - before)
+        assert len(chunk.time) == size
+    assert max(held) < 0.3 * path.stat().st_size

@@ -74,8 +74,13 @@ def batches(path: Path, wanted: Sequence[str], rows: int) -> Iterator[dict[str, 
 
 def opened(parquet: Any, path: Path, **how: Any) -> Any:
     """The file, with bounds on what its header may make Arrow allocate."""
+    # Buffered beforehand, all of a file would stay in memory until its last row is read.
     return parquet.ParquetFile(
-        path, thrift_string_size_limit=1 << 24, thrift_container_size_limit=1 << 22, **how
+        path,
+        pre_buffer=False,
+        thrift_string_size_limit=1 << 24,
+        thrift_container_size_limit=1 << 22,
+        **how,
     )
 
 
