@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from benchmarks.paper.brain import MODES, NONE, Settings, make_brain, standing
+from benchmarks.paper.brain import MODES, NONE, Brain, Settings, make_brain, standing
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.hardware import (
     DUMBBELL,
@@ -83,6 +83,14 @@ def with_dumbbell(pi: np.ndarray, load: np.ndarray) -> np.ndarray:
     return pi + np.array(moved)
 
 
+def mind(settings: Settings = SETTINGS, sensors: Sensors = SENSORS) -> Brain:
+    """What runs on the robot: it stands, and curls."""
+    nominal = model()
+    joint = int(nominal.joint(ELBOW).qposadr[0]) - 7
+    posture = Curling(jnp.asarray(nominal.key_qpos[0][7:]), joint)
+    return make_brain(nominal, settings, sensors, standing(nominal, posture))
+
+
 def run(
     seeds: np.ndarray,
     modes: tuple[int, ...] = (0, 1, 2),
@@ -92,14 +100,13 @@ def run(
     settings: Settings = SETTINGS,
     sensors: Sensors = SENSORS,
     watch_also: Callable[[Fleet], dict[str, np.ndarray]] = lambda fleet: {},
+    keep_inputs: bool = False,
     label: str = "curl",
 ) -> Run:
-    """Elbow angle and reference [rad], estimated, handed and true mass of forearm and dumbbell [kg]."""
-    nominal = model()
+    """Elbow angle and reference [rad], estimated π, estimated and true mass of forearm and dumbbell [kg]."""
     plant = hardware(effects)
     joint = plant.joint(ELBOW).qposadr[0]
-    posture = Curling(jnp.asarray(nominal.key_qpos[0][7:]), int(joint) - 7)
-    brain = make_brain(nominal, settings, sensors, standing(nominal, posture))
+    brain = mind(settings, sensors)
     mode, seed = crew(seeds, modes)
     fleet = Fleet(plant, seed, sensors)
     load = LinkMass(plant, DUMBBELL)
@@ -115,6 +122,7 @@ def run(
             **watch_also(fleet),
             "angle": fleet.q[:, joint],
             "wanted": out.record[:, joint - 7],
+            "pi": out.pi[:, 0],
             "mass": out.pi[:, 0, 0],
             "true": np.full(fleet.size, body_pi(plant, forearm)[0] + load.mass),
         }
@@ -129,6 +137,7 @@ def run(
         truth=truth,
         on=lambda t: t >= ACTIVE,
         calibrate=(CALIBRATE, np.full(fleet.size, calibrated)),
+        keep_inputs=keep_inputs,
         label=label,
     )
 

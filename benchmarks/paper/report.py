@@ -185,6 +185,38 @@ def _curl(x: dict[str, Any]) -> str:
     )
 
 
+def _curl_causes(x: dict[str, Any]) -> str:
+    effects = [
+        [e["family"], e["place"], "; ".join(e["sizes"]), f"{e['explained']:.1%}"]
+        for e in x["diagnosis"]["effects"]
+    ]
+    rows = [
+        [
+            r["variant"],
+            r["ripple_percent"]["seeds"],
+            _span(r["mass_error_percent"], digits=1),
+            _span(r["ripple_percent"], digits=2),
+            _span(r["in_step_percent"], digits=2),
+        ]
+        for r in (*x["rows"], *x["parts"])
+    ]
+    shrink, share = x["diagnosis"]["heldout"], x["share"]
+    left = f" It could not be told of: {'; '.join(x['left_out'])}." if x["left_out"] else ""
+    return (
+        "## Curls: what the mass ripples with, as `diagnose` finds it\n\n"
+        "A log of one run's last three curls (`curl_causes.py`), the forearm as the estimator found it: "
+        f"*{x['diagnosis']['verdict']}*, missing torque {shrink['before']:.2f} → {shrink['after']:.2f} N m held out "
+        f"(noise {shrink['noise']:.2f}).\n\n"
+        + _table(["effect", "where", "size, 95 % interval", "explains"], effects)
+        + "\nThe other runs' sensors, read again by an estimator whose model has these effects:\n\n"
+        + _table(["estimator", "seeds", "mass error [%]", "ripple [%]", "in step [%]"], rows)
+        + f"\nThe share of these effects: {share['ripple_percent']['of_all']:.0%} of the ripple and "
+        f"{share['in_step_percent']['of_all']:.0%} of what is in step with the curl; of what is over the floor "
+        f"{share['ripple_percent']['over_floor']:.0%} and {share['in_step_percent']['over_floor']:.0%}.{left}\n"
+        "\n![Causes](../figures/paper_curl_causes.png)\n"
+    )
+
+
 def _gating(x: dict[str, Any]) -> str:
     rows = [
         [
@@ -214,5 +246,6 @@ _SECTIONS = {
     "pelvis": _pelvis,
     "blind": _blind,
     "curl": _curl,
+    "curl_causes": _curl_causes,
     "gating": _gating,
 }

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[1] / "results" / "paper.json"
-NAMES = ("elbow", "pelvis", "curl", "gating", "torso", "blind")
+NAMES = ("elbow", "pelvis", "curl", "curl_causes", "gating", "torso", "blind")
 WITH_SWEEP = ("pelvis", "elbow", "curl")
 
 
@@ -87,5 +87,7 @@ def unphysical(found: dict) -> dict[str, int]:
     """Estimates that no body has: of the Kalman filter (Fig. 2), and of every extended filter that ran."""
     kf = found.get("torso", {}).get("kf", {}).get("unphysical", 0)
     ekf = found.get("torso", {}).get("ekf", {}).get("unphysical", 0)
-    others = sum(found.get(name, {}).get("unphysical", 0) for name in (*WITH_SWEEP, "blind"))
+    others = sum(
+        found.get(name, {}).get("unphysical", 0) for name in (*WITH_SWEEP, "curl_causes", "blind")
+    )
     return {"kf": kf, "ekf": ekf + others}
