@@ -230,11 +230,10 @@ def _draw(runs: dict[str, Run], scored: np.ndarray) -> None:
         for axis, x in zip(axes, (error[:, 0], error.mean(axis=1)), strict=True):
             smooth = np.convolve(x, kernel, "valid")
             axis.plot(time, smooth, lw=1, color=("C1", "C0", "0.5")[k], label=name)
-    axes[0].set_ylabel("one run [%]")
+    axes[0].set_ylabel("error of the mass, one run [%]")
     axes[1].set_ylabel(f"mean of {scored.sum()} runs [%]")
     for axis in axes:
         axis.axhline(0.0, color="k", lw=0.6)
-    axes[0].set_title("forearm and dumbbell: error of the mass", loc="left", fontsize=10)
     axes[1].set_xlabel("time [s]")
     legend(axes[0])
     save(fig, "paper_curl_causes")
