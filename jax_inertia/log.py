@@ -218,11 +218,11 @@ def read_log(
     Log(0.49 s at 100 Hz, 50 samples; joints shoulder, elbow; qpos, tau, qvel; torque sensor in N m)
     """
     path, options = Path(path), options or Options()
-    with naming(path):
-        return log_of(_reader(path)(path, options, max_bytes), options, names)
+    with _naming(path):
+        return _log_of(_reader(path)(path, options, max_bytes), options, names)
 
 
-def log_of(contents: Contents, options: Options, names: JointNames | None) -> Log:
+def _log_of(contents: Contents, options: Options, names: JointNames | None) -> Log:
     """What a reader found as a log, checked; raises LogError as `read_log`."""
     contents = applied(contents, options)
     log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
@@ -230,7 +230,7 @@ def log_of(contents: Contents, options: Options, names: JointNames | None) -> Lo
 
 
 @contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
+def _naming(path: Path) -> Iterator[None]:
     """Turn what goes wrong with a file into one printable line that names the file."""
     try:
         yield

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jax_inertia.log import JointNames, Log, LogError, log_of, naming
+from jax_inertia.log import JointNames, Log, LogError, _log_of, _naming
 from jax_inertia.readers import columns
 from jax_inertia.readers.delimited import csv_parts
 from jax_inertia.readers.options import Options
@@ -48,7 +48,7 @@ def read_chunks(
     if rows < 2:
         raise ValueError(f"rows is {rows}; a chunk holds two samples at least")
     before: Log | None = None
-    with naming(path):
+    with _naming(path):
         if not path.is_file():
             raise LogError("no such file")
         if (kind := path.suffix.lower()) not in _KINDS:
@@ -59,7 +59,7 @@ def read_chunks(
             parquet_parts(path, options, rows) if kind == ".parquet" else csv_parts(path, options)
         )
         for plan, table in _recut(parts, rows):
-            log = log_of(columns.arrays(plan, table), options, names)
+            log = _log_of(columns.arrays(plan, table), options, names)
             if before is not None:
                 _check_follows(before, log)
                 log = dataclasses.replace(log, notes=())
