@@ -15,7 +15,13 @@ import pytest
 
 HERE = Path(__file__).parent
 NOTEBOOKS = sorted((HERE.parent / "notebooks").glob("*.ipynb"))
-SLOW = {"3_gate_and_noise", "4_monte_carlo", "5_your_robot", "6_your_own_effect"}
+SLOW = {
+    "2_log_cholesky",
+    "3_gate_and_noise",
+    "4_monte_carlo",
+    "5_your_robot",
+    "6_your_own_effect",
+}
 
 
 def cells_of(path: Path) -> list[dict]:

@@ -1,5 +1,6 @@
 """What the curl's estimator is told of a diagnosis, against MuJoCo's own forces."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -30,6 +31,8 @@ LOAD = Effect(
 
 @pytest.fixture(scope="module")
 def brain() -> Brain:
+    if not os.environ.get("JAX_INERTIA_SLOW"):
+        pytest.skip("slow: JAX_INERTIA_SLOW=1")
     return curl.mind()
 
 
