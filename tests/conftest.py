@@ -96,11 +96,3 @@ def case(request: pytest.FixtureRequest) -> Case:
 def cases():
     """Test robots by name."""
     return case_of
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Where tests run in several processes, those of a file stay in one: what they share is compiled once."""
-    from xdist.scheduler import LoadFileScheduling
-
-    return LoadFileScheduling(config, log)

@@ -164,7 +164,7 @@ def test_scales_tell_which_numbers_of_the_model_are_off(robot):
 def test_the_cost_is_the_marginal_likelihood(robot):
     # Against the dense Gaussian: y ~ N(0, 1 + N Λ² Nᵀ) once the fixed nuisances are charged.
     found, evidence = learned(robot, simulate(seconds=2.0))
-    n = np.concatenate([found.scales[k] * x for k, x in evidence.tolerances.items()], axis=1)
+    n = evidence.tolerances * np.array([found.scales[k] for k in evidence.kinds])[evidence.kind_of]
     y = evidence.without_tolerances(evidence.y[:, None])[:, 0]
     covariance = np.eye(len(y)) + n @ n.T
     dense = y @ np.linalg.solve(covariance, y) + np.linalg.slogdet(covariance)[1]
@@ -180,7 +180,7 @@ def test_rescaled_evidence_is_what_those_scales_give_at_once(robot):
     before = Evidence(prepared, white, doubts)
     after, at_once = before.rescaled(scales), Evidence(prepared, white, doubts, scales)
     np.testing.assert_allclose(after.y, at_once.y, rtol=1e-9, atol=1e-9)
-    moved = after.recharged(before.y[:, None], before)[:, 0]
+    moved = after.recharging(before)(before.y[:, None])[:, 0]
     np.testing.assert_allclose(moved, at_once.y, rtol=1e-6, atol=1e-6)
 
 

@@ -142,15 +142,27 @@ def run(
     )
 
 
+# Ticks: a tenth of a second.
+SMOOTH = 33
+
+
+def late(found: Run) -> np.ndarray:
+    """Which ticks are of the last three curls."""
+    return found.time >= DURATION - 3.0 / FREQUENCY
+
+
+def smoothed(x: np.ndarray) -> np.ndarray:
+    """A moving mean of a tenth of a second: noise averages out, the ripple that curls cause stays."""
+    return np.convolve(x, np.ones(SMOOTH) / SMOOTH, "valid")
+
+
 def figures_of(found: Run, chosen: np.ndarray) -> dict:
     """Mass error and ripple in per cent, over the last three curls."""
-    on = found.time >= DURATION - 3.0 / FREQUENCY
+    on = late(found)
     mass = found.series["mass"][on][:, chosen].astype(float)
     true = found.series["true"][on][:, chosen].astype(float)
     mean = mass.mean(axis=0)
-    # Noise passes through a moving mean of a tenth of a second; the ripple that curls cause stays.
-    kernel = np.ones(33) / 33
-    smooth = np.stack([np.convolve(x, kernel, "valid") for x in mass.T])
+    smooth = np.stack([smoothed(x) for x in mass.T])
     ripple = 0.5 * np.ptp(smooth, axis=1) / true[0]
     return {
         "mass_error_percent": summary(100.0 * (mean / true[0] - 1.0)),

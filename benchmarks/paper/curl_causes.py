@@ -110,7 +110,7 @@ def informed(brain: Brain, effects: Sequence[Effect], pushed: tuple[str, ...]) -
 
 def as_log(found: Run, robot: int) -> tuple[Log, Robot]:
     """One robot's last three curls, and the robot as its estimator knows it by then."""
-    on = late(found)
+    on = curl.late(found)
     series = {name: found.series[name][on, robot] for name in ("q", "v", "tau", "force")}
     spec = mujoco.MjSpec.from_string(mjcf())
     set_inertials(spec, {FOREARM: found.series["pi"][on, robot].mean(axis=0, dtype=float)})
@@ -120,11 +120,6 @@ def as_log(found: Run, robot: int) -> tuple[Log, Robot]:
         arrays = contract(model, found.time[on], series)
         np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
         return read_log(path, names=model), model
-
-
-def late(found: Run) -> np.ndarray:
-    """Which ticks are of the last three curls."""
-    return found.time >= curl.DURATION - 3.0 / curl.FREQUENCY
 
 
 @eqx.filter_jit
@@ -220,16 +215,15 @@ def _told(found: Diagnosis) -> dict:
 
 def _draw(runs: dict[str, Run], scored: np.ndarray) -> None:
     fig, axes = figure(2, height=5.0)
-    kernel = np.ones(33) / 33
     for k, (name, found) in enumerate(runs.items()):
-        on = late(found)
+        on = curl.late(found)
         error = 100.0 * (found.series["mass"] / found.series["true"] - 1.0)[on][:, scored].astype(
             float
         )
-        time = found.time[on][16:-16]
+        edge = curl.SMOOTH // 2
+        time = found.time[on][edge:-edge]
         for axis, x in zip(axes, (error[:, 0], error.mean(axis=1)), strict=True):
-            smooth = np.convolve(x, kernel, "valid")
-            axis.plot(time, smooth, lw=1, color=("C1", "C0", "0.5")[k], label=name)
+            axis.plot(time, curl.smoothed(x), lw=1, color=("C1", "C0", "0.5")[k], label=name)
     axes[0].set_ylabel("error of the mass, one run [%]")
     axes[1].set_ylabel(f"mean of {scored.sum()} runs [%]")
     for axis in axes:

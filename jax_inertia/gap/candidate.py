@@ -123,21 +123,26 @@ class Beside:
             return columns
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def moments(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+    def shared(self, block: Block) -> Float[np.ndarray, "s k"]:
+        """What the chosen can reach of a block's columns, in their basis."""
+        return self.basis.T @ block.columns
+
+    def moments(
+        self, block: Block, shared: Float[np.ndarray, "s k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """AᵀA and Aᵀy of a block's free columns A; zero for columns that are not free."""
         cross = block.columns.T @ self.target
-        if not self.basis.shape[1]:
-            return block.gram, cross
-        shared = self.basis.T @ block.columns
         gram = block.gram - shared.T @ shared
         alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
         return gram * np.outer(alive, alive), cross * alive
 
-    def slow_moments(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+    def slow_moments(
+        self, block: Block, shared: Float[np.ndarray, "s k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The same in the motion's own band."""
         seen = block.slow
-        if self.basis.shape[1]:
-            seen = seen - self._slow_basis @ (self.basis.T @ block.columns)
+        if len(shared):
+            seen = seen - self._slow_basis @ shared
         return seen.T @ seen, seen.T @ self._slow_target
 
     @functools.cached_property
@@ -173,12 +178,12 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    columns = block.columns
-    raw, plain = left.moments(block)
+    columns, shared = block.columns, left.shared(block)
+    raw, plain = left.moments(block, shared)
     if not raw.any():
         return None
     if family.slow:
-        gram, cross = left.slow_moments(block)
+        gram, cross = left.slow_moments(block, shared)
     elif family.whole is not None:
         gram, cross = raw - block.noise_gram, plain - block.noise_cross
         if gram[0, 0] < MOSTLY_NOISE * raw[0, 0]:
@@ -192,7 +197,9 @@ def fit(
         if not _as_large_as_it_must_be(error, gram, cross):
             return None
         # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
-        if not family.slow and not _as_large_as_it_must_be(error, *left.slow_moments(block)):
+        if not family.slow and not _as_large_as_it_must_be(
+            error, *left.slow_moments(block, shared)
+        ):
             return None
         columns, offset = np.zeros((len(columns), 0)), columns[:, 0]
     elif family.size is None:

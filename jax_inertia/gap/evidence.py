@@ -9,7 +9,7 @@ before the model's own tolerances, since the scales of those are learned (`scale
 import copy
 import functools
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import scipy.fft
@@ -30,7 +30,8 @@ class Span:
     """The span of few columns N, and maps that act in it and leave alone what is orthogonal to it."""
 
     def __init__(self, n: Float[np.ndarray, "n k"]):
-        values, vectors = scipy.linalg.eigh(n.T @ n)
+        self.gram = n.T @ n
+        values, vectors = scipy.linalg.eigh(self.gram)
         kept = values > 1e-12 * max(values[-1], 1e-300)
         size = np.sqrt(values[kept])
         self._basis = n @ (vectors[:, kept] / size)
@@ -67,15 +68,16 @@ class Evidence:
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
         self._fixed = Span(self._side_by_side(nuisances.fixed))
         self._fixed_charging = self._fixed.charging()
-        self.tolerances = {
-            kind: self._charge_fixed(self._side_by_side(columns))
-            for kind, columns in nuisances.tolerances.items()
-        }
-        """Columns of each kind of tolerance, once the fixed nuisances are charged."""
-        self.named = [name for kind in self.tolerances for name in nuisances.named[kind]]
-        """What each column of the tolerances, kind by kind, is an error of."""
-        self._own = Span(np.concatenate(list(self.tolerances.values()), axis=1))
-        self._take(dict.fromkeys(self.tolerances, 1.0) | (scales or {}))
+        self.kinds = list(nuisances.tolerances)
+        """Of tolerances."""
+        parts = [self._side_by_side(nuisances.tolerances[kind]) for kind in self.kinds]
+        self.kind_of = np.repeat(np.arange(len(parts)), [x.shape[1] for x in parts])
+        self.tolerances = self._charge_fixed(np.concatenate(parts, axis=1))
+        """Columns of all tolerances, kind by kind (`kind_of`), once the fixed nuisances are charged."""
+        self.named = [name for kind in self.kinds for name in nuisances.named[kind]]
+        """What each of these columns is an error of."""
+        self._own = Span(self.tolerances)
+        self._take(dict.fromkeys(self.kinds, 1.0) | (scales or {}))
 
     def rescaled(self, scales: dict[str, float]) -> "Evidence":
         """The same log where the tolerances are `scales` times as large."""
@@ -85,9 +87,17 @@ class Evidence:
 
     def _take(self, scales: dict[str, float]) -> None:
         self.scales = scales
-        each = [np.full(x.shape[1], scales[kind]) for kind, x in self.tolerances.items()]
-        self._charging = self._own.charging(np.concatenate(each))
+        self._charging = self._own.charging(self.per_column())
         self.y = self.charge(self.raw)[:, 0]
+
+    def per_column(self) -> Float[np.ndarray, " k"]:
+        """The scale of each column of the tolerances."""
+        return np.array([self.scales[kind] for kind in self.kinds])[self.kind_of]
+
+    @property
+    def gram(self) -> Float[np.ndarray, "k k"]:
+        """NᵀN of the tolerances' columns."""
+        return self._own.gram
 
     def _side_by_side(self, columns: list[Columns]) -> Float[np.ndarray, "n k"]:
         return np.concatenate([self._whiten(block) for block in columns], axis=1)
@@ -108,11 +118,11 @@ class Evidence:
         """What was charged with all nuisances, charged with the fixed ones alone."""
         return self._own.apply(np.linalg.inv(self._charging), x)
 
-    def recharged(
-        self, x: Float[np.ndarray, "n k"], before: "Evidence"
-    ) -> Float[np.ndarray, "n k"]:
-        """What was charged with the tolerances' scales `before`, with those of now."""
-        return self._own.apply(self._charging @ np.linalg.inv(before._charging), x)
+    def recharging(
+        self, before: "Evidence"
+    ) -> Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n k"]]:
+        """From what was charged with the tolerances' scales `before` to the same with those of now."""
+        return functools.partial(self._own.apply, self._charging @ np.linalg.inv(before._charging))
 
     def deviations(
         self, left: Float[np.ndarray, " n"]
@@ -121,16 +131,12 @@ class Evidence:
 
         The first two in the tolerances that were stated, whatever their scales now.
         """
-        columns = np.concatenate(list(self.tolerances.values()), axis=1)
-        scale = np.concatenate(
-            [np.full(x.shape[1], self.scales[kind]) for kind, x in self.tolerances.items()]
-        )
+        scale = self.per_column()
         # Of left = M^{1/2} x, M x once more.
-        off = scale**2 * (columns.T @ self._own.apply(self._charging, left[:, None])[:, 0])
-        gram = columns.T @ columns
-        inside = np.eye(len(scale)) + scale[:, None] * gram * scale
+        off = scale**2 * (self.tolerances.T @ self._own.apply(self._charging, left[:, None])[:, 0])
+        inside = np.eye(len(scale)) + scale[:, None] * self.gram * scale
         error = scale * np.sqrt(np.diagonal(np.linalg.inv(inside)))
-        return off, error, np.sqrt(np.diagonal(gram))
+        return off, error, np.sqrt(np.diagonal(self.gram))
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

@@ -98,9 +98,7 @@ class Pool:
         """The same candidates where the model's tolerances are `scales` times as large."""
         out = copy.copy(self)
         out.evidence = self.evidence.rescaled(scales)
-
-        def move(x: np.ndarray) -> np.ndarray:
-            return out.evidence.recharged(x, self.evidence)
+        move = out.evidence.recharging(self.evidence)
 
         def move_all(parts: list[np.ndarray]) -> list[np.ndarray]:
             sizes = np.cumsum([x.shape[1] for x in parts])[:-1]

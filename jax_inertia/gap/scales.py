@@ -35,21 +35,17 @@ class Learner:
 
     def __init__(self, evidence: Evidence, noise: float):
         self._evidence, self._noise = evidence, noise
-        self._kinds = list(evidence.tolerances)
-        self._n = np.concatenate([evidence.tolerances[k] for k in self._kinds], axis=1)
-        sizes = [evidence.tolerances[k].shape[1] for k in self._kinds]
-        self._kind_of = np.repeat(np.arange(len(sizes)), sizes)
-        self._gram = self._n.T @ self._n / noise
+        self._gram = evidence.gram / noise
 
     def beside(self, columns: Float[np.ndarray, "n s"], target: Float[np.ndarray, " n"]) -> Learned:
         """Scales where effects with these columns are free to explain the target, both as `Evidence` charged them."""
         back = self._evidence.without_tolerances
         a, t = back(columns), back(target[:, None])
         at = np.concatenate([a, t], axis=1)
-        products, across = at.T @ at / self._noise, self._n.T @ at / self._noise
+        products, across = at.T @ at / self._noise, self._evidence.tolerances.T @ at / self._noise
 
         def cost(scales: np.ndarray) -> float:
-            s = scales[self._kind_of]
+            s = scales[self._evidence.kind_of]
             k = np.eye(len(s)) + s[:, None] * self._gram * s
             factor = scipy.linalg.cholesky(k, lower=True)
             half = scipy.linalg.solve_triangular(factor, s[:, None] * across, lower=True)
@@ -58,7 +54,7 @@ class Learner:
             fitted = with_y @ np.linalg.lstsq(own, with_y, rcond=None)[0] if len(own) else 0.0
             return float(left[-1, -1] - fitted + 2 * np.sum(np.log(np.diagonal(factor))))
 
-        scales = np.array([self._evidence.scales[k] for k in self._kinds])
+        scales = np.array([self._evidence.scales[k] for k in self._evidence.kinds])
         best = cost(scales)
         for _ in range(4):
             before = best
@@ -70,4 +66,4 @@ class Learner:
                         scales, best = trial, value
             if before - best < 0.1:
                 break
-        return Learned(dict(zip(self._kinds, scales.tolist(), strict=True)), best)
+        return Learned(dict(zip(self._evidence.kinds, scales.tolist(), strict=True)), best)

@@ -41,12 +41,12 @@ class Search:
     """J that the sensors' noise alone would leave."""
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
-    verdict: Verdict = Verdict.NO_GAP
-    rival: tuple[Candidate, Hidden] | None = None
+    verdict: Verdict
+    rival: tuple[Candidate, Hidden] | None
     """A found effect, and the free function of the state that fits better in its place."""
-    bare: Strangeness = dataclasses.field(default_factory=Strangeness)
+    bare: Strangeness
     """What the log shows without any effect."""
-    strains: list[Strained] = dataclasses.field(default_factory=list)
+    strains: list[Strained]
     """Numbers of the model that are beyond their tolerances, beside the effects."""
 
 
@@ -78,25 +78,32 @@ class Finder:
                 break
             pool = pool.rescaled(scales)
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
-        return self._judged(
-            Search(pool, white, self.replicas, chosen, ranking, misfits, floor, against)
-        )
+        return self._judged(pool, white, floor, against, chosen, ranking, misfits)
 
-    def _judged(self, found: Search) -> Search:
-        """What was found, with the verdict on it."""
-        pool, chosen, misfits, floor = found.pool, found.chosen, found.misfits, found.floor
+    def _judged(
+        self,
+        pool: Pool,
+        white: Whitener,
+        sensors: float,
+        against: float,
+        chosen: list[Candidate],
+        ranking: list[Candidate],
+        misfits: list[float],
+    ) -> Search:
+        """What was found, with the verdict on it; `sensors` is the misfit of their noise."""
+        floor = sensors
         left = remaining(pool, chosen)
         if not self.stated and misfits[-1] > floor:
             rows = pool.evidence.unflatten(left)
             if memoryless(rows, 1.0 / self.context.prepared.settings.decimated):
                 floor = misfits[-1]
-        bare = strangeness(pool.evidence, self.replicas, floor, found.floor, self.stated)
+        bare = strangeness(pool.evidence, self.replicas, floor, sensors, self.stated)
         strains = strained(pool.evidence, left)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.
             chosen, misfits, strains = [], misfits[:1], []
-        rival = better_than(pool, chosen, found.noise)
+        rival = better_than(pool, chosen, against)
         verdict = Verdict.of_nothing(bare)
         if chosen:
             allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
@@ -107,16 +114,10 @@ class Finder:
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
             if rival is not None:
                 verdict = Verdict.UNKNOWN
-        return dataclasses.replace(
-            found,
-            chosen=chosen,
-            misfits=misfits,
-            floor=floor,
-            verdict=verdict,
-            rival=rival,
-            bare=bare,
-            strains=strains,
-        )
+        return Search(
+            pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
+            bare, strains,
+        )  # fmt: skip
 
     def _selected(self, pool: Pool, noise: float | None):
         """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""

@@ -24,6 +24,11 @@ STRAINED = 4.0
 NOISE_UNSTATED = 4.0
 
 
+def known_to(stated: bool) -> float:
+    """The factor to which a log's noise is known, by whether the log states it."""
+    return NOISE_ERROR if stated else NOISE_UNSTATED
+
+
 @dataclasses.dataclass(frozen=True)
 class Strained:
     """A number of the nominal model that the log wants further off than its tolerance allows."""
@@ -56,9 +61,9 @@ def strained(evidence: Evidence, left: Float[np.ndarray, " n"]) -> list[Strained
 class Strangeness:
     """What a log shows without any effect, each number against the border above which something is there."""
 
-    misfit: float = 0.0
-    slow: float = 0.0
-    strain: float = 0.0
+    misfit: float
+    slow: float
+    strain: float
 
     @property
     def most(self) -> float:
@@ -76,7 +81,7 @@ def strangeness(
     """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less."""
     y = evidence.y
     # That is at random: nothing of it gathers in the motion's band.
-    slack = 1.0 if stated else NOISE_UNSTATED / NOISE_ERROR
+    slack = known_to(stated) / NOISE_ERROR
     own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
     slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300)) * noise / floor
     worst = strained(evidence, y)

@@ -10,8 +10,7 @@ import numpy as np
 import scipy.special
 
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.noise import NOISE_ERROR
-from jax_inertia.gap.strain import NOISE_UNSTATED, Strained, Strangeness
+from jax_inertia.gap.strain import Strained, Strangeness, known_to
 
 
 class Verdict(enum.StrEnum):
@@ -45,7 +44,7 @@ def judge(misfits: list[float], floor: float, allowed: float, stated: bool) -> V
     of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
     `allowed`: misfit that the found equations' own errors may leave. `stated`: whether the log states its noise.
     """
-    error = NOISE_ERROR if stated else NOISE_UNSTATED
+    error = known_to(stated)
     left = misfits[-1] - error * floor
     if left <= max(allowed, 0.2 * floor):
         return Verdict.EXPLAINED
@@ -85,7 +84,7 @@ def second_look(verdict: Verdict, tried: Tried) -> Verdict:
 
     What fits there is left as it is; what leaves twice what the first log may leave is doubted.
     """
-    error = NOISE_ERROR if tried.stated else NOISE_UNSTATED
+    error = known_to(tried.stated)
     excess, left = tried.before - tried.floor, tried.after - error * tried.floor
     if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY) or excess < error * tried.floor:
         return verdict

@@ -33,9 +33,7 @@ def read(
         fields = [
             file.schema_arrow.field(name) for name in wanted if name in file.schema_arrow.names
         ]
-    if all(
-        _is_number(str(field.type)) or str(field.type).startswith("timestamp") for field in fields
-    ):
+    if all(_is_plain(str(field.type)) for field in fields):
         return _here(path, wanted, episode, limit)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "columns.npz"
@@ -64,12 +62,17 @@ def batches(path: Path, wanted: Sequence[str], rows: int) -> Iterator[dict[str, 
     with opened(parquet, path, buffer_size=_PAGES) as file:
         for name in wanted:
             kind = str(file.schema_arrow.field(name).type)
-            if not (_is_number(kind) or kind.startswith("timestamp")):
+            if not _is_plain(kind):
                 raise ValueError(
                     f"column {name!r} holds {kind[:60]}; only columns of numbers, one a joint, are read in chunks"
                 )
         for batch in file.iter_batches(batch_size=rows, columns=list(wanted)):
             yield {name: _values(name, batch.column(name)) for name in wanted}
+
+
+def _is_plain(kind: str) -> bool:
+    """Whether a row of such a column is one number."""
+    return _is_number(kind) or kind.startswith("timestamp")
 
 
 def opened(parquet: Any, path: Path, **how: Any) -> Any:
