@@ -180,7 +180,7 @@ def shrink_lines(result: Result) -> list[tuple[str, str]]:
     out = []
     for name, s in (("held-out residual", found.heldout), ("other motion", found.test)):
         if s is not None:
-            text = f"{s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.2g})"
+            text = f"{s.before:.3g} → {s.after:.3g} N m (floor {s.noise:.2g})"
             out.append((name, text))
     if rolled is not None:
         degrees = [np.rad2deg(x) for x in (rolled.before, rolled.after, rolled.floor)]

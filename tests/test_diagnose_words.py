@@ -37,6 +37,7 @@ def trace(samples: int = 500) -> Trace:
         effects=(effect,),
         left=(noise,),
         noise=np.full(2, 0.01),
+        excused=np.zeros((samples, 2)),
         energy=((effect + noise) / 0.01) ** 2,
         forces=(),
     )
@@ -51,7 +52,7 @@ def found(verdict: Verdict, *findings: Finding) -> Diagnosis:
         per_joint_rms={"knee": 0.35, "hip": 0.01},
         share={"knee": 0.9, "hip": 0.1},
         findings=findings,
-        heldout=Shrink(0.35, 0.01, 0.01),
+        heldout=Shrink(0.35, 0.01, 0.01, 0.0),
         test=None,
         when=(),
         undetectable_below=(),
@@ -110,7 +111,7 @@ def test_in_a_console_and_in_a_notebook():
     assert repr(one).splitlines() == [
         "explained (confidence 0.90)",
         "  torque_bias at knee: size 0.5 [0.4, 0.6] N m; or joint_spring at <script> (motion_limited)",
-        "  held out: 0.35 → 0.01 N m (noise 0.01)",
+        "  held out: 0.35 → 0.01 N m (floor 0.01)",
     ]
     page = one._repr_html_()
     for said in (

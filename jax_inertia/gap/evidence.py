@@ -37,6 +37,10 @@ class Span:
         self._basis = n @ (vectors[:, kept] / size)
         self._coordinates = size[:, None] * vectors[:, kept].T
 
+    def along(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+        """Nᵀ x."""
+        return self._coordinates.T @ (self._basis.T @ x)
+
     def charging(self, scales: Float[np.ndarray, " k"] | float = 1.0) -> Float[np.ndarray, "s s"]:
         """M^{1/2} in the span, for M = (1 + N Λ² Nᵀ)⁻¹ with scales Λ."""
         scaled = self._coordinates * scales
@@ -63,6 +67,7 @@ class Evidence:
     ):
         self.prepared = prepared
         self.whitener = whitener
+        self._nuisances = nuisances
         self.used = used(prepared)
         self._whitening = whitener.over(self.used)
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
@@ -132,11 +137,35 @@ class Evidence:
         The first two in the tolerances that were stated, whatever their scales now.
         """
         scale = self.per_column()
-        # Of left = M^{1/2} x, M x once more.
-        off = scale**2 * (self.tolerances.T @ self._own.apply(self._charging, left[:, None])[:, 0])
+        off = self._off(self._own.apply(self._charging, left[:, None])[:, 0])
         inside = np.eye(len(scale)) + scale[:, None] * self.gram * scale
         error = scale * np.sqrt(np.diagonal(np.linalg.inv(inside)))
         return off, error, np.sqrt(np.diagonal(self.gram))
+
+    def excused(self, left: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
+        """The finished torque that nuisances most likely have in what effects leave: N ẑ, ẑ = Λ² Nᵀ M (y − A θ)."""
+        inside = self._own.apply(self._charging, left[:, None])
+        torque = self._nuisances.torque(
+            self._fixed.along(self._charge_fixed(inside)[:, 0]), self._off(inside[:, 0])
+        )
+        return self.prepared.finish_torque(torque)
+
+    def _off(self, inside: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+        """How far off each number of the model is; `inside` is what effects leave, charged once more."""
+        return self.per_column() ** 2 * (self.tolerances.T @ inside)
+
+    def kind(self, j: int) -> str:
+        """What kind of number the j-th tolerance is of."""
+        return self.kinds[self.kind_of[j]]
+
+    def furthest(self, left: Float[np.ndarray, " n"], count: int) -> list[int]:
+        """The tolerances that are strained most by what effects leave, against their scales now, the most first."""
+        off, _, _ = self.deviations(left)
+        return np.argsort(-np.abs(off) / self.per_column())[:count].tolist()
+
+    def charged_tolerance(self, j: int) -> Float[np.ndarray, "n 1"]:
+        """The column of the j-th tolerance in the charged metric."""
+        return self._own.apply(self._charging, self.tolerances[:, [j]])
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

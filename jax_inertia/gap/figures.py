@@ -111,7 +111,7 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
 
 
 def waterfall(found: Diagnosis) -> str:
-    """Held-out missing torque after each effect, down to the noise, over the rows that hold the gap."""
+    """Held-out missing torque after each effect, down to the floor, over the rows that hold the gap."""
     trace, rows = found.trace, holding(found)
     values = [_rms(x, trace, rows) for x in (trace.missing, *trace.left)]
     names = ["as modelled"] + [
@@ -124,12 +124,13 @@ def waterfall(found: Diagnosis) -> str:
         axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], zorder=2, height=0.6)
         for k, value in enumerate(values):
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
-        noise = _rms(np.broadcast_to(trace.noise, trace.missing.shape), trace, rows)
-        axes.axvline(noise, color=_BLUE, ls="--", lw=1.3)
-        axes.text(noise, -0.55, f" noise {noise:.2g}", color=_BLUE, fontsize=8.5, va="bottom")
+        floor = _rms(np.hypot(trace.noise, trace.excused), trace, rows)
+        axes.axvline(floor, color=_BLUE, ls="--", lw=1.3)
+        text = f" floor {floor:.2g}: noise, and the model's own errors"
+        axes.text(floor, -0.55, text, color=_BLUE, fontsize=8.5, va="bottom")
         axes.set_yticks(at, names)
         axes.set_ylim(len(values) - 0.5, -0.95)
-        axes.set_xlim(0, 1.18 * max(*values, noise))
+        axes.set_xlim(0, 1.18 * max(*values, floor))
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.grid(axis="y", visible=False)
         axes.set_xlabel("missing torque, rms [N m]")

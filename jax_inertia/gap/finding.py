@@ -83,9 +83,11 @@ class Diagnosis:
         names = [_named(f) for f in self.findings]
         every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
         them = "it" if len(names) == 1 else "them"
-        shrink = f"With {them}, the missing torque shrinks by {percent(self.heldout.share)} on held-out data"
+        shrink = (
+            f"With {them}, the missing torque shrinks by {_share(self.heldout)} on held-out data"
+        )
         if self.test is not None:
-            shrink += f" and by {percent(self.test.share)} on another motion"
+            shrink += f" and by {_share(self.test)} on another motion"
         shrink += "."
         if self.verdict is Verdict.EXPLAINED:
             return f"The model lacks {every}. {shrink}"
@@ -133,10 +135,14 @@ class Diagnosis:
         """Missing torque before and after, where it was predicted rather than fitted."""
         tried = (("held out", self.heldout), ("other motion", self.test))
         return [
-            (name, f"{s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})")
+            (name, f"{s.before:.3g} → {s.after:.3g} N m (floor {s.noise:.3g})")
             for name, s in tried
             if s is not None
         ]
+
+
+def _share(s: Shrink) -> str:
+    return "nothing above its floor" if s.share is None else percent(s.share)
 
 
 def _named(f: Finding) -> str:

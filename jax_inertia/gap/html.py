@@ -87,10 +87,9 @@ def _cards(about: Page) -> list[_Card]:
     ]
     for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
         if s is not None and found.findings:
-            sign = "−" if s.share >= 0 else "+"
-            out.append(_Card(title, f"{sign}{percent(abs(s.share))}", _detail(s)))
+            out.append(_Card(title, _shrunk(s), _detail(s)))
         elif s is not None:
-            detail = f"rms; noise {number(s.noise)} N m"
+            detail = f"rms; floor {number(s.noise)} N m"
             out.append(_Card(title, f"{number(s.before)} N m", detail))
     if rolled is not None:
         before, after, floor = (
@@ -105,8 +104,15 @@ def _cards(about: Page) -> list[_Card]:
     return out
 
 
+def _shrunk(s: Shrink) -> str:
+    if s.share is None:
+        return "at the floor"
+    return f"{'−' if s.share >= 0 else '+'}{percent(abs(s.share))}"
+
+
 def _detail(s: Shrink) -> str:
-    return f"{number(s.before)} → {number(s.after)} N m; noise {number(s.noise)}"
+    floor = f"floor {number(s.noise)}: sensors {number(s.sensors)}, the model's own errors {number(s.excused)}"
+    return f"{number(s.before)} → {number(s.after)} N m; {floor}"
 
 
 def _holding(found: Diagnosis) -> str:

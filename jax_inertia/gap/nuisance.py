@@ -40,6 +40,17 @@ class Tolerance:
     """The same for a torque that a sensor sampled: of the moment, or of the period that followed."""
 
 
+CAUSES = {
+    "mass": "payload",
+    "centre of mass": "com_shift",
+    "inertia": "link_inertia",
+    "damping": "viscous_friction",
+    "frictionloss": "coulomb_friction",
+    "armature": "armature",
+}
+"""The effect that an error beyond the tolerance would be, by kind of number."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Nuisances:
     """Columns on the fast grid, each times its prior standard deviation."""
@@ -50,6 +61,19 @@ class Nuisances:
     """Errors of the model's own numbers, by kind of number."""
     named: dict[str, list[str]]
     """What each column of a kind is an error of."""
+
+    def torque(
+        self, fixed: Float[np.ndarray, " f"], tolerances: Float[np.ndarray, " k"]
+    ) -> Float[np.ndarray, "T nv"]:
+        """Σ columns times their numbers, the tolerances' kind by kind."""
+        blocks = [*self.fixed, *(c for some in self.tolerances.values() for c in some)]
+        numbers = np.concatenate([fixed, tolerances])
+        parts = np.split(numbers, np.cumsum([c.values.shape[-1] for c in blocks])[:-1])
+        whole = next(c.values for c in blocks if c.row is None)
+        out = np.zeros(whole.shape[:2])
+        for c, x in zip(blocks, parts, strict=True):
+            out[:, slice(None) if c.row is None else c.row] += c.values @ x
+        return out
 
 
 def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:

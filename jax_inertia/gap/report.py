@@ -73,7 +73,14 @@ def _effect(f: Finding) -> dict[str, Any]:
 
 
 def _shrink(s: Shrink) -> dict[str, Any]:
-    return {"before": s.before, "after": s.after, "noise": s.noise, "unit": "N m"}
+    return {
+        "before": s.before,
+        "after": s.after,
+        "noise": s.noise,
+        "sensor_noise": s.sensors,
+        "model_errors": s.excused,
+        "unit": "N m",
+    }
 
 
 def _rollout(r: Rollouts) -> dict[str, Any]:

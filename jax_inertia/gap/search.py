@@ -18,7 +18,7 @@ from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import remaining, row_energy, select, suited
+from jax_inertia.gap.select import remaining, row_energy, select, singled_out, suited
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.verdict import Verdict, judge, with_strain
 from jax_inertia.log import Log
@@ -97,8 +97,11 @@ class Finder:
             rows = pool.evidence.unflatten(left)
             if memoryless(rows, 1.0 / self.context.prepared.settings.decimated):
                 floor = misfits[-1]
-        bare = strangeness(pool.evidence, self.replicas, floor, sensors, self.stated)
-        strains = strained(pool.evidence, left)
+        alone = singled_out(pool, chosen, against)
+        bare = strangeness(
+            pool.evidence, self.replicas, floor, sensors, self.stated, () if chosen else alone
+        )
+        strains = strained(pool.evidence, left, alone)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.

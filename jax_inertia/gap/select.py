@@ -4,12 +4,15 @@ A candidate's score is the drop of the charged misfit J it brings to those alrea
 still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.nuisance import CAUSES
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.scales import Learner
+from jax_inertia.gap.scales import Learned, Learner
 
 
 def select(
@@ -28,7 +31,7 @@ def select(
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        if not step or step[0].score < _toll(step[0], chosen, floor):
+        if not step or step[0].score < _toll(chosen, floor) or _faint(pool, step[0], floor):
             break
         trial = settle(pool, [*chosen, step[0]])
         if len(trial) > 1:
@@ -75,35 +78,82 @@ def _others(
     return [c for c in pool.best(target, columns, 1.0) if c.key not in own]
 
 
-# How many of the leading candidates may show that the model is better than its tolerances.
-LEADING = 12
+# How many of the leading candidates may show that the model is better than its tolerances, and how many of its numbers.
+LEADING, ASTRAY = 12, 3
+# By how much likelier (twice the log) one effect, or one number that is off alone, makes the log with the tolerances
+# that suit it, its price paid.
+SUITS = 12.0
 
 
 def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) -> dict[str, float]:
-    """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays."""
+    """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays.
+
+    One more effect, or one number of the model that is off while the others of its kind are right, where the library
+    has an effect for it: within wide tolerances neither is remarkable, beside right numbers each is a finding.
+    """
     columns, target = stacked(pool, chosen)
+    rows = pool.evidence.rows
     ranked = sorted(_others(pool, chosen, columns, target), key=lambda c: -c.gain)[:LEADING]
-    noise = _noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
-    learner = Learner(pool.evidence, noise)
-    without = learner.beside(columns, target)
-    best, scales = 0.0, without.scales
-    for c in ranked if len(chosen) < max_effects else []:
-        more, left = stacked(pool, [*chosen, c])
-        learned = learner.beside(more, left)
-        score = without.cost - learned.cost - c.price(pool.evidence.rows)
-        if score > max(best, _toll(c, chosen, floor)):
+    learner, without = _learner(pool, chosen, ranked, floor)
+    if len(chosen) == max_effects:
+        return without.scales
+    best, scales = SUITS, without.scales
+    for c in ranked:
+        if _faint(pool, c, floor):
+            continue
+        learned = learner.beside(*stacked(pool, [*chosen, c]))
+        score = without.cost - learned.cost - c.price(rows)
+        if score > best:
+            best, scales = score, learned.scales
+    known = {family.name for family in pool.library}
+    for j, score, learned in _freed(pool, chosen, learner, without):
+        if score > best and CAUSES[pool.evidence.kind(j)] in known:
             best, scales = score, learned.scales
     return scales
 
 
-def _toll(added: Candidate, chosen: list[Candidate], floor: float) -> float:
+def singled_out(pool: Pool, chosen: list[Candidate], floor: float) -> list[int]:
+    """Numbers of the model, by their tolerances' columns, that are off alone: the others of their kind are right."""
+    columns, target = stacked(pool, chosen)
+    learner, without = _learner(pool, chosen, _others(pool, chosen, columns, target), floor)
+    return [j for j, score, _ in _freed(pool, chosen, learner, without) if score > SUITS]
+
+
+def _learner(
+    pool: Pool, chosen: list[Candidate], ranked: list[Candidate], floor: float
+) -> tuple[Learner, Learned]:
+    """What learns scales, and those that suit the log beside the chosen effects alone."""
+    noise = 1.0
+    if ranked:
+        noise = _noise_beside(pool, chosen, max(ranked, key=lambda c: c.gain), floor)
+    learner = Learner(pool.evidence, noise)
+    return learner, learner.beside(*stacked(pool, chosen))
+
+
+def _freed(
+    pool: Pool, chosen: list[Candidate], learner: Learner, without: Learned
+) -> Iterator[tuple[int, float, Learned]]:
+    """The numbers that are strained most: column, score of letting each be free, and the scales that suit the rest."""
+    evidence = pool.evidence
+    columns, target = stacked(pool, chosen)
+    price = np.log(evidence.rows) + 2 * np.log(len(evidence.named))
+    for j in evidence.furthest(remaining(pool, chosen), ASTRAY):
+        learned = learner.beside(np.hstack([columns, evidence.charged_tolerance(j)]), target)
+        yield j, without.cost - learned.cost - price, learned
+
+
+def _toll(chosen: list[Candidate], floor: float) -> float:
     """The score that an effect must bring, beside noise that is itself estimated.
 
-    Once a cause is found, structure in a hundredth of the noise is none; a burst in a tenth of it is no push, since
-    spikes, or a reversal of friction, are as much.
+    Once a cause is found, structure in a hundredth of the noise is none.
     """
-    share = 0.1 if added.family.passing else 0.01 if chosen else 0.0
-    return STOP + share * floor
+    return STOP + (0.01 * floor if chosen else 0.0)
+
+
+def _faint(pool: Pool, added: Candidate, floor: float) -> bool:
+    """Whether a burst holds no more than a tenth of the noise: spikes, or a reversal of friction, are as much."""
+    worth = added.gain - added.price(pool.evidence.rows)
+    return added.family.passing and bool(worth < STOP + 0.1 * floor)
 
 
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
@@ -158,7 +208,9 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
         if c.place != best.place or c.family.name not in best.family.simpler:
             continue
         noise = max(1.0, (before - best.gain) / max(floor, 1.0))
-        if best.gain - c.gain < max(STOP * noise, 5e-4 * best.gain) and c.score > STOP:
+        # Teeth rattle above the motion's band as no equation says: where backlash is judged, so is what it contains.
+        less = min(best.gain - c.gain, best.aim - c.aim)
+        if less < max(best.family.set_apart * noise, 5e-4 * best.gain) and c.score > STOP:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
 

@@ -12,42 +12,59 @@ from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP, stacked
+from jax_inertia.gap.select import STOP, remaining, stacked
 from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
+# Of the floor: a gap below this is mostly the floor's own.
+NEAR = 1.2
+
 
 @dataclasses.dataclass(frozen=True)
 class Shrink:
-    """Root mean square of the missing torque over all rows [N m]: before, after, and what no model removes."""
+    """Root mean square of the missing torque over all rows [N m]: before, after, and what no effect removes."""
 
     before: float
     after: float
-    noise: float
+    sensors: float
+    """Of the sensors' noise."""
+    excused: float
+    """Of the nominal model's own errors as this log most likely has them: its numbers within their tolerances, how its
+    friction turns over, when within a period a torque acted. They are there before and after alike."""
 
     @property
-    def share(self) -> float:
-        """1 − after/before, both with the noise taken off."""
-        gap = max(self.before**2 - self.noise**2, 1e-300)
+    def noise(self) -> float:
+        """The floor: sensors and model together."""
+        return float(np.hypot(self.sensors, self.excused))
+
+    @property
+    def share(self) -> float | None:
+        """1 − after/before, both with the floor taken off; None where hardly more than it was there before."""
+        if self.before < NEAR * self.noise:
+            return None
+        gap = self.before**2 - self.noise**2
         return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
 
 
-def _shrink(context: Context, before: np.ndarray, after: np.ndarray, replicas) -> Shrink:
+def _shrink(
+    context: Context, before: np.ndarray, after: np.ndarray, excused: np.ndarray, replicas
+) -> Shrink:
     """Finished torques on all rows to one number each, over rows that a model should predict."""
     counted = ~context.unpredicted
 
     def rms(x: np.ndarray) -> float:
         return float(np.sqrt(np.mean(x[..., counted] ** 2)))
 
-    return Shrink(rms(before), rms(after), rms(np.asarray(replicas)))
+    return Shrink(rms(before), rms(after), rms(np.asarray(replicas)), rms(excused))
 
 
 def held_out(pool: Pool, chosen: list[Candidate], replicas) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
     prepared = pool.context.prepared
     before = prepared.finish_torque(prepared.missing)
-    return _shrink(pool.context, before, what_is_left(pool, chosen), replicas)
+    excused = pool.evidence.excused(remaining(pool, chosen))
+    return _shrink(pool.context, before, what_is_left(pool, chosen), excused, replicas)
 
 
 def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
@@ -128,7 +145,13 @@ class OtherMotion:
         y = prepared.finish_torque(prepared.missing)
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
         return Trial(
-            shrink=_shrink(context, y, y - sum(effects, np.zeros_like(y)), self._replicas),
+            shrink=_shrink(
+                context,
+                y,
+                y - sum(effects, np.zeros_like(y)),
+                evidence.excused(left),
+                self._replicas,
+            ),
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),

@@ -7,6 +7,7 @@ is missing at the motion's own few frequencies is held against the noise there, 
 """
 
 import dataclasses
+from collections.abc import Collection
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,8 @@ NOISE_ONLY = 2.0
 SLOWLY = 16.0
 # A number of the model that has to be this many times its tolerance off is not within it.
 STRAINED = 4.0
+# Of that border, a number counts for no less that is off while all others of its kind are right.
+STANDS_OUT = 1.5
 # Where the log does not state its noise, a command may have missed its motor by more than the log can show.
 NOISE_UNSTATED = 4.0
 
@@ -45,14 +48,21 @@ class Strained:
         return f"{self.name} off by {self.off:.1f} ± {self.error:.1f} times its tolerance"
 
 
-def strained(evidence: Evidence, left: Float[np.ndarray, " n"]) -> list[Strained]:
-    """The numbers of the model that are strained by what effects leave, the furthest first."""
-    off, error, size = evidence.deviations(left)
+def strained(
+    evidence: Evidence, left: Float[np.ndarray, " n"], alone: Collection[int] = ()
+) -> list[Strained]:
+    """The numbers of the model that are strained by what effects leave, the furthest first.
+
+    `alone`: columns of tolerances whose numbers are off while the others of their kind are right.
+    """
+    # A kind that the log finds right to a thirtieth would hold on to its one number that is not.
+    stated = evidence.rescaled({kind: max(scale, 1.0) for kind, scale in evidence.scales.items()})
+    off, error, size = stated.deviations(stated.recharging(evidence)(left[:, None])[:, 0])
     out = [
         Strained(name, abs(float(o)), float(e), float((o * s) ** 2))
-        for name, o, e, s in zip(evidence.named, off, error, size, strict=True)
+        for j, (name, o, e, s) in enumerate(zip(evidence.named, off, error, size, strict=True))
         # A direction that the log hardly sees may lie anywhere.
-        if abs(o) > STRAINED * max(1.0, e)
+        if abs(o) > STRAINED * max(1.0, e) or j in alone
     ]
     return sorted(out, key=lambda x: -x.off)
 
@@ -77,6 +87,7 @@ def strangeness(
     floor: float,
     noise: float,
     stated: bool,
+    alone: Collection[int] = (),
 ) -> Strangeness:
     """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less."""
     y = evidence.y
@@ -84,9 +95,9 @@ def strangeness(
     slack = known_to(stated) / NOISE_ERROR
     own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
     slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300)) * noise / floor
-    worst = strained(evidence, y)
+    worst = strained(evidence, y, alone)
     return Strangeness(
         float(y @ y) / (NOISE_ONLY * slack * floor),
         slow / SLOWLY,
-        worst[0].off / STRAINED if worst else 0.0,
+        max(STANDS_OUT, worst[0].off / STRAINED) if worst else 0.0,
     )

@@ -39,6 +39,8 @@ class Trace:
     """y after one, two ... findings, each stretch predicted from the others [N m]."""
     noise: Float[np.ndarray, " nv"]
     """Standard deviation of y's noise [N m]."""
+    excused: Float[np.ndarray, "R nv"]
+    """What the nominal model's own errors most likely have in y, beside all findings [N m]."""
     energy: Float[np.ndarray, "R nv"]
     """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
     forces: tuple[BodyForce, ...]
@@ -49,9 +51,10 @@ def collect(
     pool: Pool,
     effects: tuple[np.ndarray, ...],
     left: tuple[np.ndarray, ...],
+    excused: Float[np.ndarray, "R nv"],
     replicas: Float[np.ndarray, "K R nv"],
 ) -> Trace:
-    """Gather the signals of one run; `effects` and `left` are finished torques as in `Trace`."""
+    """Gather the signals of one run; `effects`, `left` and `excused` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
     prepared = context.prepared
     names = {dof: name for name, dof in context.joint_dofs.items()}
@@ -68,6 +71,7 @@ def collect(
         effects=effects,
         left=left,
         noise=noise,
+        excused=excused,
         energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
         forces=_forces(pool, missing / noise, noise),
     )
@@ -128,7 +132,7 @@ def regions(trace: Trace) -> tuple[Region, ...]:
 def shrink_interval(
     trace: Trace, *, block: float = 0.5, draws: int = 1000, seed: int = 0
 ) -> tuple[float, float] | None:
-    """95 % interval of the held-out shrink 1 − after/before, noise off both, by a bootstrap over blocks of time.
+    """95 % interval of the held-out shrink 1 − after/before, the floor off both, by a bootstrap over blocks of time.
 
     Blocks [s] keep what is correlated together (Künsch 1989). None without findings.
     """
@@ -141,7 +145,7 @@ def shrink_interval(
         return np.bincount(label, weights=np.sum(np.where(moving, x, 0.0), axis=1))
 
     before, after = sums(trace.missing**2), sums(trace.left[-1] ** 2)
-    noise = sums(np.broadcast_to(trace.noise**2, trace.missing.shape))
+    noise = sums(trace.noise**2 + trace.excused**2)
     rng = np.random.default_rng(seed)
     pick = rng.integers(0, len(before), (draws, len(before)))
     gap = np.maximum((before - noise)[pick].sum(axis=1), 1e-300)

@@ -53,6 +53,8 @@ class Family(abc.ABC):
     kind: ClassVar[str]
     simpler: ClassVar[tuple[str, ...]] = ()
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
+    set_apart: ClassVar[float] = 30.0
+    """Misfit, against the noise's, that they must leave more of for that not to be so."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
     form_error: ClassVar[float] = 0.01
