@@ -113,7 +113,7 @@ def diagnosis(
     stage("rolling models out in MuJoCo")
     nominal, wanted = load_spec(inputs.model), load_spec(inputs.model)
     correction = corrected(wanted, effects_of(found))
-    rolled = rollouts(nominal, correction, inputs.robot, inputs.log)
+    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace)
     report = to_report(found, rollouts=rolled, quality=inputs.quality)
     return Result(found, nominal, correction, rolled, report)
 

@@ -146,7 +146,7 @@ def fan(rolled: Rollouts) -> str:
         for error, colour, label in (
             (rolled.nominal, _GREY, "before: as modelled"),
             (rolled.corrected, _ORANGE, "after: corrected"),
-            (rolled.noise, _BLUE, "floor: sensor noise"),
+            (rolled.noise, _BLUE, "floor: noise, model's errors"),
         ):
             size = np.rad2deg(np.sqrt(np.mean(error**2, axis=2)))
             low, high = np.quantile(size, [0.1, 0.9], axis=0)

@@ -97,10 +97,11 @@ def _cards(about: Page) -> list[_Card]:
         )
         title = f"{rolled.horizon:g} s rollouts"
         if found.findings:
-            detail = f"before → after; {floor}° is the sensors' noise"
+            detail = f"before → after; floor {floor}°: noise, and the model's own errors"
             out.append(_Card(title, f"{before}° → {after}°", detail))
         else:
-            out.append(_Card(title, f"{before}°", f"{floor}° is the sensors' noise"))
+            detail = f"floor {floor}°: noise, and the model's own errors"
+            out.append(_Card(title, f"{before}°", detail))
     return out
 
 

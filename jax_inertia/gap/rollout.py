@@ -1,7 +1,8 @@
 """Open-loop rollouts in MuJoCo C: how far simulation and log part within a quarter of a second.
 
 From states of the log, driven by the logged torque and nothing else, the nominal model (before), the corrected one
-(after), and the corrected one against itself from states and torques with the sensors' noise once more (floor).
+(after), and the corrected one against itself from states and torques with the sensors' noise once more, and with the
+torque that the nominal model's own errors most likely have along the way (floor).
 """
 
 import dataclasses
@@ -19,6 +20,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import DAMPING_RATIO, DEFLECTION, Correction
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.noise import perturbed
+from jax_inertia.gap.trace import Trace
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.mjcf import ModelWarning, compile_spec
 from jax_inertia.robot import Robot
@@ -53,7 +55,7 @@ class Rollouts:
 
     @property
     def floor(self) -> float:
-        """What the noise of the sensors leaves."""
+        """What the noise of the sensors and the nominal model's own errors leave."""
         return _last(self.noise)
 
 
@@ -62,6 +64,7 @@ def rollouts(
     correction: Correction,
     robot: Robot,
     log: Log,
+    trace: Trace,
     *,
     horizon: float = 0.25,
     windows: int = 24,
@@ -69,6 +72,8 @@ def rollouts(
 ) -> Rollouts | None:
     """Roll both models out from evenly spaced moments of the log; None where nothing moves, or where contacts are
     not measured.
+
+    `trace` is of a diagnosis of this log: what it excuses belongs to the floor.
     """
     if robot.has_free_base and log.contact_wrench is None:
         return None
@@ -93,7 +98,7 @@ def rollouts(
         paths[0].append(before.run(clean, k, samples) - measured)
         paths[1].append(own - measured)
         drift = _positions(noisy.prepared, before, k, samples) - measured
-        paths[2].append(after.run(noisy, k, samples) - own - drift)
+        paths[2].append(after.run(noisy, k, samples, trace) - own - drift)
     nominal_, corrected_, noise = (np.nan_to_num(np.array(p), nan=np.pi) for p in paths)
     return Rollouts(
         horizon,
@@ -227,9 +232,12 @@ class _Plant:
         self.friction = model.dof_frictionloss.copy()
 
     def run(
-        self, recording: "_Recording", k: int, samples: np.ndarray
+        self, recording: "_Recording", k: int, samples: np.ndarray, erring: Trace | None = None
     ) -> Float[np.ndarray, "S nv"]:
-        """Positions at the samples, as the log's encoders would show them; zero on other rows."""
+        """Positions at the samples, as the log's encoders would show them; zero on other rows.
+
+        `erring`: a trace whose excused torque acts as well.
+        """
         model, data, torque = self.model, self.data, recording.torque
         time, step = recording.prepared.time, model.opt.timestep
         start, origin = float(time[k]), float(time[0])
@@ -245,6 +253,10 @@ class _Plant:
         # The torque of the middle of each step.
         middle = start + (np.arange(steps) + 0.5) * step
         applied, held = self._on_rows(torque(middle)), torque.index(middle)
+        errors = np.zeros_like(applied)
+        if erring is not None:
+            rows = [np.interp(middle - origin, erring.time, x) for x in erring.excused.T]
+            errors = self._on_rows(np.stack(rows, axis=1))
         seen, scale = self.places[self.adr[own]], self.scale[own]
         for n in range(steps + 1):
             if n in marks:
@@ -254,6 +266,8 @@ class _Plant:
             data.time = start - origin + n * step
             data.qfrc_applied[:] = applied[n]
             act(model, data)
+            # Behind what the drive passes on: a gain or a limit is none of it.
+            data.qfrc_applied += errors[n]
             if torque.wrench is not None:
                 self._push(torque.bodies, torque.wrench[held[n]])
             mujoco.mj_step(model, data)

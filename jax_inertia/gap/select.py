@@ -208,9 +208,10 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
         if c.place != best.place or c.family.name not in best.family.simpler:
             continue
         noise = max(1.0, (before - best.gain) / max(floor, 1.0))
-        # Teeth rattle above the motion's band as no equation says: where backlash is judged, so is what it contains.
-        less = min(best.gain - c.gain, best.aim - c.aim)
-        if less < max(best.family.set_apart * noise, 5e-4 * best.gain) and c.score > STOP:
+        if (
+            best.gain - c.gain < max(best.family.set_apart * noise, 5e-4 * best.gain)
+            and c.score > STOP
+        ):
             return [c, *(x for x in ranked if x is not c)]
     return ranked
 

@@ -61,8 +61,8 @@ def strained(
     out = [
         Strained(name, abs(float(o)), float(e), float((o * s) ** 2))
         for j, (name, o, e, s) in enumerate(zip(evidence.named, off, error, size, strict=True))
-        # A direction that the log hardly sees may lie anywhere.
-        if abs(o) > STRAINED * max(1.0, e) or j in alone
+        # By more than the log can be wrong about it: a direction that it hardly sees may lie anywhere.
+        if abs(o) > STRAINED + 2 * e or j in alone
     ]
     return sorted(out, key=lambda x: -x.off)
 
