@@ -2,7 +2,7 @@
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -164,6 +164,9 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     stage("filter")
     gate = logfilter.GATE if args.gate is None else args.gate
     trace = _filter(args, robot, observation, noise, prior, bias)
+    time = np.asarray(logfilter.thinned(observation, args.cutoff).motion.time)
+    if told := _between_reopenings(args.bodies, time, trace):
+        notes.append(f"mass between the gate's reopenings: {told}")
     load = None
     if references and len(args.bodies) == 1:
         stage("load and calibration in one fit")
@@ -180,7 +183,7 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
         notes=tuple(notes),
         observation=observation,
         trace=trace,
-        time=np.asarray(logfilter.thinned(observation, args.cutoff).motion.time),
+        time=time,
         physical=np.asarray(is_physical(trace.estimate.pi)),
         fit=fit,
         calibration=calibration,
@@ -194,6 +197,25 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
         known=known,
         row_names=_row_names(robot),
     )
+
+
+# Where the gate reopens more often the figure tells it better.
+_TOLD = 5
+
+
+def _between_reopenings(bodies: Sequence[str], time: Float[np.ndarray, " T"], trace: Trace) -> str:
+    """What each body weighed between the gate's reopenings; nothing where it never reopened, or often."""
+    at = np.flatnonzero(trace.reopened[1:]) + 1
+    if not 0 < len(at) <= _TOLD:
+        return ""
+    mass, accepted = np.asarray(trace.estimate.pi[:, :, 0]), np.asarray(trace.innovation.accepted)
+    ends = [f" kg until {time[k]:.1f} s, " for k in at] + [" kg since"]
+    told = [f"{name} " for name in bodies]
+    for spell, taken, end in zip(np.split(mass, at), np.split(accepted, at), ends, strict=True):
+        # Rejected samples leave the estimate as it was, and the load as it no longer is.
+        typical = np.median(spell[taken] if taken.any() else spell, axis=0)
+        told = [text + f"{m:.3f}{end}" for text, m in zip(told, typical, strict=True)]
+    return "; ".join(told)
 
 
 def _calibrate(

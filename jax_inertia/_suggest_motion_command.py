@@ -168,7 +168,8 @@ def _show(found, out: Path) -> None:
 
     console, numbers = Console(), _numbers(found)
     console.print(
-        "Standard deviation that a log of it leaves (random: of a random motion as large as the same limits allow)",
+        "Standard deviation that a log of it leaves, in kg, kg m and kg m² (random: of a random motion as large as the "
+        "same limits allow)",
         soft_wrap=True,
     )
     table = Table()
@@ -183,5 +184,10 @@ def _show(found, out: Path) -> None:
     if sums:
         console.print(escape("Only in sums: " + "; ".join(sums)))
     start = ", ".join(f"{name} {q:.3f}" for name, q in numbers["start"].items())
-    console.print(f"Go to the start slowly first: {escape(start)}", soft_wrap=True, highlight=False)
+    console.print(
+        f"Go to the start slowly first [rad, m]: {start}",
+        soft_wrap=True,
+        highlight=False,
+        markup=False,
+    )
     console.print(f"Written: {escape(str(out))}, {out.with_suffix('.png').name}", soft_wrap=True)

@@ -92,11 +92,11 @@ def physical_strip(
     )
     axes.set_yticks(range(len(labels)), labels)
     axes.grid(False)
-    share = 100 * float(np.mean(np.concatenate(list(physical))))
+    held = np.concatenate(list(physical))
     axes.text(
         1.01,
         0.5,
-        f"{share:.4g} %" if len(labels) == 1 else "",
+        f"{np.sum(held)} of\n{held.size}" if len(labels) == 1 else "",
         transform=axes.transAxes,
         va="center",
     )

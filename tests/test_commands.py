@@ -99,6 +99,11 @@ def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsy
     printed = capsys.readouterr().out
     assert "mass, filter [kg]" in printed
     assert "bodies changed" in printed
+    told = " ".join(printed.split()).split("reopenings: hand ")[1].split("since")[0]
+    spells = [float(x) for x in re.findall(r"([\d.]+) kg", told)]
+    assert spells[0] == pytest.approx(1.1, abs=0.05)
+    assert max(spells) == pytest.approx(3.0, abs=0.05)
+    assert spells[-1] == pytest.approx(1.1, abs=0.05)
     names = ["estimate.png", "estimates.csv", "estimates.npz", "report.json"]
     assert sorted(p.name for p in out.iterdir()) == names
 
