@@ -22,7 +22,7 @@ from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.units import drive_gains, in_newton_metres
-from jax_inertia.gap.words import percent, plain
+from jax_inertia.gap.words import chance, percent, plain
 from jax_inertia.log import Log, LogError, read_log
 from jax_inertia.mjcf import (
     compile_spec,
@@ -144,9 +144,15 @@ def show(result: Result, out: Path, *, as_json: bool) -> None:
         print(json.dumps(result.report, indent=1, allow_nan=False))
         return
     console = Console()
+    console.print(escape(result.found.headline), highlight=False)
     table(console, result.found)
     for kind, text in shrink_lines(result):
         console.print(f"{kind:>22}: {text}", highlight=False, soft_wrap=True)
+    said = [q["message"] for q in result.report["data_quality"]]
+    for note in result.found.notes:
+        # What is wrong with the log was said when it was read.
+        if not any(note in message for message in said):
+            console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
     if wanted := result.report["suggested_motion"]:
         console.print(f"to tell ties apart: {escape(wanted['text'])}", soft_wrap=True)
     console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True, highlight=False)
@@ -155,7 +161,7 @@ def show(result: Result, out: Path, *, as_json: bool) -> None:
 def table(console: Console, found: Diagnosis) -> None:
     """Verdict and effects."""
     rows = Table(
-        title=f"{plain(str(found.verdict))} (confidence {found.confidence:.2f})",
+        title=f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})",
         title_justify="left",
     )
     for name in ("effect", "where", "size, 95 % interval", "explains", "or"):

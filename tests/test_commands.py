@@ -87,7 +87,12 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     for one in numbers["filters"]:
         assert one["name"] in table
         assert f"{1e3 * one['rms_kg']:.0f} g" in table or "diverged" in table
-    assert " ".join(numbers["hidden"]["judged"].split()) in " ".join(table.split())
+    told = " ".join(table.split())
+    assert " ".join(numbers["hidden"]["judged"].split()) in told
+    # The verdict in words, and why it is no better.
+    assert " ".join(diagnosed.found.headline.split()) in told
+    assert numbers["diagnosis"]["notes"]
+    assert all(f"note: {note}" in told for note in numbers["diagnosis"]["notes"])
 
 
 def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys):
