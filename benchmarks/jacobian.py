@@ -18,6 +18,7 @@ from benchmarks.harness.core import in_this_thread, one_core
 one_core()
 
 import argparse  # noqa: E402
+import json  # noqa: E402
 from collections.abc import Callable  # noqa: E402
 
 import jax  # noqa: E402
@@ -31,6 +32,7 @@ from jax_inertia import inertia, inverse_dynamics, load_model, torque_regressor 
 from jax_inertia.robot import Robot  # noqa: E402
 
 BATCHES = (1, 16, 256, 4096, 65536)
+FILES = {"cpu": "jacobian", "gpu": "jacobian_gpu"}
 SAMPLES = 256  # for the agreement
 HOW = ("analytic", "jacfwd", "jacrev")
 DTYPES = ("float64", "float32")
@@ -124,31 +126,36 @@ def measure(most: int, budget: float) -> dict:
     return out
 
 
-def page(found: dict) -> str:
-    """The page's part."""
+def page(found: dict, figure: str) -> str:
+    """One machine's table; `figure` is the name of its picture."""
     at = {(r["of"], r["dtype"], r["how"], r["batch"]): r for r in found["runs"]}
     batches = sorted({r["batch"] for r in found["runs"]})
     rows = []
     for subject in ("g", "h"):
         for dtype in DTYPES:
             for how in HOW:
-                runs = [at[subject, dtype, how, b] for b in batches]
-                cells = [f"{r['run_s'] / r['batch'] * 1e6:.3g}" for r in runs]
-                compile_s = np.median([r["compile_s"] for r in runs])
-                error = found["agreement"][subject][dtype][how]
-                name = f"∂{subject}/∂θ"
-                rows.append([name, dtype, how, f"{error:.0e}", f"{compile_s:.2f}", *cells])
+                runs = [at.get((subject, dtype, how, b)) for b in batches]
+                done = [r for r in runs if r]
+                if not done:
+                    continue
+                cells = [f"{r['run_s'] / r['batch'] * 1e6:.3g}" if r else "–" for r in runs]
+                compile_s = np.median([r["compile_s"] for r in done])
+                error = found["agreement"].get(subject, {}).get(dtype, {}).get(how)
+                told = "–" if error is None else f"{error:.0e}"
+                rows.append([f"∂{subject}/∂θ", dtype, how, told, f"{compile_s:.2f}", *cells])
     head = ["", "", "", "error", "compile s", *(f"µs, batch {b}" for b in batches)]
     return "\n\n".join(
         [
-            "## Jacobian: analytic against autodiff",
+            "## Jacobian: analytic against autodiff"
+            + (" on a GPU" if figure == FILES["gpu"] else ""),
             "g: one body, 10 × 10. h: torque of the humanoid by two bodies, 29 × 20, autodiff through inverse "
             "dynamics. Error: largest difference from the analytic Jacobian in float64 over its largest entry. "
             "Times per sample, median, one core unless a GPU is named, chunks of "
             f"{found['chunk']}. `python benchmarks/jacobian.py`",
             results.table(head, rows),
+            *(["–: not measured, the run was cut off."] if any("–" in r for r in rows) else []),
             results.sentence(found["about"]),
-            "![Time per Jacobian over batch](figures/jacobian.png)",
+            f"![Time per Jacobian over batch](figures/{figure}.png)",
         ]
     )
 
@@ -202,9 +209,19 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=0.5, help="seconds for each measurement")
     args = parser.parse_args()
     found = measure(args.most, args.budget)
-    results.save_json(results.RESULTS / "jacobian.json", found)
-    draw(found, results.FIGURES / "jacobian.png")
-    results.write_part("jacobian", page(found))
+    results.save_json(results.RESULTS / f"{FILES[jax.default_backend()]}.json", found)
+    publish()
+
+
+def publish() -> None:
+    """Pictures and page of every machine that was measured."""
+    parts = []
+    for name in FILES.values():
+        if (file := results.RESULTS / f"{name}.json").exists():
+            found = json.loads(file.read_text())
+            draw(found, results.FIGURES / f"{name}.png")
+            parts.append(page(found, name))
+    results.write_part("jacobian", "\n\n".join(parts))
 
 
 if __name__ == "__main__":
