@@ -136,7 +136,7 @@ def _finding(
         place=c.place,
         parameters=numbers,
         explained=_explained(pool, chosen, i, search.floor),
-        probability=probabilities(rivals, search.misfits, search.noise).get(c.key, 0.5),
+        probability=probabilities(rivals).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
         equation=c.family.equation,
     )

@@ -18,7 +18,7 @@ from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import remaining, row_energy, select, singled_out, suited
+from jax_inertia.gap.select import bent_by, remaining, row_energy, select, singled_out, suited
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.verdict import Verdict, judge, with_strain
 from jax_inertia.log import Log
@@ -101,7 +101,7 @@ class Finder:
         bare = strangeness(
             pool.evidence, self.replicas, floor, sensors, self.stated, () if chosen else alone
         )
-        strains = strained(pool.evidence, left, alone)
+        strains = [s for s in strained(pool.evidence, left, alone) if s.name not in bent_by(chosen)]
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.

@@ -101,7 +101,7 @@ def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) 
     for c in ranked:
         if _faint(pool, c, floor):
             continue
-        learned = learner.beside(*stacked(pool, [*chosen, c]))
+        learned = learner.beside(*_free(pool, chosen, c))
         score = without.cost - learned.cost - c.price(rows)
         if score > best:
             best, scales = score, learned.scales
@@ -119,6 +119,22 @@ def singled_out(pool: Pool, chosen: list[Candidate], floor: float) -> list[int]:
     return [j for j, score, _ in _freed(pool, chosen, learner, without) if score > SUITS]
 
 
+def bent_by(chosen: list[Candidate]) -> set[str]:
+    """Numbers of the model that the effects themselves change beyond their equations."""
+    return {f"{kind} of {c.place.name}" for c in chosen for kind in c.family.bends}
+
+
+def _free(pool: Pool, chosen: list[Candidate], *added: Candidate) -> tuple[np.ndarray, np.ndarray]:
+    """`stacked`, and the numbers of the model that the chosen change beyond their equations free as well.
+
+    Of an effect that is only tried they are not: it would be let off their price.
+    """
+    columns, target = stacked(pool, [*chosen, *added])
+    names = bent_by(chosen)
+    bent = [j for j, name in enumerate(pool.evidence.named) if name in names]
+    return np.hstack([columns, *(pool.evidence.charged_tolerance(j) for j in bent)]), target
+
+
 def _learner(
     pool: Pool, chosen: list[Candidate], ranked: list[Candidate], floor: float
 ) -> tuple[Learner, Learned]:
@@ -127,7 +143,7 @@ def _learner(
     if ranked:
         noise = _noise_beside(pool, chosen, max(ranked, key=lambda c: c.gain), floor)
     learner = Learner(pool.evidence, noise)
-    return learner, learner.beside(*stacked(pool, chosen))
+    return learner, learner.beside(*_free(pool, chosen))
 
 
 def _freed(
@@ -135,9 +151,11 @@ def _freed(
 ) -> Iterator[tuple[int, float, Learned]]:
     """The numbers that are strained most: column, score of letting each be free, and the scales that suit the rest."""
     evidence = pool.evidence
-    columns, target = stacked(pool, chosen)
+    columns, target = _free(pool, chosen)
     price = np.log(evidence.rows) + 2 * np.log(len(evidence.named))
     for j in evidence.furthest(remaining(pool, chosen), ASTRAY):
+        if evidence.named[j] in bent_by(chosen):
+            continue
         learned = learner.beside(np.hstack([columns, evidence.charged_tolerance(j)]), target)
         yield j, without.cost - learned.cost - price, learned
 

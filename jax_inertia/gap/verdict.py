@@ -102,9 +102,7 @@ def ties(
     return [c for c in ranking if c.key != best.key and c.gain > best.gain - margin]
 
 
-def probabilities(
-    ranking: list[Candidate], misfits: list[float], floor: float
-) -> dict[tuple[str, str, str], float]:
+def probabilities(ranking: list[Candidate]) -> dict[tuple[str, str, str], float]:
     """Posterior odds among all candidates at the first step.
 
     Tempered by a share of the best gain: a model's equations are never exact, and a likelihood that takes them
@@ -117,8 +115,8 @@ def probabilities(
     rivals = [
         c for c in ranking if c.place != first.place or first.family.name not in c.family.simpler
     ]
-    noise = max(1.0, misfits[-1] / max(floor, 1.0))
-    temper = max(1.0, TEMPER * first.gain / noise)
+    # Scores are against the noise already.
+    temper = max(1.0, TEMPER * first.score)
     scores = np.array([c.score for c in rivals])
     weights = scipy.special.softmax(0.5 * (scores - scores.max()) / temper)
     return {c.key: float(w) for c, w in zip(rivals, weights, strict=True)}

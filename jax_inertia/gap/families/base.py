@@ -65,6 +65,8 @@ class Family(abc.ABC):
     a controller that feeds encoder noise back correlates the torque it asks for with that noise."""
     alike: ClassVar[str] = ""
     """Families that name the same have the same columns at a place, and differ in their weights."""
+    bends: ClassVar[tuple[str, ...]] = ()
+    """Kinds of numbers at its place that the effect changes beyond its equation: they may be off as well."""
     rigid: ClassVar[bool] = False
     """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None

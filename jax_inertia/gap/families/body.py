@@ -29,6 +29,7 @@ class Payload(Inertial):
     rigid = True
     # A real load is no point: its own inertia is left.
     form_error = 0.05
+    bends = ("mass", "centre of mass", "inertia")
 
     def starts(self, context, place, free):
         scale = max(float(self.pi(context, place)[0]), 0.1)
