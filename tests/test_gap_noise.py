@@ -146,6 +146,17 @@ def test_an_explanation_that_leans_on_a_bent_model_is_doubted(energy, verdict):
     assert with_strain(Verdict.UNKNOWN, strains, explained=1000.0) is Verdict.UNKNOWN
 
 
+def test_what_the_models_own_errors_have_in_the_missing_torque(robot):
+    # Dampings 4 to 8 % off: the torque −Δd q̇ that they miss, and none of what a force adds.
+    by = DAMPING * np.array([0.05, -0.08, 0.06, 0.04, -0.07])
+    _, evidence = learned(robot, simulate(DAMPING + by))
+    prepared = evidence.prepared
+    true = prepared.finish(-by * np.asarray(prepared.observation.motion.v))
+    error = evidence.excused(evidence.y) - true
+    assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx(0.0, abs=0.01)
+    assert np.sqrt(np.mean(true**2)) > 0.02
+
+
 def test_an_effect_that_a_tolerance_swallows_is_no_absence_of_a_gap(robot):
     wrong = DAMPING * np.array([1.0, 1.0, 1.4, 1.0, 1.0])
     found = diagnose(robot, simulate(wrong), exclude=["viscous_friction", "friction_drift"])
