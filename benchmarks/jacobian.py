@@ -4,8 +4,8 @@
 
 g is the paper's π = g(θ) (Foster et al., eq. log-cholesky); h(θ) the torque of the humanoid whose torso and forearm
 have the parameters g(θ), so that ∂h/∂θ = Y^est G. Autodiff differentiates that torque itself, forwards (20 tangents)
-and backwards (29 cotangents). Writes results/jacobian.json, figures/jacobian.png and a part of README.md. On a GPU
-the same command; the device is part of what it prints.
+and backwards (29 cotangents). Writes results/jacobian.json, figures/jacobian.png and a part of README.md; on a GPU
+jacobian_gpu.json and jacobian_gpu.png, which the same part of the page shows below.
 """
 
 import sys

@@ -197,9 +197,10 @@ def share(rows: list[dict], of: str) -> dict[str, float]:
 
 
 def _told(found: Diagnosis) -> dict:
+    held = found.heldout
     return {
         "verdict": str(found.verdict),
-        "heldout": dataclasses.asdict(found.heldout),
+        "heldout": {"before": held.before, "after": held.after, "noise": held.noise},
         "effects": [
             {
                 "family": f.family,

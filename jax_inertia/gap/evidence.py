@@ -114,10 +114,13 @@ class Evidence:
 
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""
-        return self._own.apply(self._charging, self._charge_fixed(x))
+        return self._charge_own(self._charge_fixed(x))
 
     def _charge_fixed(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         return self._fixed.apply(self._fixed_charging, x)
+
+    def _charge_own(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        return self._own.apply(self._charging, x)
 
     def without_tolerances(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What was charged with all nuisances, charged with the fixed ones alone."""
@@ -137,14 +140,14 @@ class Evidence:
         The first two in the tolerances that were stated, whatever their scales now.
         """
         scale = self.per_column()
-        off = self._off(self._own.apply(self._charging, left[:, None])[:, 0])
+        off = self._off(self._charge_own(left[:, None])[:, 0])
         inside = np.eye(len(scale)) + scale[:, None] * self.gram * scale
         error = scale * np.sqrt(np.diagonal(np.linalg.inv(inside)))
         return off, error, np.sqrt(np.diagonal(self.gram))
 
     def excused(self, left: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
         """The finished torque that nuisances most likely have in what effects leave: N ẑ, ẑ = Λ² Nᵀ M (y − A θ)."""
-        inside = self._own.apply(self._charging, left[:, None])
+        inside = self._charge_own(left[:, None])
         torque = self._nuisances.torque(
             self._fixed.along(self._charge_fixed(inside)[:, 0]), self._off(inside[:, 0])
         )
@@ -160,12 +163,12 @@ class Evidence:
 
     def furthest(self, left: Float[np.ndarray, " n"], count: int) -> list[int]:
         """The tolerances that are strained most by what effects leave, against their scales now, the most first."""
-        off, _, _ = self.deviations(left)
+        off = self._off(self._charge_own(left[:, None])[:, 0])
         return np.argsort(-np.abs(off) / self.per_column())[:count].tolist()
 
     def charged_tolerance(self, j: int) -> Float[np.ndarray, "n 1"]:
         """The column of the j-th tolerance in the charged metric."""
-        return self._own.apply(self._charging, self.tolerances[:, [j]])
+        return self._charge_own(self.tolerances[:, [j]])
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""

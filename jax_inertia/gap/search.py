@@ -18,7 +18,7 @@ from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import bent_by, remaining, row_energy, select, singled_out, suited
+from jax_inertia.gap.select import bent_by, remaining, row_energy, select, suited
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.verdict import Verdict, judge, with_strain
 from jax_inertia.log import Log
@@ -72,13 +72,14 @@ class Finder:
             context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
         )
         floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
+        scales, alone = suited(pool, chosen, self.max_effects, against)
         for _ in range(ROUNDS):
-            scales = suited(pool, chosen, self.max_effects, against)
             if scales == pool.evidence.scales:
                 break
             pool = pool.rescaled(scales)
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
-        return self._judged(pool, white, floor, against, chosen, ranking, misfits)
+            scales, alone = suited(pool, chosen, self.max_effects, against)
+        return self._judged(pool, white, floor, against, chosen, ranking, misfits, alone)
 
     def _judged(
         self,
@@ -89,19 +90,18 @@ class Finder:
         chosen: list[Candidate],
         ranking: list[Candidate],
         misfits: list[float],
+        alone: list[int],
     ) -> Search:
-        """What was found, with the verdict on it; `sensors` is the misfit of their noise."""
+        """What was found, with the verdict on it; `sensors` is the misfit of their noise, `alone` as of `suited`."""
         floor = sensors
         left = remaining(pool, chosen)
         if not self.stated and misfits[-1] > floor:
             rows = pool.evidence.unflatten(left)
             if memoryless(rows, 1.0 / self.context.prepared.settings.decimated):
                 floor = misfits[-1]
-        alone = singled_out(pool, chosen, against)
-        bare = strangeness(
-            pool.evidence, self.replicas, floor, sensors, self.stated, () if chosen else alone
-        )
         strains = [s for s in strained(pool.evidence, left, alone) if s.name not in bent_by(chosen)]
+        own = strained(pool.evidence, pool.evidence.y) if chosen else strains
+        bare = strangeness(pool.evidence, self.replicas, floor, sensors, self.stated, own)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.

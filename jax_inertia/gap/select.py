@@ -85,8 +85,12 @@ LEADING, ASTRAY = 12, 3
 SUITS = 12.0
 
 
-def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) -> dict[str, float]:
+def suited(
+    pool: Pool, chosen: list[Candidate], max_effects: int, floor: float
+) -> tuple[dict[str, float], list[int]]:
     """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays.
+
+    With them, the tolerances' columns of numbers that are off alone: the others of their kind are right.
 
     One more effect, or one number of the model that is off while the others of its kind are right, where the library
     has an effect for it: within wide tolerances neither is remarkable, beside right numbers each is a finding.
@@ -94,9 +98,13 @@ def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) 
     columns, target = stacked(pool, chosen)
     rows = pool.evidence.rows
     ranked = sorted(_others(pool, chosen, columns, target), key=lambda c: -c.gain)[:LEADING]
-    learner, without = _learner(pool, chosen, ranked, floor)
+    noise = _noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
+    learner = Learner(pool.evidence, noise)
+    without = learner.beside(*_free(pool, chosen))
+    freed = list(_freed(pool, chosen, learner, without))
+    alone = [j for j, score, _ in freed if score > SUITS]
     if len(chosen) == max_effects:
-        return without.scales
+        return without.scales, alone
     best, scales = SUITS, without.scales
     for c in ranked:
         if _faint(pool, c, floor):
@@ -106,17 +114,10 @@ def suited(pool: Pool, chosen: list[Candidate], max_effects: int, floor: float) 
         if score > best:
             best, scales = score, learned.scales
     known = {family.name for family in pool.library}
-    for j, score, learned in _freed(pool, chosen, learner, without):
+    for j, score, learned in freed:
         if score > best and CAUSES[pool.evidence.kind(j)] in known:
             best, scales = score, learned.scales
-    return scales
-
-
-def singled_out(pool: Pool, chosen: list[Candidate], floor: float) -> list[int]:
-    """Numbers of the model, by their tolerances' columns, that are off alone: the others of their kind are right."""
-    columns, target = stacked(pool, chosen)
-    learner, without = _learner(pool, chosen, _others(pool, chosen, columns, target), floor)
-    return [j for j, score, _ in _freed(pool, chosen, learner, without) if score > SUITS]
+    return scales, alone
 
 
 def bent_by(chosen: list[Candidate]) -> set[str]:
@@ -133,17 +134,6 @@ def _free(pool: Pool, chosen: list[Candidate], *added: Candidate) -> tuple[np.nd
     names = bent_by(chosen)
     bent = [j for j, name in enumerate(pool.evidence.named) if name in names]
     return np.hstack([columns, *(pool.evidence.charged_tolerance(j) for j in bent)]), target
-
-
-def _learner(
-    pool: Pool, chosen: list[Candidate], ranked: list[Candidate], floor: float
-) -> tuple[Learner, Learned]:
-    """What learns scales, and those that suit the log beside the chosen effects alone."""
-    noise = 1.0
-    if ranked:
-        noise = _noise_beside(pool, chosen, max(ranked, key=lambda c: c.gain), floor)
-    learner = Learner(pool.evidence, noise)
-    return learner, learner.beside(*_free(pool, chosen))
 
 
 def _freed(

@@ -87,17 +87,19 @@ def strangeness(
     floor: float,
     noise: float,
     stated: bool,
-    alone: Collection[int] = (),
+    strains: list[Strained],
 ) -> Strangeness:
-    """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less."""
+    """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less.
+
+    `strains`: by the missing torque, `strained`.
+    """
     y = evidence.y
     # That is at random: nothing of it gathers in the motion's band.
     slack = known_to(stated) / NOISE_ERROR
     own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
     slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300)) * noise / floor
-    worst = strained(evidence, y, alone)
     return Strangeness(
         float(y @ y) / (NOISE_ONLY * slack * floor),
         slow / SLOWLY,
-        max(STANDS_OUT, worst[0].off / STRAINED) if worst else 0.0,
+        max(STANDS_OUT, strains[0].off / STRAINED) if strains else 0.0,
     )
