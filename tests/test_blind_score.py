@@ -228,7 +228,7 @@ def test_round_trip_with_the_public_command(tmp_path):
     seed = tmp_path / "seed"
     seed.write_bytes(b"round trip")
     promise = seal.seal_set(logs, hidden, 1, seed, settings=nearly_two)
-    solve.solve(sorted(logs.iterdir()), out)
+    solve.solve([solve.Task(log, out) for log in logs.iterdir()], out / "work")
     answers = vault.unseal(hidden, promise, logs)
     rows = score.score(answers, promise, logs, out, tmp_path / "scored", {})
     (row,) = rows

@@ -232,9 +232,10 @@ def test_a_stopped_run_goes_on_where_it_was(sealed, tmp_path, monkeypatch):
     logs, _, _ = sealed
     monkeypatch.setattr(solve, "copy_package", probe_package([]))
     every = sorted(logs.iterdir())
-    solve.solve(every[:1], tmp_path, jobs=1)
+    tasks = [solve.Task(log, tmp_path) for log in every]
+    solve.solve(tasks[:1], tmp_path / "work")
     stamp = (tmp_path / "results" / every[0].name / "report.json").stat().st_mtime_ns
-    solve.solve(every, tmp_path, jobs=2)
+    solve.solve(tasks, tmp_path / "work", jobs=2)
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [p.name for p in every]
     assert (tmp_path / "results" / every[0].name / "report.json").stat().st_mtime_ns == stamp
     assert len(json.loads((tmp_path / "runs.json").read_text())) == 2

@@ -112,10 +112,12 @@ def main() -> None:
         for family, names in holders(answers).items():
             (args.out / f"{family}.txt").write_text("\n".join(names) + "\n")
         return
-    for file in sorted(args.out.glob("*.txt")):
-        names = file.read_text().split()[: args.limit]
-        logs = [args.logs / name for name in names]
-        solve.solve(logs, args.out / file.stem, args.jobs, [file.stem])
+    tasks = [
+        solve.Task(args.logs / name, args.out / file.stem, (file.stem,))
+        for file in sorted(args.out.glob("*.txt"))
+        for name in file.read_text().split()[: args.limit]
+    ]
+    solve.solve(tasks, args.out / "work", args.jobs)
 
 
 if __name__ == "__main__":

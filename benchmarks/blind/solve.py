@@ -22,6 +22,7 @@ import sys
 import threading
 import time
 import zipfile
+from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
@@ -154,42 +155,57 @@ def version() -> str:
 
 
 def alike(log: Path) -> tuple:
-    """Logs whose compiled code is the same come one after the other: joints, rows and presence of arrays."""
+    """Logs whose compiled code is the same come one after the other, the largest first: they take longest."""
     with zipfile.ZipFile(log / "log.npz") as archive:
         sizes = [(i.filename, i.file_size) for i in archive.infolist()]
-    return tuple(sorted(sizes)), log.name
+    return -sum(size for _, size in sizes), tuple(sorted(sizes)), log.name
+
+
+@dataclass(frozen=True)
+class Task:
+    """A log, where its result goes, and which families the library is to lack."""
+
+    log: Path
+    out: Path
+    exclude: tuple[str, ...] = ()
+
+    @property
+    def done(self) -> bool:
+        return (self.out / "results" / self.log.name).exists()
 
 
 def solve(
-    logs: list[Path],
-    out: Path,
+    tasks: list[Task],
+    work: Path,
     jobs: int = 1,
-    exclude: list[str] | None = None,
     fresh: bool = False,
     timeout: float = TIMEOUT,
 ) -> None:
-    """Diagnose what has no result yet."""
-    out = out.resolve()
-    (out / "results").mkdir(parents=True, exist_ok=True)
-    _note_run(out, jobs, exclude or [])
-    waiting: queue.Queue[Path] = queue.Queue()
-    todo = sorted((p for p in logs if not (out / "results" / p.name).exists()), key=alike)
-    for log in todo:
-        waiting.put(log.resolve())
-    cache = out / "work" / "cache"
+    """Diagnose what has no result yet, all from one queue; `work` holds the processes' homes and their cache."""
+    work = work.resolve()
+    for out in {t.out for t in tasks}:
+        (out / "results").mkdir(parents=True, exist_ok=True)
+    for out, exclude in sorted({(t.out, t.exclude) for t in tasks}):
+        _note_run(out, jobs, list(exclude))
+    waiting: queue.Queue[Task] = queue.Queue()
+    todo = sorted((t for t in tasks if not t.done), key=lambda t: alike(t.log))
+    for task in todo:
+        waiting.put(task)
+    cache = work / "cache"
     cache.mkdir(parents=True, exist_ok=True)
     columns = ("diagnosing", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Remaining())
     failures: list[BaseException] = []
     with Progress(*columns) as progress:
-        bar = progress.add_task("", total=len(logs), completed=len(logs) - len(todo))
+        bar = progress.add_task("", total=len(tasks), completed=len(tasks) - len(todo))
 
-        def work(number: int) -> None:
-            home = out / "work" / f"{number:02d}"
-            diagnoser = Diagnoser(home, cache, 1 if fresh else PER_PROCESS, timeout)
+        def worker(number: int) -> None:
+            diagnoser = Diagnoser(
+                work / f"{number:02d}", cache, 1 if fresh else PER_PROCESS, timeout
+            )
             try:
                 while not failures:
-                    log = waiting.get_nowait()
-                    diagnoser.diagnose(log, out, exclude or [])
+                    task = waiting.get_nowait()
+                    diagnoser.diagnose(task.log.resolve(), task.out.resolve(), list(task.exclude))
                     progress.advance(bar)
             except queue.Empty:
                 pass
@@ -198,14 +214,15 @@ def solve(
             finally:
                 diagnoser.close()
 
-        threads = [threading.Thread(target=work, args=(k,)) for k in range(min(jobs, len(todo)))]
+        threads = [threading.Thread(target=worker, args=(k,)) for k in range(min(jobs, len(todo)))]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
     if failures:
         raise failures[0]
-    shutil.rmtree(out / "parts", ignore_errors=True)
+    for out in {t.out for t in tasks}:
+        shutil.rmtree(out / "parts", ignore_errors=True)
 
 
 def _note_run(out: Path, jobs: int, exclude: list[str]) -> None:
@@ -256,7 +273,8 @@ def main() -> None:
     if args.only:
         wanted = set(args.only.read_text().split())
         logs = [p for p in logs if p.name in wanted]
-    solve(logs, args.out, args.jobs, args.exclude, args.fresh, args.timeout)
+    tasks = [Task(p, args.out, tuple(args.exclude)) for p in logs]
+    solve(tasks, args.out / "work", args.jobs, args.fresh, args.timeout)
 
 
 if __name__ == "__main__":

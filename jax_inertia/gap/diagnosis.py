@@ -15,6 +15,7 @@ import numpy as np
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.constancy import crowded
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -156,6 +157,13 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         f"the log wants the model's {x}: the number is wrong, or stands for an effect that is not in the library"
         for x in search.strains[:SHOWN]
     ]
+    if search.inconstant is not None:
+        beyond.append(f"{search.inconstant}: the cause resembles it and is not in the library")
+    if (pushes := crowded(search.chosen)) is not None:
+        names = " and ".join(c.place.name for c in pushes)
+        beyond.append(
+            f"forces at {names} at the same time: one cause that the library has no equation for"
+        )
     if search.rival is not None:
         c, hidden = search.rival
         return [

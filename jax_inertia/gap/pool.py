@@ -13,6 +13,9 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
 
+# How often each number of a shape is refined in its turn, at most: those of a push depend on each other.
+TURNS = 6
+
 
 @dataclasses.dataclass(frozen=True)
 class Echo:
@@ -150,7 +153,7 @@ class Pool:
             return candidate
         left = Beside.of(self.evidence, chosen, residual)
         best = self._on_all(candidate, left, noise)
-        for _ in range(2):
+        for _ in range(TURNS):
             before = best.aim
             for axis in range(len(best.shape)):
                 bounds = family.around(self.context, place, best.shape)[axis]

@@ -11,6 +11,7 @@ import numpy as np
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
+from jax_inertia.gap.constancy import Inconstant, crowded, inconstant
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import Hidden, better_than
 from jax_inertia.gap.evidence import Evidence, used
@@ -44,6 +45,8 @@ class Search:
     verdict: Verdict
     rival: tuple[Candidate, Hidden] | None
     """A found effect, and the free function of the state that fits better in its place."""
+    inconstant: Inconstant | None
+    """A found effect whose size would have to change."""
     bare: Strangeness
     """What the log shows without any effect."""
     strains: list[Strained]
@@ -107,6 +110,7 @@ class Finder:
             # each other, as a weight and a force do, to fit the noise that both carry.
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
+        changing = inconstant(pool, chosen, against)
         verdict = Verdict.of_nothing(bare)
         if chosen:
             allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
@@ -115,11 +119,11 @@ class Finder:
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
                 verdict = Verdict.PARTLY
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
-            if rival is not None:
+            if rival is not None or changing is not None or crowded(chosen) is not None:
                 verdict = Verdict.UNKNOWN
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
-            bare, strains,
+            changing, bare, strains,
         )  # fmt: skip
 
     def _selected(self, pool: Pool, noise: float | None):
@@ -170,7 +174,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
-    if second.rival is not None:
+    if second.rival is not None or second.inconstant is not None or crowded(second.chosen):
         verdict = Verdict.UNKNOWN
     elif verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY

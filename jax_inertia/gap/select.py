@@ -27,7 +27,7 @@ def select(
     misfits = [float(y @ y)]
     ranking: list[Candidate] = []
     while len(chosen) < max_effects:
-        pool.look_again(locate.windows(pool.evidence, remaining(pool, chosen), floor))
+        pool.look_again(_windows(pool, chosen, floor))
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
@@ -42,6 +42,16 @@ def select(
         chosen = trial
         misfits.append(misfit(pool, chosen))
     return chosen, ranking, misfits
+
+
+def _windows(pool: Pool, chosen: list[Candidate], floor: float) -> tuple[tuple[float, float], ...]:
+    """Stretches of time that stand out of what is left.
+
+    Also of what is left with the model's numbers right: bent to a hard push, they spread it over the whole log.
+    """
+    left = remaining(pool, chosen)
+    sides = (left, pool.evidence.without_tolerances(left[:, None])[:, 0])
+    return tuple(sorted({w for x in sides for w in locate.windows(pool.evidence, x, floor)}))
 
 
 def remaining(pool: Pool, chosen: list[Candidate]) -> np.ndarray:

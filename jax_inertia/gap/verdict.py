@@ -96,10 +96,17 @@ def second_look(verdict: Verdict, tried: Tried) -> Verdict:
 def ties(
     best: Candidate, ranking: list[Candidate], misfits: list[float], floor: float
 ) -> list[Candidate]:
-    """Candidates that explain nearly as much as the best: within 15 nats of noise or 1 % of its gain."""
+    """Candidates that explain nearly as much as the best: within 15 nats of noise or 1 % of its gain.
+
+    Of two that are judged in the motion's own band, what they explain there counts.
+    """
     noise = max(1.0, misfits[-1] / max(floor, 1.0))
     margin = max(15.0 * noise, 0.01 * best.gain)
-    return [c for c in ranking if c.key != best.key and c.gain > best.gain - margin]
+
+    def behind(c: Candidate) -> float:
+        return best.aim - c.aim if best.family.slow and c.family.slow else best.gain - c.gain
+
+    return [c for c in ranking if c.key != best.key and behind(c) < margin]
 
 
 def probabilities(ranking: list[Candidate]) -> dict[tuple[str, str, str], float]:

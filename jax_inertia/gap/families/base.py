@@ -67,6 +67,8 @@ class Family(abc.ABC):
     """Families that name the same have the same columns at a place, and differ in their weights."""
     bends: ClassVar[tuple[str, ...]] = ()
     """Kinds of numbers at its place that the effect changes beyond its equation: they may be off as well."""
+    steady: ClassVar[bool] = True
+    """Whether its size is the same throughout, so that one that changes speaks against it (`constancy`)."""
     rigid: ClassVar[bool] = False
     """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None
@@ -125,6 +127,21 @@ class Family(abc.ABC):
     def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
         """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""
         return np.ones(1) if self.whole is not None else theta
+
+    def varying(
+        self,
+        context: Context,
+        place: Place,
+        shape: Shape,
+        theta: np.ndarray,
+        factors: Float[np.ndarray, "T k"],
+    ) -> Columns:
+        """The effect's torque with its size times each of some functions of time."""
+        columns = self.columns(context, place, shape)
+        torque = columns.values @ self.weights(context, place, theta)
+        return Columns(
+            torque[..., None] * factors[(slice(None), *[None] * (torque.ndim - 1))], columns.row
+        )
 
     def noisy(self, context: Context) -> bool:
         """Whether the columns carry noise of the sensors that matters (`candidate`).

@@ -8,6 +8,7 @@ import abc
 import itertools
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
@@ -28,9 +29,18 @@ class Encoder(Family):
         """δ(t) for θ = 1 (T,)."""
 
     def columns(self, context, place, shape):
+        return self._along(context, place, self.path(context, place, shape)[:, None])
+
+    def varying(self, context, place, shape, theta, factors):
+        size = float(self.weights(context, place, theta)[0])
+        return self._along(
+            context, place, size * self.path(context, place, shape)[:, None] * factors
+        )
+
+    def _along(self, context: Context, place: Place, delta: Float[np.ndarray, "T k"]) -> Columns:
+        """What the joint's path being off by each δ does to the missing torque."""
         dq, dv, da = context.sensitivity
         j = place.index
-        delta = self.path(context, place, shape)
         rate = derivative(delta, context.time)
         twice = derivative(rate, context.time)
         mass = da[:, :, j].copy()
@@ -38,8 +48,8 @@ class Encoder(Family):
         if self.motor_side:
             mass[:, j] -= context.armature[j]
             drag[:, j] -= context.damping[j]
-        e = dq[:, :, j] * delta[:, None] + drag * rate[:, None] + mass * twice[:, None]
-        return Columns(e[:, :, None])
+        parts = ((dq[:, :, j], delta), (drag, rate), (mass, twice))
+        return Columns(sum(a[:, :, None] * x[:, None, :] for a, x in parts))
 
 
 class EncoderOffset(Encoder):
@@ -72,6 +82,8 @@ class TwoMass(Encoder):
     """Motor and link apart: the path is `context.separation`."""
 
     motor_side, whole = True, 0.2
+    # Teeth rattle, resonances decay: not as computed.
+    steady = False
 
     def noisy(self, context):
         return True

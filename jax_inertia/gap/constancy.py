@@ -1,0 +1,112 @@
+"""Whether an effect that was found is as large throughout as its equation says.
+
+A friction, a gain, an encoder's scale: each is one number. So each found effect e(t) is tried with a size that changes,
+
+    e(t) (1 + Σ aₖ Pₖ(x(t))),    Pₖ Legendre's polynomials over the range of x,
+
+x being time, or the position, load or speed of a joint. Where that fits better by more than its numbers cost, and the
+size would have to change by much, the cause is something else that resembles the effect on average: an encoder whose
+disk sits off its axis resembles a wrong scale, a ripple of a gear under load resembles cogging, a clock that runs slow
+resembles a lag. Likewise a push is one force for a while: one that turns about, or is needed at several bodies at the
+same time, is none.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.candidate import Beside, Candidate
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.select import SUITS, stacked
+
+# By which share (rms) of itself a size has to change to speak against the effect: equations are never exact.
+CHANGES = 0.2
+# The same of a push's force, whose flanks may have any form.
+TURNS_ABOUT = 0.15
+# Harmonics over a push's window.
+HARMONICS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Inconstant:
+    """A found effect whose size changes, and with what."""
+
+    effect: Candidate
+    along: str
+    by: float
+    """Share (rms) of the effect."""
+
+    def __str__(self) -> str:
+        c = self.effect
+        return f"{c.family.name} at {c.place.name} would have to change by {self.by:.0%} with {self.along}"
+
+
+def inconstant(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant | None:
+    """The found effect that is least of one size; None where all are. `noise` is the misfit they competed against."""
+    if not chosen:
+        return None
+    left = Beside.of(pool.evidence, *stacked(pool, chosen))
+    unit = max(1.0, float(left.target @ left.target) / max(noise, 1.0))
+    worst, most = None, SUITS
+    for c in chosen:
+        size = max(float(c.effect @ c.effect), 1e-300)
+        for along, border, columns in _variations(pool, c):
+            free = left.free(columns)
+            change, *_ = np.linalg.lstsq(free, left.target, rcond=1e-8)
+            won = float(np.sum((free @ change) ** 2))
+            score = won / unit - columns.shape[1] * np.log(pool.evidence.rows)
+            by = float(np.sqrt(won / size))
+            if by > border and score > most:
+                worst, most = Inconstant(c, along, by), score
+    return worst
+
+
+def crowded(chosen: list[Candidate]) -> tuple[Candidate, Candidate] | None:
+    """Two effects in passing that overlap in time at different bodies: one force that has no equation here."""
+    passing = [c for c in chosen if c.family.passing]
+    for a, b in itertools.combinations(passing, 2):
+        if a.place != b.place and max(a.shape[0], b.shape[0]) < min(a.shape[1], b.shape[1]):
+            return a, b
+    return None
+
+
+def _variations(pool: Pool, c: Candidate) -> Iterator[tuple[str, float, Float[np.ndarray, "n k"]]]:
+    """What the size may change with, the border of that change, and the columns of it."""
+    context, family = pool.context, c.family
+    if family.passing:
+        rows = context.force_rows[:, c.place.index]
+        waves = _harmonics(context, *c.shape[:2])
+        free = np.einsum("tjc,tk->tjkc", rows, waves).reshape(*rows.shape[:2], -1)
+        yield "time", TURNS_ABOUT, pool.evidence.column(Columns(free))
+    elif family.steady:
+        for along, factors in _factors(context, c):
+            columns = family.varying(context, c.place, c.shape, c.theta, factors)
+            yield along, CHANGES, pool.evidence.column(columns)
+
+
+def _factors(context: Context, c: Candidate) -> Iterator[tuple[str, Float[np.ndarray, "T k"]]]:
+    """Functions of what an effect's size may change with."""
+    yield "time", _legendre(context.time, 3)
+    if c.place.kind == "joint":
+        row, name = c.place.index, c.place.name
+        yield f"{name}'s position", _legendre(context.joint_position[:, row], 3)
+        yield f"{name}'s load", _legendre(np.abs(context.inverse[:, row]), 2)
+        yield f"{name}'s speed", _legendre(np.abs(context.v[:, row]), 2)
+
+
+def _legendre(x: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "T k"]:
+    """P₁ … P_degree over the range of x, a hundredth at either end apart."""
+    low, high = np.percentile(x, [0.5, 99.5])
+    z = np.clip(2 * (x - low) / max(high - low, 1e-12) - 1, -1.2, 1.2)
+    return np.polynomial.legendre.legvander(z, degree)[:, 1:]
+
+
+def _harmonics(context: Context, start: float, stop: float) -> Float[np.ndarray, "T k"]:
+    """sin πφ sin kπφ over a window's phase φ."""
+    phase = np.pi * np.clip((context.time - start) / (stop - start), 0, 1)
+    return np.sin(phase)[:, None] * np.sin(phase[:, None] * np.arange(1, HARMONICS + 1))

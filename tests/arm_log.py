@@ -1,0 +1,70 @@
+"""Logs of a small arm under PD control, by MuJoCo C, with torques and forces that its model lacks."""
+
+import mujoco
+import numpy as np
+
+from jax_inertia.log import Log, TorqueKind
+
+ARM = """
+<mujoco><option gravity="0 0 -9.81" timestep="0.0005" integrator="RK4"/>
+<worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.05"/>
+<inertial mass="2.0" pos="0 0 -0.2" fullinertia="0.02 0.02 0.004 0 0.001 0"/>
+<body name="lower" pos="0 0 -0.4"><joint name="elbow" axis="0 1 0.3" damping="0.2" armature="0.03"/>
+<inertial mass="1.2" pos="0.02 0 -0.15" fullinertia="0.01 0.01 0.002 0 0 0.0005"/></body></body></worldbody></mujoco>
+"""
+
+
+def wave(t, seed):
+    """A smooth wide motion (position, velocity) of both joints."""
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.15, 0.9, (4, 2)), rng.uniform(0, 6.28, (4, 2))
+    size = np.array([0.6, 0.9]) * 2 / (1 + 2 * frequency)
+    angle = 2 * np.pi * frequency * t + phase
+    q = np.sum(size * np.sin(angle), axis=0)
+    return q, np.sum(size * 2 * np.pi * frequency * np.cos(angle), axis=0)
+
+
+def nothing(t, q, v, u):
+    return np.zeros(2)
+
+
+def simulate(
+    torque=nothing,
+    edit=lambda model: None,
+    seed=0,
+    seconds=8.0,
+    noise=1.0,
+    force=lambda t: np.zeros(3),
+    encoder=lambda q: q,
+):
+    """A log of the arm, with `torque(t, q, v, u)` acting beside the logged u and `force(t)` on the lower arm.
+
+    `encoder` gives what the encoders read where the joints are at q.
+    """
+    model = mujoco.MjModel.from_xml_string(ARM)
+    edit(model)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = wave(0.0, seed)
+    rng = np.random.default_rng(seed + 100)
+    rows = {"time": [], "qpos": [], "tau": []}
+    for _ in range(round(seconds * 500)):
+        target, speed = wave(data.time, seed)
+        u = np.array([60.0, 40.0]) * (target - data.qpos) + np.array([6.0, 3.0]) * (
+            speed - data.qvel
+        )
+        rows["time"].append(data.time)
+        rows["qpos"].append(encoder(data.qpos) + noise * 2e-5 * rng.standard_normal(2))
+        rows["tau"].append(u + noise * np.array([0.03, 0.01]) * rng.standard_normal(2))
+        for _ in range(4):
+            data.xfrc_applied[2, :3] = force(data.time)
+            data.qfrc_applied[:] = u + torque(data.time, data.qpos, data.qvel, u)
+            mujoco.mj_step(model, data)
+    return Log(
+        time=np.array(rows["time"]),
+        joint_names=("shoulder", "elbow"),
+        qpos=np.array(rows["qpos"]),
+        tau=np.array(rows["tau"]),
+        tau_kind=TorqueKind.COMMANDED,
+        sigma_qpos=np.full(2, noise * 2e-5),
+        sigma_tau=noise * np.array([0.03, 0.01]),
+    )

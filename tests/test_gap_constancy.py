@@ -1,0 +1,79 @@
+"""What resembles an effect on average, and is not as large throughout: on logs by MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_log import ARM, simulate
+
+from jax_inertia import load_model
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.candidate import Candidate
+from jax_inertia.gap.constancy import crowded
+from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.families.body import Push
+from jax_inertia.gap.families.joint import ViscousFriction
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(ARM))
+
+
+def test_an_encoder_with_a_wrong_scale_is_named(robot):
+    found = diagnose(robot, simulate(encoder=lambda q: q * np.array([1.0, 1.012])))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("encoder_scale", "elbow")
+    assert effect.parameters["scale"].value == pytest.approx(0.012, rel=0.1)
+
+
+def test_an_encoder_whose_disk_is_eccentric_is_no_wrong_scale(robot):
+    disk = 0.012 * np.array([0.0, 1.0])
+    found = diagnose(robot, simulate(encoder=lambda q: q + disk * np.sin(q)))
+    assert found.verdict is Verdict.UNKNOWN
+    assert any("would have to change" in note and "elbow" in note for note in found.notes)
+
+
+def test_a_friction_that_grows_with_the_angle_is_no_friction_of_the_library(robot):
+    found = diagnose(robot, simulate(lambda t, q, v, u: np.array([0.0, -0.2 * v[1] * (q[1] > 0)])))
+    assert found.verdict is Verdict.UNKNOWN
+
+
+def shove(turning: float):
+    """6 N on the lower arm from 3 to 3.8 s, turning about at `turning` rad/s."""
+
+    def force(t):
+        angle = turning * (t - 3.0)
+        return 6.0 * (3.0 <= t < 3.8) * np.array([np.cos(angle), 0.0, np.sin(angle)])
+
+    return force
+
+
+def test_a_push_with_a_sudden_beginning_and_end_is_sized(robot):
+    found = diagnose(robot, simulate(force=shove(0.0)))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("push", "lower")
+    value = {name: p.value for name, p in effect.parameters.items()}
+    assert value["force_x"] == pytest.approx(6.0, rel=0.05)
+    assert value["force_z"] == pytest.approx(0.0, abs=0.3)
+    assert value["start"] == pytest.approx(3.0, abs=0.03)
+    assert value["end"] == pytest.approx(3.8, abs=0.03)
+
+
+def test_a_force_that_turns_about_is_no_push(robot):
+    assert diagnose(robot, simulate(force=shove(9.0))).verdict is Verdict.UNKNOWN
+
+
+def candidate(family, body: str, *shape: float) -> Candidate:
+    empty = np.zeros((0, 1))
+    place = Place(family.kind, body, 0)
+    return Candidate(family, place, shape, np.zeros(1), empty, np.zeros(0), 1)
+
+
+def test_two_forces_at_once_are_one_cause():
+    first = candidate(Push(), "upper", 1.0, 2.0, 0.3)
+    friction = candidate(ViscousFriction(), "elbow")
+    assert crowded([first, friction, candidate(Push(), "lower", 2.5, 3.0, 0.3)]) is None
+    assert crowded([first, friction, candidate(Push(), "upper", 1.5, 3.0, 0.3)]) is None
+    assert crowded([first, friction, candidate(Push(), "lower", 1.5, 3.0, 0.3)]) is not None
