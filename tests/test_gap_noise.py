@@ -273,11 +273,14 @@ def test_repeated_and_struck_samples_are_replaced_and_the_rest_is_left():
     bad = noisy.copy()
     for k in (120, 480, 900, 1201):
         bad[k, 0] = bad[k - 1, 0]
+    # Two close together: neither fits with the other as it is.
+    for k in (1000, 1002, 1100, 1101):
+        bad[k, 0] = bad[k - 1, 0]
     bad[700, 1] += 0.01
     mended = without_outliers(bad)
     assert np.abs(mended - clean).max() < 6 * QPOS
     changed = np.flatnonzero(np.any(mended != bad, axis=1))
-    assert set(changed) <= {120, 480, 700, 900, 1201}
+    assert set(changed) <= {120, 480, 700, 900, 1000, 1002, 1100, 1101, 1201}
     assert {120, 900, 700} <= set(changed)
 
 

@@ -25,7 +25,7 @@ from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import SUITS, stacked
 
 # By which share (rms) of itself a size has to change to speak against the effect: equations are never exact.
-CHANGES = 0.2
+CHANGES = 0.3
 # The same of a push's force, whose flanks may have any form.
 TURNS_ABOUT = 0.15
 # Harmonics over a push's window.

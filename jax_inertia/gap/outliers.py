@@ -5,8 +5,9 @@ difference is a blow. Each sample is compared with the cubic through two neighbo
 
     r_k = q_k − (−q_{k−2} + 4 q_{k−1} + 4 q_{k+1} − q_{k+2}) / 6
 
-and replaced by it where r stands out and replacing it makes its neighbours fit as well. A corner in the motion itself
-(an impact, a gear's play taken up) stays: there no single sample is to blame.
+and where r stands out the sample is replaced by what makes it and its neighbours fit such cubics best, if they then do.
+Where another sample close by is struck as well, the two are replaced together. A corner in the motion itself (an
+impact, a gear's play taken up) stays: there no sample is to blame.
 """
 
 import numpy as np
@@ -15,13 +16,15 @@ from scipy import ndimage
 
 # In robust standard deviations of r: what stands out, and what its neighbours may be once it is replaced.
 OUT, FITS = 8.0, 4.0
+# Samples on either side that are looked at together, and how far apart two struck ones may be.
+REACH, APART = 6, 3
 _CUBIC = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 
 
 def without_outliers(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
-    """Channels at equal periods, their isolated outliers replaced; NaN and logs below 9 samples stay."""
+    """Channels at equal periods, their isolated outliers replaced; NaN and logs below 13 samples stay."""
     out = np.array(x, float)
-    if len(out) < 9:
+    if len(out) <= 2 * REACH:
         return out
     for column in out.T:
         residual = _residual(column)
@@ -32,11 +35,21 @@ def without_outliers(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
             continue
         size = np.nan_to_num(np.abs(residual))
         peak = (size > OUT * spread) & (size >= ndimage.maximum_filter1d(size, 5))
-        for k in np.flatnonzero(peak[4:-4]) + 4:
-            near = column[k - 4 : k + 5].copy()
-            near[4] -= residual[k]
-            if np.all(np.abs(_residual(near)[2:-2]) < FITS * spread):
-                column[k] = near[4]
+        for k in np.flatnonzero(peak[REACH:-REACH]) + REACH:
+            near = column[k - REACH : k + REACH + 1]
+            for struck in _SUSPECTS:
+                mended = near - _CHANGE[struck] @ _residual(near)[2:-2]
+                if np.all(np.abs(_residual(mended)[2:-2]) < FITS * spread):
+                    near[list(struck)] = mended[list(struck)]
+                    break
+    return out
+
+
+def _change(struck: tuple[int, ...]) -> Float[np.ndarray, "w r"]:
+    """From residuals of a window to the change of its struck samples that leaves the least of them."""
+    effect = np.stack([_residual(x)[2:-2] for x in np.eye(2 * REACH + 1)], axis=1)
+    out = np.zeros(effect.T.shape)
+    out[list(struck)] = np.linalg.pinv(effect[:, struck])
     return out
 
 
@@ -53,3 +66,12 @@ def _quantum(x: np.ndarray) -> float:
     still = np.mean(steps == 0.0)
     moved = steps[steps > 0]
     return float(moved.min()) if still > 0.02 and moved.size else 0.0
+
+
+_SUSPECTS = [
+    (REACH,),
+    *((REACH, REACH + d) for k in range(1, APART + 1) for d in (k, -k)),
+    (REACH - 1, REACH + 1),
+]
+"""Which samples of a window may be to blame: its middle, that and one close by, or those on either side of it."""
+_CHANGE = {struck: _change(struck) for struck in _SUSPECTS}
