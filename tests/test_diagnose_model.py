@@ -202,7 +202,9 @@ def test_dry_friction_follows_speed_and_load():
 def test_forces_on_a_body():
     hoist = body("constant_force", force_x=3.0, force_y=0.0, force_z=-2.0)
     np.testing.assert_allclose(applied(hoist)[1], [3, 0, -2, 0, 0, 0])
-    push = body("push", force_x=3.0, force_y=0.0, force_z=-2.0, start=1.5, end=2.5, flank=0.5)
+    push = body(
+        "push", force_x=3.0, force_y=0.0, force_z=-2.0, start=1.5, end=2.5, flank=0.5, skew=0.0
+    )
     np.testing.assert_allclose(applied(push)[1][:3], [3, 0, -2])
     np.testing.assert_allclose(applied(push, time=3.0)[1], np.zeros(6), atol=1e-12)
     drag = applied(body("drag", coefficient=2.0))[1][:3]
@@ -237,7 +239,9 @@ def test_mjx_does_what_c_does():
         joint("cogging", amplitude=0.3, frequency=8.0, phase=0.2),
         joint("stribeck_friction", coulomb=0.2, stiction=0.5, stribeck_velocity=0.5),
         body("drag", coefficient=2.0),
-        body("push", force_x=3.0, force_y=0.0, force_z=-2.0, start=0.0, end=0.05, flank=0.5),
+        body(
+            "push", force_x=3.0, force_y=0.0, force_z=-2.0, start=0.0, end=0.05, flank=0.5, skew=0.0
+        ),
         Effect("actuator_lag", "global", "global", {"time_constant": 0.01}),
     ]
     model = added(*effects).spec.compile()

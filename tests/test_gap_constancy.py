@@ -72,8 +72,8 @@ def candidate(family, body: str, *shape: float) -> Candidate:
 
 
 def test_two_forces_at_once_are_one_cause():
-    first = candidate(Push(), "upper", 1.0, 2.0, 0.3)
+    first = candidate(Push(), "upper", 1.0, 2.0, 0.3, 0.0)
     friction = candidate(ViscousFriction(), "elbow")
-    assert crowded([first, friction, candidate(Push(), "lower", 2.5, 3.0, 0.3)]) is None
-    assert crowded([first, friction, candidate(Push(), "upper", 1.5, 3.0, 0.3)]) is None
-    assert crowded([first, friction, candidate(Push(), "lower", 1.5, 3.0, 0.3)]) is not None
+    assert crowded([first, friction, candidate(Push(), "lower", 2.5, 3.0, 0.3, 0.0)]) is None
+    assert crowded([first, friction, candidate(Push(), "upper", 1.5, 3.0, 0.3, 0.0)]) is None
+    assert crowded([first, friction, candidate(Push(), "lower", 1.5, 3.0, 0.3, 0.0)]) is not None

@@ -116,8 +116,9 @@ class Law:
                     start, end = values["start"], values["end"]
                     phase = xp.clip((now.t - start) / (end - start), 0.0, 1.0)
                     near = xp.minimum(xp.minimum(phase, 1 - phase) / values["flank"], 1.0)
-                    flat = 0.5 - 0.5 * xp.cos(np.pi * near)
-                    force = force + here[:, None] * _vector(values) * flat
+                    window = 0.5 - 0.5 * xp.cos(np.pi * near)
+                    window = window * (1.0 + values["skew"] * xp.sin(2 * np.pi * phase))
+                    force = force + here[:, None] * _vector(values) * window
                 case "drag":
                     speed = xp.sqrt(xp.sum(now.velocity**2, axis=1, keepdims=True) + 1e-12)
                     drag = values["coefficient"] * speed * now.velocity

@@ -132,46 +132,47 @@ class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a plateau with flanks over a short window", "body"
     passing, form_error = True, 0.1
 
-    # A shape is when the force is at its half, rising and falling, and the share of the whole that either flank takes:
-    # so each of the three hardly moves the others.
+    # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
+    # by how much more it is in the first half: so that each hardly moves the others.
     def shapes(self, context, place):
-        return [(*window, 0.3) for window in context.windows]
+        return [(*window, 0.3, 0.0) for window in context.windows]
 
     def around(self, context, place, shape):
         # The chain's low-pass smears a push by a tenth of a second.
-        rise, fall, _ = shape
+        rise, fall, *_ = shape
         middle = 0.5 * (rise + fall)
         return [
             (max(rise - 0.1, 0.0), min(rise + 0.15, middle - 0.02)),
             (max(fall - 0.15, middle + 0.02), min(fall + 0.1, context.time[-1])),
             (0.02, 0.5),
+            (-0.7, 0.7),
         ]
 
     def columns(self, context, place, shape):
         start, stop = _whole(shape)
         phase = np.clip((context.time - start) / (stop - start), 0, 1)
         # Flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
-        near = np.minimum(np.minimum(phase, 1 - phase) / shape[2], 1.0)
-        flat = 0.5 - 0.5 * np.cos(np.pi * near)
-        windows = np.stack([flat, flat * np.sin(2 * np.pi * phase)], 1)
-        rows = context.force_rows[:, place.index]
-        return Columns(np.einsum("tjc,tk->tjkc", rows, windows).reshape(*rows.shape[:2], 6))
+        _, _, flank, skew = shape
+        flat = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.minimum(phase, 1 - phase) / flank, 1.0))
+        window = flat * (1.0 + skew * np.sin(2 * np.pi * phase))
+        return Columns(context.force_rows[:, place.index] * window[:, None, None])
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta[:3]) < HARDEST_PUSH)
+        return bool(np.linalg.norm(theta) < HARDEST_PUSH)
 
     def parameters(self, context, place, shape, theta):
         start, stop = _whole(shape)
         return {
-            **{f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta[:3], strict=True)},
+            **{f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)},
             "start": Parameter(start, "s"),
             "end": Parameter(stop, "s"),
             "flank": Parameter(shape[2], "1"),
+            "skew": Parameter(shape[3], "1"),
         }
 
 
 def _whole(shape) -> tuple[float, float]:
     """When a push begins and ends."""
-    rise, fall, flank = shape
+    rise, fall, flank, _ = shape
     half = 0.5 * flank * (fall - rise) / (1.0 - flank)
     return rise - half, fall + half
