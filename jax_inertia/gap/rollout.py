@@ -2,7 +2,8 @@
 
 From states of the log, driven by the logged torque and nothing else, the nominal model (before), the corrected one
 (after), and the corrected one against itself from states and torques with the sensors' noise once more, and with the
-torque that the nominal model's own errors most likely have along the way (floor).
+torque that the nominal model's own errors most likely have along the way (floor). Dry friction is as sharp as the step
+allows in all of them, whatever `solreffriction` says.
 """
 
 import dataclasses
@@ -229,6 +230,9 @@ class _Plant:
         for e in self.effects:
             if e.family == "encoder_scale":
                 self.scale[self.names.index(e.name)] = 1.0 + e.values["scale"]
+        # Dry friction as MuJoCo has it by default holds some hundredths of a radian a second back: real friction turns
+        # within a fraction of a milliradian, and each reversal would cost a milliradian at the horizon.
+        model.dof_solref[:], model.dof_solimp[:, :2] = (2.0 * step, 1.0), 0.999
         self.friction = model.dof_frictionloss.copy()
 
     def run(
