@@ -143,7 +143,7 @@ def _finding(
     )
 
 
-# A free function says something of what is left from this share of it.
+# An outsider says something of what is left from this share of it.
 TELLING = 0.3
 # Numbers of the model that are told to be beyond their tolerances, at most.
 SHOWN = 3
@@ -165,19 +165,19 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
             f"forces at {names} at the same time: one cause that the library has no equation for"
         )
     if search.rival is not None:
-        c, hidden = search.rival
+        replaced, outsider = search.rival
+        found = " and ".join(f"{c.family.name} at {c.place.name}" for c in replaced)
         return [
             *beyond,
-            f"a free function of {hidden.joint}'s {hidden.of} fits better than {c.family.name} at {c.place.name}: "
-            "the cause depends on it and is not in the library",
+            f"{outsider.name} fits better than {found}: the cause is not in the library",
         ]
-    hidden, share = leans_on(search.pool, chosen)
+    outsider, share = leans_on(search.pool, chosen)
     if share < TELLING:
         return beyond
     return [
         *beyond,
-        f"a free function of {hidden.joint}'s {hidden.of} takes {share:.0%} of what is left "
-        "(energy against the noise): look there for what is not in the library",
+        f"{outsider.name} takes {share:.0%} of what is left (energy against the noise): look there for what is not in "
+        "the library",
     ]
 
 

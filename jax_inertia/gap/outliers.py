@@ -37,20 +37,20 @@ def without_outliers(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
         peak = (size > OUT * spread) & (size >= ndimage.maximum_filter1d(size, 5))
         for k in np.flatnonzero(peak[REACH:-REACH]) + REACH:
             near = column[k - REACH : k + REACH + 1]
-            for struck in _SUSPECTS:
-                mended = near - _CHANGE[struck] @ _residual(near)[2:-2]
-                if np.all(np.abs(_residual(mended)[2:-2]) < FITS * spread):
-                    near[list(struck)] = mended[list(struck)]
+            for struck, (felt, change) in _SUSPECTS.items():
+                mended = near.copy()
+                mended[list(struck)] -= change @ _residual(near)[felt]
+                if np.all(np.abs(_residual(mended)[felt]) < FITS * spread):
+                    near[:] = mended
                     break
     return out
 
 
-def _change(struck: tuple[int, ...]) -> Float[np.ndarray, "w r"]:
-    """From residuals of a window to the change of its struck samples that leaves the least of them."""
-    effect = np.stack([_residual(x)[2:-2] for x in np.eye(2 * REACH + 1)], axis=1)
-    out = np.zeros(effect.T.shape)
-    out[list(struck)] = np.linalg.pinv(effect[:, struck])
-    return out
+def _suspected(struck: tuple[int, ...]) -> tuple[np.ndarray, Float[np.ndarray, "s r"]]:
+    """Whose residuals struck samples of a window are felt in, and their change from those that leaves the least."""
+    effect = np.stack([_residual(x) for x in np.eye(2 * REACH + 1)[list(struck)]], axis=1)
+    felt = np.flatnonzero(np.any(effect != 0, axis=1))
+    return felt, np.linalg.pinv(effect[felt])
 
 
 def _residual(x: np.ndarray) -> np.ndarray:
@@ -68,10 +68,12 @@ def _quantum(x: np.ndarray) -> float:
     return float(moved.min()) if still > 0.02 and moved.size else 0.0
 
 
-_SUSPECTS = [
-    (REACH,),
-    *((REACH, REACH + d) for k in range(1, APART + 1) for d in (k, -k)),
-    (REACH - 1, REACH + 1),
-]
+_SUSPECTS = {
+    struck: _suspected(struck)
+    for struck in (
+        (REACH,),
+        *((REACH, REACH + d) for k in range(1, APART + 1) for d in (k, -k)),
+        (REACH - 1, REACH + 1),
+    )
+}
 """Which samples of a window may be to blame: its middle, that and one close by, or those on either side of it."""
-_CHANGE = {struck: _change(struck) for struck in _SUSPECTS}

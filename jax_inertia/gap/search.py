@@ -13,11 +13,12 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, crowded, inconstant
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.doubt import Hidden, better_than
+from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
+from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import bent_by, remaining, row_energy, select, suited
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
@@ -43,8 +44,8 @@ class Search:
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
     verdict: Verdict
-    rival: tuple[Candidate, Hidden] | None
-    """A found effect, and the free function of the state that fits better in its place."""
+    rival: tuple[list[Candidate], Outsider] | None
+    """Found effects, and what fits better in their place and is no family."""
     inconstant: Inconstant | None
     """A found effect whose size would have to change."""
     bare: Strangeness

@@ -19,6 +19,21 @@ def derivative(x: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.gradient(x, time, axis=0)
 
 
+def off_path(
+    context: Context, row: int, delta: Float[np.ndarray, "T k"], motor_side: bool = False
+) -> Columns:
+    """What each error δ of a joint's logged path does to the missing torque."""
+    dq, dv, da = context.sensitivity
+    rate = derivative(delta, context.time)
+    twice = derivative(rate, context.time)
+    mass, drag = da[:, :, row].copy(), dv[:, :, row].copy()
+    if motor_side:
+        mass[:, row] -= context.armature[row]
+        drag[:, row] -= context.damping[row]
+    parts = ((dq[:, :, row], delta), (drag, rate), (mass, twice))
+    return Columns(sum(a[:, :, None] * x[:, None, :] for a, x in parts))
+
+
 class Encoder(Family):
     kind = "joint"
     motor_side = False
@@ -29,27 +44,13 @@ class Encoder(Family):
         """δ(t) for θ = 1 (T,)."""
 
     def columns(self, context, place, shape):
-        return self._along(context, place, self.path(context, place, shape)[:, None])
+        delta = self.path(context, place, shape)[:, None]
+        return off_path(context, place.index, delta, self.motor_side)
 
     def varying(self, context, place, shape, theta, factors):
         size = float(self.weights(context, place, theta)[0])
-        return self._along(
-            context, place, size * self.path(context, place, shape)[:, None] * factors
-        )
-
-    def _along(self, context: Context, place: Place, delta: Float[np.ndarray, "T k"]) -> Columns:
-        """What the joint's path being off by each δ does to the missing torque."""
-        dq, dv, da = context.sensitivity
-        j = place.index
-        rate = derivative(delta, context.time)
-        twice = derivative(rate, context.time)
-        mass = da[:, :, j].copy()
-        drag = dv[:, :, j].copy()
-        if self.motor_side:
-            mass[:, j] -= context.armature[j]
-            drag[:, j] -= context.damping[j]
-        parts = ((dq[:, :, j], delta), (drag, rate), (mass, twice))
-        return Columns(sum(a[:, :, None] * x[:, None, :] for a, x in parts))
+        delta = size * self.path(context, place, shape)[:, None] * factors
+        return off_path(context, place.index, delta, self.motor_side)
 
 
 class EncoderOffset(Encoder):

@@ -1,0 +1,100 @@
+"""What a missing torque may come from that is no family: functions of the state, hysteresis, encoders, clocks, lengths.
+
+None of these is ever reported as the cause. They stand beside what was found: where one of them fits better, the cause
+is not in the library, and the log itself says what it depends on (`doubt`).
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.chain import needed_torques, without_friction
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families.encoder import off_path
+from jax_inertia.gap.pool import Pool
+
+KNOTS = 24
+# Angles over which a hose or a cable yields [rad]: dry friction turns within a hundredth of them.
+YIELDS = (0.15, 0.3, 0.6)
+# Of a joint's angle, what its encoder may read wrong.
+WARPS = 6
+# By how much a link is made longer to see what that does [m].
+LONGER = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Outsider:
+    """Something that no family is."""
+
+    name: str
+    columns: Float[np.ndarray, "n k"]
+    """An orthonormal basis of its torques, in the charged metric."""
+
+
+def outsiders(pool: Pool) -> list[Outsider]:
+    """All of them that do something in this log."""
+    out = []
+    for name, columns in _every(pool.context):
+        left, size, _ = np.linalg.svd(pool.evidence.column(columns), full_matrices=False)
+        kept = size > max(1e-3 * float(size[0]), 1e-9)
+        if kept.any():
+            out.append(Outsider(name, left[:, kept]))
+    return out
+
+
+def _every(context: Context) -> Iterator[tuple[str, Columns]]:
+    for joint, row in context.joint_dofs.items():
+        q, v = context.joint_position[:, row], context.v[:, row]
+        yield f"a free function of {joint}'s position", Columns(_hats(q), row)
+        yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
+        yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
+        yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
+    if context.robot.has_free_base:
+        # What the base's own sensors do to these columns is not told apart from what they explain.
+        return
+    for joint, row in context.joint_dofs.items():
+        warp = _waves(context.joint_position[:, row])
+        yield f"an encoder at {joint} that errs with its angle", off_path(context, row, warp)
+    yield "clocks of encoders and drives that run apart", Columns(_clocks(context))
+    yield from _lengths(context)
+
+
+def _hats(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
+    """Hat functions over the range of x."""
+    place = (x - x.min()) / max(float(np.ptp(x)), 1e-12) * (KNOTS - 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
+
+
+def _waves(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
+    """Legendre's polynomials over the range of x, the constant apart: smooth, since they are differentiated twice."""
+    place = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
+    return np.polynomial.legendre.legvander(place, WARPS)[:, 1:]
+
+
+def _clocks(context: Context) -> Float[np.ndarray, "T nv 2"]:
+    """A path read at (1 + r) t + d instead of t: (d + r t) times the needed torque's derivative."""
+    slope = np.gradient(context.below(context.slow_band, context.inverse), context.time, axis=0)
+    return np.stack([slope, slope * context.time[:, None]], axis=2)
+
+
+def _lengths(context: Context) -> Iterator[tuple[str, Columns]]:
+    """A joint that sits elsewhere on what carries it: ∂(needed torque)/∂(its place), by differences."""
+    robot, observation = without_friction(context.robot), context.prepared.observation
+    names = dict(zip(robot.topology.body_node, robot.body_names, strict=True))
+    base = context.inverse - context.prepared.dry
+    for node, parent in enumerate(robot.topology.parent):
+        if parent < 0 or node not in names:
+            continue
+        moved = []
+        for axis in range(3):
+            longer = robot.placement_position.at[node, axis].add(LONGER)
+            other = eqx.tree_at(lambda r: r.placement_position, robot, longer)
+            moved.append((needed_torques(other, observation) - base) / LONGER)
+        yield (
+            f"another length from {names.get(parent, 'its base')} to {names[node]}",
+            Columns(np.stack(moved, axis=2)),
+        )
