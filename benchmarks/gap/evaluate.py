@@ -244,6 +244,8 @@ def main() -> None:
         rows = json.loads(results.read_text())
     else:
         truths = sorted(args.data.glob("*/truth/*.json"))
+        # The largest logs first: they take longest.
+        truths.sort(key=lambda t: -(t.parents[1] / "logs" / t.stem / "log.npz").stat().st_size)
         jobs = [(str(args.data), t.parents[1].name, t.stem) for t in truths]
         rows = diagnosed(jobs, args.jobs, results)
     if args.baselines:
