@@ -12,7 +12,7 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import motion_band, sensor_noise, whitener
+from jax_inertia.gap.noise import Whitener, motion_band, sensor_noise, stage_of, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
@@ -254,6 +254,23 @@ def test_the_motion_band_ends_where_noise_begins(robot):
         bands.append(motion_band(prepared, white, replicas))
     # The fastest of its sines has 0.7 Hz, and its torque products of some of them.
     assert 2.0 < bands[1] < bands[0]
+
+
+def test_rows_that_seldom_move_together_are_whitened_all_the_same():
+    rng = np.random.default_rng(3)
+    used = rng.random((300, 3)) < 0.4
+    used = np.repeat(used, 5, axis=0)
+    # Each pair is seen alone, and says something that the other two pairs contradict.
+    noise = np.zeros((1, 1500, 3))
+    pairs = rng.standard_normal((3, 1500))
+    for k, (i, j) in enumerate([(0, 1), (1, 2), (0, 2)]):
+        alone = used[:, i] & used[:, j] & ~used[:, 3 - i - j]
+        noise[0, alone, i] = pairs[k, alone]
+        noise[0, alone, j] = pairs[k, alone] * (-1 if k == 2 else 1)
+    stage = stage_of(noise, used, quietest=1.0)
+    assert np.linalg.eigvalsh(stage.covariance).min() > 0
+    white = Whitener(np.ones(3), (stage,)).over(used)(noise[0])
+    assert np.isfinite(white).all()
 
 
 def test_at_rest_is_slow_for_long():

@@ -18,6 +18,8 @@ from jax_inertia.log import Log
 ORDER = 3
 # The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.
 FLOOR = 5e-4
+# Of a row's innovation, what no others can tell.
+LEAST_OWN = 0.05
 # No robot's motion ends below this [Hz].
 SLOWEST = 4.0
 # The noise's own misfit is known to this factor.
@@ -180,9 +182,20 @@ def stage_of(
         # One log says less of how its rows go together than of how large each is.
         correlation = 0.8 * covariance / np.maximum(np.outer(size, size), 1e-300)
         np.fill_diagonal(correlation, 1.0)
+        correlation = _definite(correlation)
         size = np.maximum(size, quietest)
         covariance = correlation * np.outer(size, size)
     return Stage(coefficients, covariance)
+
+
+def _definite(correlation: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """A correlation as it is, or the nearest that is one: rows that seldom move together may contradict each other."""
+    values, vectors = linalg.eigh(correlation)
+    if values[0] > LEAST_OWN:
+        return correlation
+    mended = (vectors * np.maximum(values, LEAST_OWN)) @ vectors.T
+    size = np.sqrt(np.diagonal(mended))
+    return mended / np.outer(size, size)
 
 
 def stated(log: Log) -> bool:
