@@ -1,5 +1,7 @@
 """What resembles an effect on average, and is not as large throughout: on logs by MuJoCo C."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,10 +10,13 @@ from arm_log import ARM, simulate
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.candidate import Candidate
+from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.families.body import Push
 from jax_inertia.gap.families.joint import ViscousFriction
+from jax_inertia.gap.outsiders import _lengths
 
 
 @pytest.fixture(scope="module")
@@ -77,3 +82,43 @@ def test_two_forces_at_once_are_one_cause():
     assert crowded([first, friction, candidate(Push(), "lower", 2.5, 3.0, 0.3, 0.0)]) is None
     assert crowded([first, friction, candidate(Push(), "upper", 1.5, 3.0, 0.3, 0.0)]) is None
     assert crowded([first, friction, candidate(Push(), "lower", 1.5, 3.0, 0.3, 0.0)]) is not None
+
+
+def test_a_hose_with_hysteresis_is_no_spring(robot):
+    state = np.zeros(1)
+
+    def hose(t, q, v, u):
+        # Dahl's law: half a radian until it yields, far from any dry friction.
+        state[0] += (1.0 - state[0] * np.sign(v[1])) * v[1] / 0.5 * 5e-4
+        return np.array([0.0, -0.3 * state[0]])
+
+    found = diagnose(robot, simulate(hose))
+    assert found.verdict is Verdict.UNKNOWN
+
+
+def test_another_length_does_what_mujoco_says_it_does(robot):
+    context = Context(prepare(robot, simulate(seconds=2.0)))
+    ((name, columns),) = _lengths(context)
+    assert name == "another length from upper to lower"
+    needed = []
+    for longer in (0.0, 0.01):
+        model = mujoco.MjModel.from_xml_string(ARM)
+        model.body_pos[2, 2] -= longer
+        data = mujoco.MjData(model)
+        rows = []
+        for data.qpos[:], data.qvel[:], data.qacc[:] in zip(
+            context.q[:40], context.v[:40], context.a[:40], strict=True
+        ):
+            mujoco.mj_inverse(model, data)
+            rows.append(data.qfrc_inverse.copy())
+        needed.append(np.array(rows))
+    # Linear in the length but for the square of a centimetre.
+    change = -0.01 * columns.values[:40, :, 2]
+    np.testing.assert_allclose(change, needed[1] - needed[0], atol=0.03 * np.abs(change).max())
+
+
+def test_clocks_that_run_apart_are_no_lag(robot):
+    log = simulate()
+    late = [np.interp(log.time * (1 + 2e-3), log.time, q) for q in np.asarray(log.qpos).T]
+    found = diagnose(robot, dataclasses.replace(log, qpos=np.stack(late, axis=1)))
+    assert found.verdict is Verdict.UNKNOWN

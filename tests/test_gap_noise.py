@@ -256,6 +256,38 @@ def test_the_motion_band_ends_where_noise_begins(robot):
     assert 2.0 < bands[1] < bands[0]
 
 
+LEGGED = """
+<mujoco><worldbody><body name="trunk"><freejoint/><inertial mass="8" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
+<body name="foot" pos="0 0 -0.3"><joint name="knee" axis="0 1 0"/>
+<inertial mass="1" pos="0 0 -0.1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>
+"""
+
+
+def test_moments_of_a_blow_weigh_nothing():
+    t = np.arange(0, 4, 0.004)
+    wrench = np.zeros((len(t), 1, 6))
+    # Set down within 8 ms at 2 s; before, within 1 s.
+    wrench[:, 0, 2] = 44.0 * np.clip(t - 0.5, 0, 1) + 44.0 * np.clip((t - 2.0) / 0.008, 0, 1)
+    still = np.zeros((len(t), 3))
+    log = Log(
+        time=t,
+        joint_names=("knee",),
+        qpos=0.3 * np.sin(2 * t)[:, None],
+        tau=np.zeros((len(t), 1)),
+        tau_kind=TorqueKind.COMMANDED,
+        base_pos=still,
+        base_quat=np.tile([1.0, 0, 0, 0], (len(t), 1)),
+        base_linvel=still,
+        base_angvel=still,
+        contact_wrench=wrench,
+        contact_bodies=("foot",),
+    )
+    prepared = prepare(load_model(mujoco.MjModel.from_xml_string(LEGGED)), log)
+    away = np.abs(prepared.time - 2.0)
+    assert not prepared.measured[away < 0.015].any()
+    assert prepared.measured[(away > 0.05) & (away < 1.8)].all()
+
+
 def test_rows_that_seldom_move_together_are_whitened_all_the_same():
     rng = np.random.default_rng(3)
     used = rng.random((300, 3)) < 0.4
