@@ -30,8 +30,11 @@ def off_path(
     if motor_side:
         mass[:, row] -= context.armature[row]
         drag[:, row] -= context.damping[row]
-    parts = ((dq[:, :, row], delta), (drag, rate), (mass, twice))
-    return Columns(sum(a[:, :, None] * x[:, None, :] for a, x in parts))
+    return Columns(
+        dq[:, :, row, None] * delta[:, None, :]
+        + drag[:, :, None] * rate[:, None, :]
+        + mass[:, :, None] * twice[:, None, :]
+    )
 
 
 class Encoder(Family):
