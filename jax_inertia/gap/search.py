@@ -20,9 +20,9 @@ from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whi
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import bent_by, remaining, row_energy, select, suited
+from jax_inertia.gap.select import bent_by, misfit, remaining, row_energy, select, suited
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
-from jax_inertia.gap.verdict import Verdict, judge, with_strain
+from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
 
 
@@ -120,8 +120,7 @@ class Finder:
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
                 verdict = Verdict.PARTLY
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
-            if rival is not None or changing is not None or crowded(chosen) is not None:
-                verdict = Verdict.UNKNOWN
+            verdict = doubted(verdict, _in_doubt(pool, chosen, rival, changing))
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
             changing, bare, strains,
@@ -175,10 +174,10 @@ def find(finder: Finder) -> tuple[Search, Search]:
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
-    if second.rival is not None or second.inconstant is not None or crowded(second.chosen):
-        verdict = Verdict.UNKNOWN
-    elif verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
+    doubt = _in_doubt(second.pool, second.chosen, second.rival, second.inconstant)
+    if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
+    verdict = doubted(verdict, doubt)
     return first, dataclasses.replace(second, verdict=verdict)
 
 
@@ -188,6 +187,23 @@ LEAST = 100
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
 WORSE = 3.0
+
+
+def _in_doubt(
+    pool: Pool,
+    chosen: list[Candidate],
+    rival: tuple[list[Candidate], Outsider] | None,
+    changing: Inconstant | None,
+) -> float:
+    """Share of the misfit explained that effects brought which do not stand; all of it for forces at once."""
+    if crowded(chosen) is not None:
+        return 1.0
+    fallen = [*(rival[0] if rival else ()), *([changing.effect] if changing else ())]
+    if not fallen:
+        return 0.0
+    standing = [c for c in chosen if not any(c is f for f in fallen)]
+    nothing, some, all_ = (misfit(pool, x) for x in ([], standing, chosen))
+    return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))
 
 
 def _rows_explained(pool: Pool, chosen: list[Candidate]) -> int:

@@ -52,15 +52,20 @@ def judge(misfits: list[float], floor: float, allowed: float, stated: bool) -> V
     return Verdict.PARTLY if left < DOUBT**2 * excess else Verdict.UNKNOWN
 
 
+def doubted(verdict: Verdict, share: float) -> Verdict:
+    """The verdict where a share of the explained misfit is in doubt: as much of it as `judge` may leave, or more."""
+    if share <= 0.0 or verdict not in (Verdict.EXPLAINED, Verdict.PARTLY):
+        return verdict
+    return Verdict.UNKNOWN if share > DOUBT**2 else Verdict.PARTLY
+
+
 def with_strain(verdict: Verdict, strains: list[Strained], explained: float) -> Verdict:
     """The verdict where numbers of the model have to be further off than their tolerances for the effects to do.
 
     `explained`: the misfit that the effects took.
     """
-    if not strains or verdict is Verdict.UNKNOWN:
-        return verdict
     granted = sum(x.energy for x in strains)
-    return Verdict.UNKNOWN if granted > DOUBT**2 * (granted + explained) else Verdict.PARTLY
+    return doubted(verdict, granted / max(granted + explained, 1e-300))
 
 
 @dataclasses.dataclass(frozen=True)
