@@ -148,6 +148,8 @@ def show(result: Result, out: Path, *, as_json: bool) -> None:
     table(console, result.found)
     for kind, text in shrink_lines(result):
         console.print(f"{kind:>22}: {text}", highlight=False, soft_wrap=True)
+    for doubt in result.found.doubts:
+        console.print(f"doubt: {escape(doubt)}", highlight=False, soft_wrap=True)
     said = [q["message"] for q in result.report["data_quality"]]
     for note in result.found.notes:
         # What is wrong with the log was said when it was read.

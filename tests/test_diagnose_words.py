@@ -10,6 +10,7 @@ from jax_inertia.demo.hidden import Secret
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.report import to_report
 from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.suggest import suggestions
 from jax_inertia.gap.trace import Trace, regions, shrink_interval
@@ -57,6 +58,7 @@ def found(verdict: Verdict, *findings: Finding) -> Diagnosis:
         when=(),
         undetectable_below=(),
         notes=(),
+        doubts=(),
         trace=trace(),
     )
 
@@ -102,6 +104,20 @@ def test_headlines():
     assert "not fit" in found(Verdict.UNKNOWN, one).headline
     assert "mostly at knee" in found(Verdict.UNKNOWN).headline
     assert found(Verdict.NO_GAP).headline.startswith("No gap")
+
+
+def test_doubts_stand_beside_the_verdict():
+    doubted = dataclasses.replace(found(Verdict.UNKNOWN), doubts=("clocks <b> run apart",))
+    assert "clocks &lt;b&gt; run apart" in doubted._repr_html_()
+    assert to_report(doubted)["doubts"] == ["clocks <b> run apart"]
+
+
+def test_a_gap_that_was_at_its_floor_is_said_to_be():
+    one = dataclasses.replace(
+        found(Verdict.EXPLAINED, finding("torque_bias")), test=Shrink(0.011, 0.010, 0.010, 0.0)
+    )
+    assert "shrinks by 100 % on held-out data" in one.headline
+    assert "is at its floor as before on another motion" in one.headline
 
 
 def test_in_a_console_and_in_a_notebook():

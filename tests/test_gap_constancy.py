@@ -36,7 +36,7 @@ def test_an_encoder_whose_disk_is_eccentric_is_no_wrong_scale(robot):
     disk = 0.012 * np.array([0.0, 1.0])
     found = diagnose(robot, simulate(encoder=lambda q: q + disk * np.sin(q)))
     assert found.verdict is Verdict.UNKNOWN
-    assert any("would have to change" in note and "elbow" in note for note in found.notes)
+    assert any("would have to change" in note and "elbow" in note for note in found.doubts)
 
 
 def test_a_friction_that_grows_with_the_angle_is_no_friction_of_the_library(robot):

@@ -161,7 +161,7 @@ def test_an_effect_that_a_tolerance_swallows_is_no_absence_of_a_gap(robot):
     wrong = DAMPING * np.array([1.0, 1.0, 1.4, 1.0, 1.0])
     found = diagnose(robot, simulate(wrong), exclude=["viscous_friction", "friction_drift"])
     assert found.verdict is Verdict.UNKNOWN
-    assert any("damping of axis3" in note for note in found.notes)
+    assert any("damping of axis3" in note for note in found.doubts)
 
 
 def test_scales_tell_which_numbers_of_the_model_are_off(robot):

@@ -105,7 +105,8 @@ def diagnose(
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=(*log.notes, *_what_it_leans_on(search, chosen, verdict)),
+        notes=tuple(log.notes),
+        doubts=tuple(_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),

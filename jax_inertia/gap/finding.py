@@ -70,6 +70,9 @@ class Diagnosis:
     when: tuple[tuple[float, float], ...]
     undetectable_below: tuple[tuple[str, Place, Parameter], ...]
     notes: tuple[str, ...]
+    """Of the log."""
+    doubts: tuple[str, ...]
+    """Why what was found is not, or not all of, the cause: what the log says of one that is not in the library."""
     trace: Trace
 
     @property
@@ -83,11 +86,9 @@ class Diagnosis:
         names = [_named(f) for f in self.findings]
         every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
         them = "it" if len(names) == 1 else "them"
-        shrink = (
-            f"With {them}, the missing torque shrinks by {_share(self.heldout)} on held-out data"
-        )
+        shrink = f"With {them}, the missing torque {_shrunk(self.heldout)} on held-out data"
         if self.test is not None:
-            shrink += f" and by {_share(self.test)} on another motion"
+            shrink += f" and {_shrunk(self.test)} on another motion"
         shrink += "."
         if self.verdict is Verdict.EXPLAINED:
             return f"The model lacks {every}. {shrink}"
@@ -110,9 +111,10 @@ class Diagnosis:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """For notebooks: the verdict in words, the effects as a table, how far the gap shrinks, and what was noted."""
+        """For notebooks: the verdict in words, doubts about it, the effects as a table, how far the gap shrinks."""
         verdict = f"{plain(str(self.verdict))} (confidence {chance(self.confidence)})"
         out = line(verdict, strong=True) + line(self.headline)
+        out += "".join(line(doubt) for doubt in self.doubts)
         if self.findings:
             head = ("effect", "equation", "where", "size, 95 % interval", "explains", "or")
             out += table(
@@ -141,8 +143,8 @@ class Diagnosis:
         ]
 
 
-def _share(s: Shrink) -> str:
-    return "nothing above its floor" if s.share is None else percent(s.share)
+def _shrunk(s: Shrink) -> str:
+    return "is at its floor as before" if s.share is None else f"shrinks by {percent(s.share)}"
 
 
 def _named(f: Finding) -> str:

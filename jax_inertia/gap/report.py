@@ -20,7 +20,7 @@ def to_report(
 ) -> dict[str, Any]:
     """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN.
 
-    Beyond the contract: `where` (rows, bodies, regions of state), `data_quality`, `notes`.
+    Beyond the contract: `where` (rows, bodies, regions of state), `doubts`, `data_quality`, `notes`.
     """
     heldout = _shrink(found.heldout)
     if (interval := shrink_interval(found.trace)) is not None:
@@ -51,6 +51,7 @@ def to_report(
         "data_quality": [
             {"severity": str(f.severity), "check": f.check, "message": f.message} for f in quality
         ],
+        "doubts": list(found.doubts),
         "notes": list(found.notes),
     }
     return {name: _clean(value) for name, value in report.items()}
