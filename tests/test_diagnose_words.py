@@ -117,7 +117,7 @@ def test_a_gap_that_was_at_its_floor_is_said_to_be():
         found(Verdict.EXPLAINED, finding("torque_bias")), test=Shrink(0.011, 0.010, 0.010, 0.0)
     )
     assert "shrinks by 100 % on held-out data" in one.headline
-    assert "is at its floor as before on another motion" in one.headline
+    assert "and was at its floor before on another motion." in one.headline
 
 
 def test_in_a_console_and_in_a_notebook():

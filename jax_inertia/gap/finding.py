@@ -86,10 +86,7 @@ class Diagnosis:
         names = [_named(f) for f in self.findings]
         every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
         them = "it" if len(names) == 1 else "them"
-        shrink = f"With {them}, the missing torque {_shrunk(self.heldout)} on held-out data"
-        if self.test is not None:
-            shrink += f" and {_shrunk(self.test)} on another motion"
-        shrink += "."
+        shrink = f"With {them}, the missing torque {self._shrunk()}."
         if self.verdict is Verdict.EXPLAINED:
             return f"The model lacks {every}. {shrink}"
         if self.verdict is Verdict.PARTLY:
@@ -133,6 +130,16 @@ class Diagnosis:
             )
         return out + "".join(line(f"{name}: {text}") for name, text in self._shrinks())
 
+    def _shrunk(self) -> str:
+        """By how much, where it was above its floor to begin with."""
+        tried = (("held-out data", self.heldout), ("another motion", self.test))
+        shares = [(where, s.share) for where, s in tried if s is not None]
+        by = [f"by {percent(share)} on {where}" for where, share in shares if share is not None]
+        still = [f"on {where}" for where, share in shares if share is None]
+        parts = ["shrinks " + " and ".join(by)] if by else []
+        parts += ["was at its floor before " + " and ".join(still)] if still else []
+        return ", and ".join(parts)
+
     def _shrinks(self) -> list[tuple[str, str]]:
         """Missing torque before and after, where it was predicted rather than fitted."""
         tried = (("held out", self.heldout), ("other motion", self.test))
@@ -141,10 +148,6 @@ class Diagnosis:
             for name, s in tried
             if s is not None
         ]
-
-
-def _shrunk(s: Shrink) -> str:
-    return "is at its floor as before" if s.share is None else f"shrinks by {percent(s.share)}"
 
 
 def _named(f: Finding) -> str:
