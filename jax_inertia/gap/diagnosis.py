@@ -15,7 +15,7 @@ import numpy as np
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
-from jax_inertia.gap.constancy import crowded
+from jax_inertia.gap.constancy import crowded, named
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -28,6 +28,7 @@ from jax_inertia.gap.select import STOP, misfit, propose, remaining
 from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
+from jax_inertia.gap.words import percent
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -167,7 +168,7 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         )
     if search.rival is not None:
         replaced, outsider = search.rival
-        found = " and ".join(f"{c.family.name} at {c.place.name}" for c in replaced)
+        found = " and ".join(map(named, replaced))
         return [
             *beyond,
             f"{outsider.name} fits better than {found}: the cause is not in the library",
@@ -177,8 +178,8 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         return beyond
     return [
         *beyond,
-        f"{outsider.name} takes {share:.0%} of what is left (energy against the noise): look there for what is not in "
-        "the library",
+        f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
+        "not in the library",
     ]
 
 

@@ -126,8 +126,7 @@ def waterfall(found: Diagnosis) -> str:
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
         floor = _rms(np.hypot(trace.noise, trace.excused), trace, rows)
         axes.axvline(floor, color=_BLUE, ls="--", lw=1.3)
-        text = f" floor {floor:.2g}: noise, and the model's own errors"
-        axes.text(floor, -0.55, text, color=_BLUE, fontsize=8.5, va="bottom")
+        axes.text(floor, -0.55, f" floor {floor:.2g}", color=_BLUE, fontsize=8.5, va="bottom")
         axes.set_yticks(at, names)
         axes.set_ylim(len(values) - 0.5, -0.95)
         axes.set_xlim(0, 1.18 * max(*values, floor))

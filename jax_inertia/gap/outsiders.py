@@ -59,7 +59,7 @@ def _every(context: Context) -> Iterator[tuple[str, Columns]]:
     for joint, row in context.joint_dofs.items():
         warp = _waves(context.joint_position[:, row])
         yield f"an encoder at {joint} that errs with its angle", off_path(context, row, warp)
-    yield "clocks of encoders and drives that run apart", Columns(_clocks(context))
+    yield "a clock of the encoders that runs apart from the drives'", Columns(_clocks(context))
     yield from _lengths(context)
 
 
