@@ -22,6 +22,7 @@ import numpy as np
 
 from jax_inertia._mujoco_types import MjData, MjModel
 from jax_inertia.gap.effect import Effect
+from jax_inertia.gap.families.body import push_window
 
 _LATE = ("time_delay", "actuator_lag")
 _FRICTION = ("stribeck_friction", "load_friction")
@@ -113,11 +114,8 @@ class Law:
                 case "constant_force":
                     force = force + here[:, None] * _vector(values)
                 case "push":
-                    start, end = values["start"], values["end"]
-                    phase = xp.clip((now.t - start) / (end - start), 0.0, 1.0)
-                    near = xp.minimum(xp.minimum(phase, 1 - phase) / values["flank"], 1.0)
-                    window = 0.5 - 0.5 * xp.cos(np.pi * near)
-                    window = window * (1.0 + values["skew"] * xp.sin(2 * np.pi * phase))
+                    shape = (values[name] for name in ("start", "end", "flank", "skew"))
+                    window = push_window(xp, now.t, *shape)
                     force = force + here[:, None] * _vector(values) * window
                 case "drag":
                     speed = xp.sqrt(xp.sum(now.velocity**2, axis=1, keepdims=True) + 1e-12)

@@ -23,7 +23,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import SUITS, stacked
-from jax_inertia.gap.words import percent, plain
+from jax_inertia.gap.words import named, percent
 
 # By which share (rms) of itself a size has to change to speak against the effect: equations are never exact.
 CHANGES = 0.3
@@ -43,7 +43,8 @@ class Inconstant:
     """Share (rms) of the effect."""
 
     def __str__(self) -> str:
-        return f"{named(self.effect)} would have to change by {percent(self.by)} with {self.along}"
+        effect = named(self.effect.family.name, self.effect.place)
+        return f"{effect} would have to change by {percent(self.by)} with {self.along}"
 
 
 def inconstant(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant | None:
@@ -64,12 +65,6 @@ def inconstant(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant 
             if by > border and score > most:
                 worst, most = Inconstant(c, along, by), score
     return worst
-
-
-def named(c: Candidate) -> str:
-    """An effect and its place, in words."""
-    where = "" if c.place.kind == "global" else f" at {c.place.name}"
-    return plain(c.family.name) + where
 
 
 def crowded(chosen: list[Candidate]) -> tuple[Candidate, Candidate] | None:

@@ -15,7 +15,7 @@ import numpy as np
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
-from jax_inertia.gap.constancy import crowded, named
+from jax_inertia.gap.constancy import crowded
 from jax_inertia.gap.doubt import leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -28,7 +28,7 @@ from jax_inertia.gap.select import STOP, misfit, propose, remaining
 from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
-from jax_inertia.gap.words import percent
+from jax_inertia.gap.words import named, percent
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -168,7 +168,7 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         )
     if search.rival is not None:
         replaced, outsider = search.rival
-        found = " and ".join(map(named, replaced))
+        found = " and ".join(named(c.family.name, c.place) for c in replaced)
         return [
             *beyond,
             f"{outsider.name} fits better than {found}: the cause is not in the library",

@@ -8,7 +8,7 @@ from jax_inertia.gap.intervals import Interval
 from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import chance, number, percent, plain, unit
+from jax_inertia.gap.words import chance, named, number, percent, plain, unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,6 @@ class Diagnosis:
 
 def _named(f: Finding) -> str:
     """Effect, place and the first of its numbers."""
-    where = "" if f.place.kind == "global" else f" at {f.place.name}"
     first = next(iter(f.parameters.values()), None)
     size = "" if first is None else f" ({number(first.value)}{unit(first.unit)})"
-    return f"{plain(f.family)}{where}{size}"
+    return f"{named(f.family, f.place)}{size}"

@@ -48,6 +48,8 @@ class Search:
     """Found effects, and what fits better in their place and is no family."""
     inconstant: Inconstant | None
     """A found effect whose size would have to change."""
+    in_doubt: float
+    """Share of what was explained that effects brought which do not stand."""
     bare: Strangeness
     """What the log shows without any effect."""
     strains: list[Strained]
@@ -112,7 +114,7 @@ class Finder:
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
         changing = inconstant(pool, chosen, against)
-        verdict = Verdict.of_nothing(bare)
+        verdict, in_doubt = Verdict.of_nothing(bare), 0.0
         if chosen:
             allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, self.stated)
@@ -120,10 +122,11 @@ class Finder:
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
                 verdict = Verdict.PARTLY
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
-            verdict = doubted(verdict, _in_doubt(pool, chosen, rival, changing))
+            in_doubt = _in_doubt(pool, chosen, rival, changing)
+            verdict = doubted(verdict, in_doubt)
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
-            changing, bare, strains,
+            changing, in_doubt, bare, strains,
         )  # fmt: skip
 
     def _selected(self, pool: Pool, noise: float | None):
@@ -174,10 +177,9 @@ def find(finder: Finder) -> tuple[Search, Search]:
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
-    doubt = _in_doubt(second.pool, second.chosen, second.rival, second.inconstant)
     if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
-    verdict = doubted(verdict, doubt)
+    verdict = doubted(verdict, second.in_doubt)
     return first, dataclasses.replace(second, verdict=verdict)
 
 

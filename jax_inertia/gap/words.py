@@ -2,10 +2,17 @@
 
 import numpy as np
 
+from jax_inertia.gap.families.base import Place
+
 
 def plain(name: str) -> str:
     """A name of the library without underscores."""
     return name.replace("_", " ")
+
+
+def named(family: str, place: Place) -> str:
+    """An effect and where it is."""
+    return plain(family) + ("" if place.kind == "global" else f" at {place.name}")
 
 
 def unit(text: str) -> str:

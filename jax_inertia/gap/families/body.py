@@ -1,5 +1,7 @@
 """Effects on a body: its inertial parameters, forces on it."""
 
+from types import ModuleType
+
 import numpy as np
 
 from jax_inertia.gap.families.base import Columns, Family, Parameter
@@ -128,6 +130,16 @@ class Drag(Family):
 HARDEST_PUSH = 700.0
 
 
+def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
+    """w(t): flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
+
+    `xp` is numpy or jax.numpy.
+    """
+    phase = xp.clip((time - start) / (end - start), 0.0, 1.0)
+    near = xp.minimum(xp.minimum(phase, 1 - phase) / flank, 1.0)
+    return (0.5 - 0.5 * xp.cos(np.pi * near)) * (1.0 + skew * xp.sin(2 * np.pi * phase))
+
+
 class Push(Family):
     name, equation, kind = "push", "Jᵀ f w(t), w a plateau with flanks over a short window", "body"
     passing, form_error = True, 0.1
@@ -149,12 +161,7 @@ class Push(Family):
         ]
 
     def columns(self, context, place, shape):
-        start, stop = _whole(shape)
-        phase = np.clip((context.time - start) / (stop - start), 0, 1)
-        # Flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
-        _, _, flank, skew = shape
-        flat = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.minimum(phase, 1 - phase) / flank, 1.0))
-        window = flat * (1.0 + skew * np.sin(2 * np.pi * phase))
+        window = push_window(np, context.time, *_whole(shape), *shape[2:])
         return Columns(context.force_rows[:, place.index] * window[:, None, None])
 
     def physical(self, context, place, shape, theta):
