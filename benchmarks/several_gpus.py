@@ -16,7 +16,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from benchmarks.harness import fleet
-from jax_inertia.kalman import Information
+from benchmarks.harness.states import BODIES
+from jax_inertia.fused import FusedSquareRoot, moved_rows
 
 STEPS, ROUNDS = 20, 5
 
@@ -24,7 +25,8 @@ STEPS, ROUNDS = 20, 5
 def measured(devices: int, robots: int) -> dict:
     """Rate of a chain of filter steps, each fed with the result of the one before."""
     robot = fleet.humanoid_robot("float32")
-    filter_ = fleet.estimator(robot, form=Information())
+    rows = moved_rows(robot, tuple(robot.body_index(b) for b in BODIES))
+    filter_ = fleet.estimator(robot, form=FusedSquareRoot(rows))
     mesh = Mesh(np.array(jax.devices()[:devices]), ("robots",))
     sharding = NamedSharding(mesh, PartitionSpec("robots"))
     count = robots * devices
@@ -35,9 +37,13 @@ def measured(devices: int, robots: int) -> dict:
     seen = jax.tree.map(spread, fleet.observations(robot, 4096))
     state = jax.tree.map(lambda x: spread(np.asarray(x)[None]), filter_.initial())
     step = jax.jit(
-        jax.vmap(lambda s, x: filter_.step(s, x, 1 / fleet.RATE)[0]),
-        in_shardings=(sharding, sharding),
-        out_shardings=sharding,
+        jax.shard_map(
+            jax.vmap(lambda s, x: filter_.step(s, x, 1 / fleet.RATE)[0]),
+            mesh=mesh,
+            in_specs=PartitionSpec("robots"),
+            out_specs=PartitionSpec("robots"),
+            check_vma=False,
+        ),
         donate_argnums=0,
     )
     start = time.perf_counter()

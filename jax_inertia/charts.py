@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
-from jax_inertia import inertia
+from jax_inertia import inertia, spatial
 
 
 class Chart(eqx.Module):
@@ -132,7 +132,7 @@ class Relative(Physical):
     @classmethod
     def to(cls, nominal: Float[Array, "*b 10"]) -> "Relative":
         """The chart about nominal bodies, which must be physical (NaN otherwise)."""
-        return cls(jnp.linalg.cholesky(inertia.pseudo_inertia(nominal)))
+        return cls(spatial.cholesky(inertia.pseudo_inertia(nominal)))
 
     def to_pi(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
         # (L U)(L U)ᵀ rather than L (U Uᵀ) Lᵀ, here and back: in float32 thin bodies would be lost in the latter.
@@ -140,7 +140,7 @@ class Relative(Physical):
         return inertia.from_pseudo_inertia(root @ jnp.swapaxes(root, -1, -2))
 
     def from_pi(self, pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-        root = jnp.linalg.cholesky(inertia.pseudo_inertia(pi))
+        root = spatial.cholesky(inertia.pseudo_inertia(pi))
         root = solve_triangular(jnp.broadcast_to(self.factor, root.shape), root, lower=True)
         # root rootᵀ = U Uᵀ with U upper: the R of a QR factorisation, with both axes reversed.
         reverse = jnp.swapaxes(root[..., ::-1, :], -1, -2)

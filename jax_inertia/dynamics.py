@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jax_inertia import spatial
 from jax_inertia._batch_last import batch_last
+from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia._vectors import compose, cross, lever, skew, symmetric, turn, turn_back
 from jax_inertia.robot import (
     Kinematics,
@@ -320,10 +321,14 @@ def _regressor(
     batch = jnp.broadcast_shapes(own.shape[3:], kin.axes.shape[2:])
     # As a product of matrices per sample, for its order is that of the result: to turn S and A round is little work.
     own = jnp.swapaxes(own, 0, 1).reshape(6, 10 * len(pick), *own.shape[3:])
-    rows = jnp.matmul(_first(kin.axes), _first(own), precision=jax.lax.Precision.HIGHEST)
-    rows = rows.reshape(*batch, robot.nv, len(pick), 10)
-    rows = jnp.where(robot.topology.body_dof[pick].T[:, :, None] > 0, rows, 0.0)
-    return jnp.moveaxis(rows, range(len(batch)), range(-len(batch), 0))
+    moved = moved_rows(robot, chosen)
+    rows = jnp.matmul(
+        _first(take_rows(kin.axes, moved)), _first(own), precision=jax.lax.Precision.HIGHEST
+    )
+    rows = rows.reshape(*batch, len(moved), len(pick), 10)
+    rows = jnp.where(robot.topology.body_dof[pick][:, moved].T[:, :, None] > 0, rows, 0.0)
+    rows = jnp.moveaxis(rows, range(len(batch)), range(-len(batch), 0))
+    return spread_rows(rows, moved, robot.nv)
 
 
 def _first(x: Float[Array, "i j ..."]) -> Float[Array, "... i j"]:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jax_inertia import charts, inertia, kalman
 from jax_inertia._readable import has_numbers, line, table
+from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.measurement import torque_residual, torque_residuals
@@ -151,13 +152,16 @@ class Estimator(eqx.Module):
         extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
         belief = kalman.predict(belief, self.process_noise * dt + extra)
 
+        moved = moved_rows(self.robot, self.bodies)
+
         def predicted(x):
             return jnp.einsum("vbp,bp->v", regressor, self._pi(x))
 
         def jacobian(x):
             own = x.reshape(-1, 10)
             g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
-            return jnp.einsum("vbp,bpj->vbj", regressor, g).reshape(len(delta), -1)
+            rows = jnp.einsum("vbp,bpj->vbj", take_rows(regressor, moved), g)
+            return spread_rows(rows.reshape(len(moved), -1), moved, len(delta))
 
         belief, innovation = kalman.update(
             belief,

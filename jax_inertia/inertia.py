@@ -21,6 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jax_inertia import spatial
+
 PI_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 THETA_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3")
 
@@ -146,7 +148,7 @@ def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     ok = jnp.all(diagonal > 0, axis=-1) & jnp.all(jnp.isfinite(pi), axis=-1)
     scale = jax.lax.rsqrt(jnp.where(ok[..., None], diagonal, 1.0))
     scaled = p * scale[..., :, None] * scale[..., None, :]
-    factor = jnp.linalg.cholesky(jnp.where(ok[..., None, None], scaled, jnp.eye(4, dtype=p.dtype)))
+    factor = spatial.cholesky(jnp.where(ok[..., None, None], scaled, jnp.eye(4, dtype=p.dtype)))
     return ok & jnp.all(jnp.isfinite(factor), axis=(-2, -1))
 
 
@@ -191,7 +193,7 @@ def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     >>> bool(jnp.allclose(from_log_cholesky(theta), pi))
     True
     """
-    u = jnp.swapaxes(jnp.linalg.cholesky(pseudo_inertia(pi)), -1, -2)
+    u = jnp.swapaxes(spatial.cholesky(pseudo_inertia(pi)), -1, -2)
     return read_factor(u)
 
 
@@ -253,7 +255,7 @@ def to_log_cholesky_uut(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     """
     # P = U Uᵀ with U upper: the ordinary Cholesky factor of P with both axes reversed.
     reverse = pseudo_inertia(pi)[..., ::-1, ::-1]
-    return read_factor(jnp.linalg.cholesky(reverse)[..., ::-1, ::-1])
+    return read_factor(spatial.cholesky(reverse)[..., ::-1, ::-1])
 
 
 def log_cholesky_uut_jacobian(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:

@@ -51,6 +51,30 @@ def matmul(a: Float[Array, "*b i j"], b: Float[Array, "*b j k"]) -> Float[Array,
     return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
 
 
+def cholesky(m: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
+    """Lower factor of small positive matrices, fused like `matvec`; NaN where a matrix is not positive.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.spatial import cholesky
+    >>> cholesky(jnp.array([[4.0, 2.0], [2.0, 10.0]]))
+    Array([[2., 0.],
+           [1., 3.]], dtype=float64)
+    """
+    n = m.shape[-1]
+    rows: list[list[Array]] = []
+    for i in range(n):
+        row: list[Array] = []
+        for j in range(i + 1):
+            earlier = row if i == j else rows[j]
+            left = m[..., i, j] - sum(a * b for a, b in zip(row, earlier, strict=False))
+            root = jnp.sqrt(jnp.where(left > 0, left, jnp.nan)) if i == j else left / earlier[j]
+            row.append(root)
+        rows.append(row)
+    zero = jnp.zeros_like(m[..., 0, 0])
+    filled = [jnp.stack(row + [zero] * (n - len(row)), axis=-1) for row in rows]
+    return jnp.stack(filled, axis=-2)
+
+
 def quat_to_matrix(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix (child to parent) of a quaternion wxyz of any non-zero length."""
     quat = quat / jnp.linalg.norm(quat, axis=-1, keepdims=True)

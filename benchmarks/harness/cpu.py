@@ -16,7 +16,6 @@ from benchmarks.harness.states import BODIES, humanoid, states
 from jax_inertia import condensed_dynamics, inverse_dynamics, load_model, torque_regressor
 from jax_inertia.estimate import Estimator
 from jax_inertia.robot import Robot
-from jax_inertia.sequential import Sequential, moved_rows
 
 BATCH, PEERS = 4096, 512  # samples of ours in one call; of the others in one pass
 DTYPES = ("float32", "float64")
@@ -102,11 +101,9 @@ def filter_step(quick: bool) -> dict:
         robot = fleet.humanoid_robot(dtype)
         seen = fleet.observations(robot, samples)
         one = jax.tree.map(lambda x: x[0], seen)
-        rows = Sequential(moved_rows(robot, tuple(robot.body_index(b) for b in BODIES)))
         kinds = {
             "1 iteration": fleet.estimator(robot),
             "1 iteration, autodiff": fleet.estimator(robot, analytic=False),
-            "1 iteration, row by row": fleet.estimator(robot, form=rows),
         }
         if dtype == "float64":  # in float32 several iterations can diverge
             kinds["5 iterations"] = fleet.estimator(robot, iterations=5)

@@ -15,9 +15,9 @@ from mujoco import mjx
 from benchmarks.harness import fleet
 from benchmarks.harness.states import BODIES, states
 from jax_inertia import condensed_dynamics, torque_regressor
+from jax_inertia.fused import FusedSquareRoot, moved_rows
 from jax_inertia.kalman import Form, Information, SquareRoot
 from jax_inertia.robots import HumanoidOptions, humanoid_mjcf
-from jax_inertia.sequential import Sequential, moved_rows
 
 # Memory bandwidth [B/s] and float32 rate [1/s] of the SXM boards, from the maker's data sheets.
 BOARDS = {"H100": (3.35e12, 66.9e12), "H200": (4.8e12, 66.9e12)}
@@ -153,20 +153,22 @@ def closed_loop(robots: int, ticks: int = 30) -> Build:
 def rows(robots: int, loops: int) -> dict[str, Build]:
     """Everything that is timed, in the order of importance."""
     forms: dict[str, Callable[[Any], Form]] = {
-        "row by row": lambda r: Sequential(moved_rows(r, tuple(r.body_index(b) for b in BODIES))),
+        "one kernel": lambda r: FusedSquareRoot(
+            moved_rows(r, tuple(r.body_index(b) for b in BODIES))
+        ),
         "information": lambda _: Information(),
         "square root, the default": lambda _: SquareRoot(),
     }
     out: dict[str, Build] = {
         f"filter step, {name}": filter_step(robots, form) for name, form in forms.items()
     }
-    out["filter step for the loop's robots"] = filter_step(loops, forms["row by row"])
+    out["filter step for the loop's robots"] = filter_step(loops, forms["one kernel"])
     out["closed loop tick"] = closed_loop(loops)
     out["MJX tick alone"] = mjx_ticks(loops)
     out["regressor of two bodies and τ_nom"] = regressors(robots, "two")
     out["full regressor"] = regressors(robots, "all")
     for n in (1024, 8192):
-        out[f"filter step, row by row, {n} robots"] = filter_step(n, forms["row by row"])
+        out[f"filter step, one kernel, {n} robots"] = filter_step(n, forms["one kernel"])
     return out
 
 
