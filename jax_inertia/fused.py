@@ -87,7 +87,7 @@ def kernel(
     shapes = (n, robots), (n, n, robots), (robots,), (robots,)
     step, covariance, nis, log_det = pl.pallas_call(
         partial(_program, n),
-        grid=-(-robots // WIDTH),
+        grid=(-(-robots // WIDTH),),
         out_shape=[jax.ShapeDtypeStruct(s, p.dtype) for s in shapes],
         interpret=interpret,
         compiler_params=triton.CompilerParams(num_warps=WARPS, num_stages=1),
@@ -107,10 +107,10 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
     one, zero = jnp.ones(WIDTH, dtype), jnp.zeros((height, WIDTH), dtype)
     margin = float(jnp.finfo(dtype).eps)
 
-    def column_of(ref, j):
+    def column_of(ref, j) -> Array:
         return triton.load(ref.at[j, level[:, None], lane[None, :]])
 
-    def entry(column, i):
+    def entry(column: Array, i) -> Array:
         return jnp.sum(jnp.where(row == i, column, 0.0), axis=0)
 
     def factored(j, columns):
@@ -125,7 +125,7 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
     def absorbed(i, carry):
         """Row i of H with unit noise: Carlson's recursion from the last column; `gain` is K s, s = 1 + |Lᵀ h|²."""
         columns, step, nis, log_det = carry
-        h = jnp.where(row < n, column_of(h_ref, i), 0.0)
+        h: Array = jnp.where(row < n, column_of(h_ref, i), 0.0)
         left = triton.load(nu_ref.at[i, lane]) - jnp.sum(h * step, axis=0)
         new, gain, s, root = list(columns), zero, one, one
         for j in reversed(range(n)):
@@ -141,12 +141,12 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
 
     def multiplied(columns, j, _):
         """Column j of L Lᵀ, kept positive as by `kalman.positive`."""
-        new = zero
+        new: Array = zero
         for column in columns:
             new = new + column * entry(column, j)[None]
         more = new * (1.0 + n * margin) + float(jnp.finfo(dtype).tiny) ** 0.5
-        new = jnp.where(jnp.minimum(row, n - 1) == j, more, new)
-        triton.store(p_out.at[j, level[:, None], lane[None, :]], new)
+        at = p_out.at[j, level[:, None], lane[None, :]]
+        triton.store(at, jnp.asarray(jnp.where(jnp.minimum(row, n - 1) == j, more, new)))
 
     # By blocks: of column j only the j before it count, and zeros cost as much as numbers.
     blocks = [(first, min(first + BLOCK, n)) for first in range(0, n, BLOCK)]

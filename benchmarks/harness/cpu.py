@@ -39,7 +39,7 @@ def throughput(quick: bool) -> dict:
     runners: dict[str, Callable] = {}
     count: dict[str, int] = {}
     compile_s: dict[str, float] = {}
-    chunks = {TWO: 64, ALL: 8, "RNEA": 64}
+    chunks = {TWO: 32, ALL: 8, "RNEA": 64}
     for dtype in DTYPES:
         x = states(model, batch, dtype)
         for name, one in functions(load_model(model).astype(dtype)).items():
