@@ -149,9 +149,9 @@ def _gpu(gpu: dict | None) -> str:
     about = gpu["about"]
     return (
         f"{about['device']}, commit {about['commit']}, jax {about['jax']}, MuJoCo {about['mujoco']}.\n\n"
-        f"{results.table(head, rows)}\n\nOperations are XLA's count, which leaves out the kernel's own: some 25 000 a step "
-        "(Cholesky, 13 rows of 20 states, L Lᵀ). In float32 the information form loses the load on states as wild as "
-        f"these.{cost}{several()}"
+        f"{results.table(head, rows)}\n\nOperations are XLA's count, which leaves out the kernel's own: some 25 000 a "
+        "step (Cholesky, 13 rows of 20 states, L Lᵀ). In float32 the information form loses the load on states as wild "
+        f"as these.{cost}{several()}"
     )
 
 

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from jax_inertia import spatial
 from jax_inertia.dynamics import inverse_dynamics, mass_matrix
-from jax_inertia.robot import Robot, accumulate_outward, forward_kinematics, tree_origin
+from jax_inertia.kinematics import accumulate_outward, forward_kinematics, tree_origin
+from jax_inertia.robot import Robot
 
 
 class Terms(eqx.Module):
