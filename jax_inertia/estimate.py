@@ -9,7 +9,7 @@ With the `Linear` chart it is the paper's baseline Kalman filter, with `LogChole
 consistent extended filter. Arguments beyond the paper default to the paper: one iteration, no gate, no reopening.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from jax_inertia._readable import has_numbers, line, table
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.measurement import torque_residual, torque_residuals
+from jax_inertia.measurement import agreed_residual, torque_residual, torque_residuals
 from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
 from jax_inertia.spatial import matmul
@@ -113,6 +113,8 @@ class Estimator(eqx.Module):
     process_noise: Float[Array, "n n"]
     """Growth of the covariance per second, in the chart's coordinates."""
     noise: kalman.Noise
+    sigma_a: Float[Array, " nv"] | None
+    """Noise of v̇ [m/s², rad/s²] that is not in `noise`; None: the paper's filter, which takes v̇ for exact."""
     gate: kalman.Gate
     form: kalman.Form
     reopen_after: Float[Array, ""]
@@ -130,8 +132,16 @@ class Estimator(eqx.Module):
         self, state: State, observation: Observation, dt: Float[Array, ""] | float
     ) -> tuple[State, Step]:
         """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement)."""
-        regressor, delta = torque_residual(self.robot, observation, self.bodies, state.bias)
-        return self.update(state, regressor, delta, jnp.asarray(observation.motion.valid), dt)
+        known = self.robot, observation, self.bodies, state.bias
+        valid = jnp.asarray(observation.motion.valid)
+        if self.sigma_a is None:
+            return self.update(state, *torque_residual(*known), valid, dt)
+        belief, _ = self._predicted(state, dt)
+        own = belief.mean.reshape(-1, 10)
+        g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
+        of_pi = self.chart.to_pi(own), g @ belief.covariance @ g.T
+        *rows, noise = agreed_residual(*known, *of_pi, self.noise, self.sigma_a)
+        return eqx.tree_at(lambda e: e.noise, self, noise).update(state, *rows, valid, dt)
 
     def update(
         self,
@@ -147,10 +157,7 @@ class Estimator(eqx.Module):
         rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
         the gate opens, and the filter looks anew.
         """
-        belief = state.belief
-        reopened = state.rejected_for >= self.reopen_after
-        extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
-        belief = kalman.predict(belief, self.process_noise * dt + extra)
+        belief, reopened = self._predicted(state, dt)
 
         moved = moved_rows(self.robot, self.bodies)
 
@@ -194,21 +201,25 @@ class Estimator(eqx.Module):
         `dt` [s] is the time since the sample before, by default that of the log, whose first sample is taken to come
         one period after `state`. Samples that are not `used` (default: all are) leave no trace in the state.
         """
-        regressors, deltas = torque_residuals(self.robot, observations, self.bodies, state.bias)
+        observations = jax.tree.map(jnp.asarray, observations)
+        follow: Callable[..., tuple[State, Step]] = self.step
+        samples: tuple = (observations,)
+        if self.sigma_a is None:  # else regressors hang on the belief
+            rows = torque_residuals(self.robot, observations, self.bodies, state.bias)
+            follow, samples = self.update, (*rows, observations.motion.valid)
         if dt is None:
-            dt = jnp.diff(jnp.asarray(observations.motion.time))
+            dt = jnp.diff(observations.motion.time)
             dt = jnp.concatenate([dt[:1], dt])
 
         def one(carry, x):
-            *sample, use = x
-            after, step = self.update(carry, *sample)
+            sample, since, use = x
+            after, step = follow(carry, *sample, since)
             if use is not None:
                 after = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
             own = (step.belief.mean, _own_blocks(step.belief.covariance))
             return after, (own, step.innovation, step.threshold, step.reopened)
 
-        valid = jnp.asarray(observations.motion.valid)
-        steps = (regressors, deltas, valid, dt, used)
+        steps = (samples, dt, used)
         state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
         estimate = jax.lax.map(lambda x: _physical(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
@@ -228,6 +239,13 @@ class Estimator(eqx.Module):
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
         return physical_units(self.chart, belief.mean, belief.covariance)
+
+    def _predicted(
+        self, state: State, dt: Float[Array, ""] | float
+    ) -> tuple[kalman.Belief, Bool[Array, ""]]:
+        reopened = state.rejected_for >= self.reopen_after
+        extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
+        return kalman.predict(state.belief, self.process_noise * dt + extra), reopened
 
     def _pi(self, x: Float[Array, " n"]) -> Float[Array, "bodies 10"]:
         return self.chart.to_pi(x.reshape(-1, 10))
@@ -285,6 +303,7 @@ def make_estimator(
     drift: Uncertainty | None = None,
     chart: charts.Chart | None = None,
     noise: kalman.Noise | None = None,
+    sigma_a: Float[Array, " nv"] | Sequence[float] | float | None = None,
     gate: kalman.Gate | None = None,
     reopen_after: float = jnp.inf,
     iterations: int = 1,
@@ -295,7 +314,9 @@ def make_estimator(
 
     `sigma_tau` is the noise of each row [N m, N] (overridden by `noise`); `prior` how far the bodies may be from the
     model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second (default: the
-    prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement.
+    prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the
+    noise of accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards
+    zero (`measurement.agreed_residual`); left out (the paper), it belongs into `sigma_tau`.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), or noise that is not
     positive.
 
@@ -328,6 +349,10 @@ def make_estimator(
                 f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive"
             )
         noise = kalman.IndependentNoise(sigma**2)
+    if sigma_a is not None:
+        sigma_a = jnp.broadcast_to(jnp.asarray(sigma_a, robot.pi.dtype), (robot.nv,))
+        if not bool(jnp.all(sigma_a >= 0)):
+            raise ValueError(f"sigma_a is {np.asarray(sigma_a)}; noise cannot be negative")
     block_diag = jax.scipy.linalg.block_diag
     start = kalman.Belief(mean.ravel(), block_diag(*prior.covariance(chart, nominal)))
     growth = start.covariance / 3.0
@@ -339,6 +364,7 @@ def make_estimator(
         prior=start,
         process_noise=growth,
         noise=noise,
+        sigma_a=sigma_a,
         gate=kalman.FixedGate() if gate is None else gate,
         form=kalman.default_form(robot.pi.dtype) if form is None else form,
         reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),

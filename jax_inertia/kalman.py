@@ -98,6 +98,10 @@ class Noise(eqx.Module):
     def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
         """log det of the used block of R."""
 
+    @abc.abstractmethod
+    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
+        """With independent noise of this covariance added."""
+
 
 class IndependentNoise(Noise):
     """Rows with independent noise of the given variance."""
@@ -116,6 +120,9 @@ class IndependentNoise(Noise):
     def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
         return used @ jnp.log(self.variance)
 
+    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
+        return CorrelatedNoise(jnp.diag(self.variance) + covariance)
+
 
 class CorrelatedNoise(Noise):
     """Rows with a full noise covariance R, such as contact-wrench noise seen through Jᵀ."""
@@ -133,6 +140,9 @@ class CorrelatedNoise(Noise):
 
     def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
         return 2.0 * jnp.sum(jnp.log(jnp.diagonal(self._factor(used))))
+
+    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
+        return CorrelatedNoise(self.covariance + covariance)
 
     def _factor(self, used: Float[Array, " m"]) -> Float[Array, "m m"]:
         # A row left out gets unit noise apart from the others: what remains is the marginal of the rest.

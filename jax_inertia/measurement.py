@@ -6,12 +6,14 @@
 friction. What is left is Y^est π^est + noise (eq. measurement).
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation
+from jax_inertia.kalman import CorrelatedNoise, Noise
 from jax_inertia.robot import Robot
 
 FRICTION_VELOCITY = 0.01
@@ -34,6 +36,45 @@ def torque_residual(
         wrench = jnp.asarray(motion.wrench)
         delta = delta + dynamics.contact_torque(robot, q, wrench, motion.contact_bodies)
     return regressor, delta
+
+
+def agreed_residual(
+    robot: Robot,
+    observation: Observation,
+    bodies: tuple[int, ...],
+    bias: Float[Array, " nv"],
+    pi: Float[Array, "n 10"],
+    covariance: Float[Array, "p p"],
+    noise: Noise,
+    sigma_a: Float[Array, " nv"],
+) -> tuple[Float[Array, "nv n 10"], Float[Array, " nv"], CorrelatedNoise]:
+    """(Y^est, Δτ, R), linearised at the acceleration that sensors and forces agree on.
+
+    Noise w of v̇, of standard deviation `sigma_a` [m/s², rad/s²], is in Y as well as, as −M w, in Δτ − Y π, and what is
+    in both draws inertias towards zero (errors in variables: Fuller, Measurement Error Models, 1987, sec. 1.1). So w is
+    a second state, which lasts one sample. Linearised at its most probable value under the belief in π (`pi` [kg, kg m,
+    kg m²], its `covariance` P; Bell and Cathey 1993, w eliminated), the update has
+
+        e = Δτ − Y(v̇) π,    R = `noise` + M Σ Mᵀ,    v̂ = v̇ + Σ Mᵀ (R + Y P Yᵀ)⁻¹ e,    H = Y(v̂):
+
+    e is the innovation as before, but H is of an acceleration that it does not correlate with, cov(v̂, e) = 0. `noise`
+    [N m, N] is all that does not come from v̇.
+    """
+    measured, delta = torque_residual(robot, observation, bodies, bias)
+    inertia = dynamics.mass_matrix(robot.with_pi(bodies, pi), jnp.asarray(observation.motion.q))
+    spread = inertia * sigma_a**2
+    of_all = noise.plus(spread @ inertia.T)
+    flat = measured.reshape(len(delta), -1)
+    error = delta - flat @ pi.ravel()
+    known = jnp.asarray(observation.motion.valid) & jnp.isfinite(error)
+    error = jnp.where(known, error, 0.0)[:, None]
+    innovation = of_all.plus(flat @ covariance @ flat.T)
+    white = innovation.whiten(jnp.append(spread, error, axis=1), known.astype(error.dtype))
+    shift = white[:, :-1].T @ white[:, -1]
+    agreed = eqx.tree_at(lambda o: o.a, observation, observation.a + shift)
+    regressor, delta = torque_residual(robot, agreed, bodies, bias)
+    # Δτ − Y π at v̂ lacks M (v̂ − v̇) of e.
+    return regressor, delta + inertia @ shift, of_all
 
 
 def torque_residuals(

@@ -92,6 +92,21 @@ def test_noise_is_that_of_the_seed_and_of_the_stated_size(plant):
     np.testing.assert_allclose(np.linalg.norm(fleet.sense().q[:, 3:7], axis=1), 1.0)
 
 
+def test_a_fitted_window_gives_the_slope_of_the_fitted_line_and_its_noise(plant):
+    """Against NumPy's line through the window's samples, and σ² 12 / w (w + 1) (w + 2) h² of its slope."""
+    sensors = Sensors(window=12, fitted=True)
+    fleet = Fleet(plant, np.array([0]), sensors)
+    for _ in range(6):
+        fleet.step(np.zeros((1, 23)))
+    slopes = np.polyfit(STEP * np.arange(13), fleet.v_window[0], 1)[0]
+    np.testing.assert_allclose(fleet.sense().a[0], slopes, rtol=1e-9)
+    expected = sensors.velocity() * np.sqrt(12.0 / (12 * 13 * 14)) / STEP
+    np.testing.assert_allclose(sensors.acceleration(), expected)
+    ends = Sensors(window=12)
+    np.testing.assert_allclose(ends.acceleration(), np.sqrt(2.0) * sensors.velocity() / (12 * STEP))
+    assert ends.averaged() == pytest.approx(12**-0.5)
+
+
 def test_link_mass_keeps_mujocos_sums_true():
     plant = model()
     link = LinkMass(plant, "torso_link")

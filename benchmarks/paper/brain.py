@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from benchmarks.paper.plant import STEP, TICK, Sensed, Sensors
+from benchmarks.paper.plant import PER_TICK, TICK, Sensed, Sensors
 from jax_inertia import load_model, spatial
 from jax_inertia.charts import Chart, LogCholeskyUUt
 from jax_inertia.control.terms import Terms
@@ -155,29 +155,25 @@ def measurement_noise(
     sensors: Sensors,
     model_error: tuple[float, float, float, float],
 ) -> CorrelatedNoise:
-    """R of Δτ in the pose q: M Σ_v̇ Mᵀ from differenced velocities, torque noise, J Σ_λ Jᵀ of the feet, model error.
+    """R of Δτ in the pose q, accelerations apart: torque noise, J Σ_λ Jᵀ of the feet, model error.
 
     Rows that the chosen bodies do not move matter too: they share the noise of those that do. Without the model's own
     error in R, friction in a knee would be read as noise of the ground's force, and so as mass.
     """
     pose = jnp.asarray(q)
-    span = sensors.window * STEP
-    acceleration = np.sqrt(2.0) * sensors.velocity() / span
-    m = np.asarray(mass_matrix(robot, pose))
-    r = (m * acceleration**2) @ m.T
-    samples = 1 if sensors.sampled_forces else sensors.window
-    torque = np.full(robot.nv, sensors.torque**2 / sensors.window)
+    torque = np.full(robot.nv, (sensors.torque * sensors.averaged()) ** 2)
     torque[:6] = 0.0
     force, moment, leg, arm = model_error
     names = robot.joint_names[1:]
     own = [arm if any(part in name for part in ARM) else leg for name in names]
-    r = r + np.diag(torque + np.array([force] * 3 + [moment] * 3 + own) ** 2)
+    r = np.diag(torque + np.array([force] * 3 + [moment] * 3 + own) ** 2)
     for side, name in enumerate(FEET):
         lever = np.zeros((4, 6, 3))
         lever[:, :3] = np.eye(3)
         rotation = np.asarray(body_poses(robot, pose)[0][robot.body_index(name)])
         lever[:, 3:] = np.asarray(spatial.skew(jnp.asarray(POINTS[side] @ rotation.T)))
-        wrench = np.einsum("kij,klj->il", lever, lever) * sensors.corner_force**2 / samples
+        # Four corners, half of `foot_force` each.
+        wrench = np.einsum("kij,klj->il", lever, lever) * (0.5 * sensors.foot_force()) ** 2
         j = np.asarray(body_jacobian(robot, pose, name))
         r = r + j.T @ wrench @ j
     return CorrelatedNoise(jnp.asarray(r))
@@ -200,6 +196,8 @@ class Settings:
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s
+    noisy_regressor: bool = False
+    """Noise of accelerations is told as such, not as torque in the home pose; samples that windows share count once."""
 
 
 def make_brain(
@@ -218,6 +216,15 @@ def make_brain(
         i = robot.body_index(settings.bodies[0])
         robot = robot.with_pi((i,), (robot.pi[i] * (nominal_mass / robot.pi[i, 0]))[None])
     home = model.key_qpos[0]
+    noise = measurement_noise(robot, home, sensors, settings.model_error)
+    sigma_a = None
+    if settings.noisy_regressor:
+        overlap = sensors.window / PER_TICK
+        noise = CorrelatedNoise(noise.covariance * overlap)
+        sigma_a = jnp.asarray(sensors.acceleration() * overlap**0.5)
+    else:
+        spread = mass_matrix(robot, jnp.asarray(home)) * sensors.acceleration()
+        noise = noise.plus(spread @ spread.T)
     estimator = make_estimator(
         robot,
         settings.bodies,
@@ -225,7 +232,8 @@ def make_brain(
         prior=settings.prior,
         drift=settings.drift,
         chart=settings.chart,
-        noise=measurement_noise(robot, home, sensors, settings.model_error),
+        noise=noise,
+        sigma_a=sigma_a,
         gate=settings.gate,
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,

@@ -74,7 +74,7 @@ def drive(
     ticks = round(duration / TICK)
     for k in range(ticks):
         t = k * TICK
-        x = inputs(fleet.sense(), mode, truth(t), on(t))
+        x = inputs(fleet.sense(), mode, truth(t), on(t) and fleet.seen)
         if calibrate is not None:
             (begin, end), chosen = calibrate
             if begin <= t < end:
