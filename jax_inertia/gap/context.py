@@ -180,9 +180,15 @@ class Context:
         dq, dv, da = self.sensitivity
         inertia = np.maximum(da[:, row, row] - self.armature[row], 1e-9)
         damping = dv[:, row, row] - self.damping[row]
+        needed = self.link_torque[:, row]
+        # As far up as the chain looks: above, it would be the noise's rate.
+        carried = self.below(
+            self.prepared.settings.after, needed - self.prepared.missing[:, row]
+        )
         paths = separation(
             self.time,
-            self.link_torque[:, row],
+            needed,
+            carried,
             inertia,
             damping,
             dq[:, row, row],
