@@ -87,16 +87,15 @@ APART = ARM.replace(
 <inertial mass="1e-4" pos="0 0 0" diaginertia="1e-6 1e-6 1e-6"/>
 <body name="link"><joint name="twist" axis="0 1 0.3" COUPLING/>""",
 ).replace("</body></body></worldbody>", "</body></body></body></worldbody>")
+APART = APART.replace("<mujoco>", '<mujoco><compiler angle="radian"/>')
 SPRING = 'stiffness="60" damping="0.1"'
 # MuJoCo's own law of a stop on either side: soft, and never pulling.
-TEETH = 'limited="true" range="-0.01 0.01" margin="0" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
+TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
 
 
 def log_of(coupling, seed=0):
     """A log of the real arm, whose encoders sit on the motors."""
-    model = mujoco.MjModel.from_xml_string(
-        f"<mujoco><compiler angle='radian'/>{APART.replace('COUPLING', coupling)[len('<mujoco>') + 1 :]}"
-    )
+    model = mujoco.MjModel.from_xml_string(APART.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
     data.qpos[:2], data.qvel[:2] = wave(0.0, seed)
     rng = np.random.default_rng(seed)
@@ -129,9 +128,10 @@ def test_a_soft_joint_of_mujoco_is_named_and_sized():
     assert effect.parameters["stiffness"].value == pytest.approx(60.0, rel=0.05)
 
 
-def test_play_between_stops_of_mujoco_is_named_and_sized():
-    robot = load_model(mujoco.MjModel.from_xml_string(ARM))
-    found = diagnose(robot, log_of(TEETH), test_log=log_of(TEETH, seed=5))
+@pytest.mark.parametrize("half", [0.01, 0.0003])
+def test_play_between_stops_of_mujoco_is_named_and_sized(half):
+    robot, teeth = load_model(mujoco.MjModel.from_xml_string(ARM)), TEETH.format(half)
+    found = diagnose(robot, log_of(teeth), test_log=log_of(teeth, seed=5))
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("backlash", "elbow")
-    assert effect.parameters["dead_zone"].value == pytest.approx(0.02, rel=0.2)
+    assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.2)

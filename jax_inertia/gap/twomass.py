@@ -14,7 +14,7 @@ What the coupling carried is known from the motor's side as well, s = n − y = 
 
     M_jj δ̈ + ... + f(δ, δ̇) + D₀ (δ̇ − ṡ/K) = n(t),    D₀ = 2 ζ₀ √(K mean M_jj)
 
-which is the same equation for the true path, and lets errors decay.
+which the true path obeys as well, but for the coupling's own loss, and in which errors decay.
 """
 
 import math
