@@ -145,13 +145,15 @@ class Backlash(TwoMass):
     free_shape, form_error = 2, 0.5
 
     def grid(self, context, place):
-        gaps = np.geomspace(0.0008, 0.05, 10)
+        # From a precision gear's half a minute of arc.
+        gaps = np.geomspace(2e-4, 0.05, 13)
         bands = (context.slow_band, ALL)
-        return (gaps, self.stiffnesses(context, place, 9), (0.06, 0.25), bands)
+        # Stiffnesses so close that between two of them the effect is not larger or smaller than `whole` allows.
+        return (gaps, self.stiffnesses(context, place, 17), (0.15,), bands)
 
     def first(self, context, place):
         gap, stiffness, damping, bands = self.grid(context, place)
-        return itertools.product(gap[::2], stiffness[1::3], damping[:1], bands)
+        return itertools.product(gap[::2], stiffness[2::6], damping, bands)
 
     def around(self, context, place, shape):
         *free, _ = super().around(context, place, shape)

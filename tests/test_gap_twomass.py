@@ -1,0 +1,137 @@
+"""Motor and link apart: paths against closed forms and SciPy, and logs of a motor of its own beside MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_log import ARM, wave
+from scipy.integrate import solve_ivp
+
+from jax_inertia import load_model
+from jax_inertia.gap import diagnose
+from jax_inertia.gap.twomass import separation
+from jax_inertia.log import Log, TorqueKind
+
+MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
+TIME = np.arange(0.0, 6.0, 0.004)
+
+
+def path(needed, carried, stiffness=STIFFNESS, dead_zone=0.0):
+    still = np.zeros_like(TIME)
+    coupling = np.array([[stiffness, RATIO, dead_zone]])
+    return separation(TIME, needed, carried, still + MASS, still, still, coupling)[0]
+
+
+@pytest.mark.parametrize("frequency", [0.7, 3.0, 5.3])
+def test_a_link_on_a_spring_moves_as_the_closed_form_says(frequency):
+    # From rest at the wrong place, below and near the resonance of 5.3 Hz.
+    omega, loss = 2 * np.pi * frequency, 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+    turn = np.exp(1j * omega * TIME)
+    delta = 5.0 / (STIFFNESS - MASS * omega**2 + 1j * loss * omega) * turn
+    carried = (STIFFNESS + 1j * loss * omega) * delta
+    found = path(5.0 * turn.imag, carried.imag)
+    late = TIME > 2.0
+    # ṡ/K is the rate but for the spring's own loss, 2 ζ ω/ω₀ of it at the most.
+    assert np.max(np.abs(found - delta.imag)[late]) < 0.08 * np.abs(delta[0])
+
+
+def needed_near_resonance():
+    return sum(
+        a * np.sin(2 * np.pi * f * TIME + f) for a, f in ((20.0, 0.6), (6.0, 2.0), (2.0, 4.6))
+    )
+
+
+def solved(needed, force, start=0.0):
+    """Path and rate of the link by SciPy."""
+
+    def rates(t, state):
+        return state[1], (np.interp(t, TIME, needed) - force(*state)) / MASS
+
+    return solve_ivp(rates, (0, TIME[-1]), [start, 0.0], t_eval=TIME, max_step=1e-3).y
+
+
+def test_a_spring_that_hardens_does_not_ring_out_of_step():
+    # A law of its own, 5 to 20 % stiffer where it is bent: the linear spring's own path is far off.
+    needed, loss = needed_near_resonance(), 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+
+    def force(x, v):
+        return STIFFNESS * x * (1 + 200.0 * x**2) + loss * v
+
+    delta, rate = solved(needed, force)
+    alone, _ = solved(needed, lambda x, v: STIFFNESS * x + loss * v)
+    late = TIME > 1.0
+    drawn = path(needed, force(delta, rate))
+    assert np.std((drawn - delta)[late]) < 0.2 * np.std(delta[late])
+    assert np.std((alone - delta)[late]) > 2 * np.std((drawn - delta)[late])
+
+
+def test_teeth_meet_where_they_are_measured_to():
+    # Hard teeth by SciPy, stiffer than the coupling that is tried: rattle that is a little late stays a little late.
+    gap, needed = 0.02, needed_near_resonance()
+    loss = 2 * 0.2 * np.sqrt(5 * STIFFNESS * MASS)
+
+    def force(x, v):
+        over = abs(x) - gap / 2
+        push = 5 * STIFFNESS * over + np.sign(x) * loss * v
+        return np.sign(x) * max(push, 0.0) if over > 0 else 0.0
+
+    delta, rate = solved(needed, force, 0.011)
+    carried = np.array([force(x, v) for x, v in zip(delta, rate, strict=True)])
+    found = path(needed, carried, 4 * STIFFNESS, gap)
+    assert np.std((found - delta)[TIME > 1.0]) < 0.15 * np.std(delta)
+
+
+# The arm with the elbow's motor apart from its link: the same hinge twice, the second one passive.
+APART = ARM.replace(
+    '<joint name="elbow" axis="0 1 0.3" damping="0.2" armature="0.03"/>',
+    """<joint name="elbow" axis="0 1 0.3" damping="0.2" armature="0.03"/>
+<inertial mass="1e-4" pos="0 0 0" diaginertia="1e-6 1e-6 1e-6"/>
+<body name="link"><joint name="twist" axis="0 1 0.3" COUPLING/>""",
+).replace("</body></body></worldbody>", "</body></body></body></worldbody>")
+APART = APART.replace("<mujoco>", '<mujoco><compiler angle="radian"/>')
+SPRING = 'stiffness="60" damping="0.1"'
+# MuJoCo's own law of a stop on either side: soft, and never pulling.
+TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
+
+
+def log_of(coupling, seed=0):
+    """A log of the real arm, whose encoders sit on the motors."""
+    model = mujoco.MjModel.from_xml_string(APART.replace("COUPLING", coupling))
+    data = mujoco.MjData(model)
+    data.qpos[:2], data.qvel[:2] = wave(0.0, seed)
+    rng = np.random.default_rng(seed)
+    sigma, rows = np.array([0.03, 0.01]), []
+    for _ in range(4000):
+        target, speed = wave(data.time, seed)
+        u = np.array([60.0, 40.0]) * (target - data.qpos[:2])
+        u += np.array([6.0, 3.0]) * (speed - data.qvel[:2])
+        seen = data.qpos[:2] + 2e-5 * rng.standard_normal(2)
+        rows.append((data.time, seen, u + sigma * rng.standard_normal(2)))
+        data.qfrc_applied[:2] = u
+        mujoco.mj_step(model, data, 4)
+    time, qpos, tau = map(np.array, zip(*rows, strict=True))
+    return Log(
+        time=time,
+        joint_names=("shoulder", "elbow"),
+        qpos=qpos,
+        tau=tau,
+        tau_kind=TorqueKind.COMMANDED,
+        sigma_qpos=np.full(2, 2e-5),
+        sigma_tau=sigma,
+    )
+
+
+def test_a_soft_joint_of_mujoco_is_named_and_sized():
+    robot = load_model(mujoco.MjModel.from_xml_string(ARM))
+    found = diagnose(robot, log_of(SPRING), test_log=log_of(SPRING, seed=5))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("joint_elasticity", "elbow")
+    assert effect.parameters["stiffness"].value == pytest.approx(60.0, rel=0.05)
+
+
+@pytest.mark.parametrize("half", [0.01, 0.0003])
+def test_play_between_stops_of_mujoco_is_named_and_sized(half):
+    robot, teeth = load_model(mujoco.MjModel.from_xml_string(ARM)), TEETH.format(half)
+    found = diagnose(robot, log_of(teeth), test_log=log_of(teeth, seed=5))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("backlash", "elbow")
+    assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.2)
