@@ -190,11 +190,6 @@ class Context:
         )
         self._separations |= {(row, c): x for c, x in zip(couplings, paths, strict=True)}
 
-    @functools.cached_property
-    def unpredicted(self) -> np.ndarray:
-        """Rows of the slow grid that no model predicts: at rest, where friction is arbitrary, or unmeasured (R, nv)."""
-        return self.at_rest[self.prepared.kept] | ~self.prepared.valid
-
 
 def _bristle(x: np.ndarray, start: float, reach: float) -> np.ndarray:
     out = np.empty(len(x))

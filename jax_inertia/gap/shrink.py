@@ -3,68 +3,67 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
+from jax_inertia.gap.energies import Energies, Shrink
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP, remaining, stacked
-from jax_inertia.gap.verdict import Tried
+from jax_inertia.gap.select import STOP, stacked
+from jax_inertia.gap.verdict import Tried, Verdict
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
-# Of the floor: a gap below this is mostly the floor's own.
-NEAR = 1.2
+
+def _energies(
+    evidence: Evidence, before: np.ndarray, after: np.ndarray, replicas: np.ndarray
+) -> Energies:
+    """Of finished torques on a log."""
+    excused = evidence.excused(evidence.charged(after))
+    return Energies.of(evidence.used, before, after, excused, replicas)
 
 
-@dataclasses.dataclass(frozen=True)
-class Shrink:
-    """Root mean square of the missing torque over all rows [N m]: before, after, and what no effect removes."""
+def louder(search: Search) -> Float[np.ndarray, " nv"]:
+    """How many times its sensors' noise each row's is, by what is left of the first log.
 
-    before: float
-    after: float
-    sensors: float
-    """Of the sensors' noise."""
-    excused: float
-    """Of the nominal model's own errors as this log most likely has them: its numbers within their tolerances, how its
-    friction turns over, when within a period a torque acted. They are there before and after alike."""
+    More than one where that log states no noise and what is left passes for one: a motor misses its command at random.
+    """
+    pool, prepared = search.pool, search.pool.context.prepared
+    quiet = search.floor <= pool.evidence.noise_energy(search.replicas)
+    if quiet or search.verdict is not Verdict.EXPLAINED:
+        return np.ones(prepared.robot.nv)
+    left = what_is_left(pool, search.chosen)
+    left = left - pool.evidence.excused(pool.evidence.charged(left))
 
-    @property
-    def noise(self) -> float:
-        """The floor: sensors and model together."""
-        return float(np.hypot(self.sensors, self.excused))
+    def energy(x: np.ndarray) -> np.ndarray:
+        return np.sum(np.where(pool.evidence.used, x**2, 0.0), axis=-2)
 
-    @property
-    def share(self) -> float | None:
-        """1 − after/before, both with the floor taken off; None where hardly more than it was there before."""
-        if self.before < NEAR * self.noise:
-            return None
-        gap = self.before**2 - self.noise**2
-        return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
+    sensors = energy(search.replicas).mean(axis=0)
+    return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
 
 
-def _shrink(
-    context: Context, before: np.ndarray, after: np.ndarray, excused: np.ndarray, replicas
-) -> Shrink:
-    """Finished torques on all rows to one number each, over rows that a model should predict."""
-    counted = ~context.unpredicted
-
-    def rms(x: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(x[..., counted] ** 2)))
-
-    return Shrink(rms(before), rms(after), rms(np.asarray(replicas)), rms(excused))
-
-
-def held_out(pool: Pool, chosen: list[Candidate], replicas) -> Shrink:
+def held_out(search: Search, chosen: list[Candidate]) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
-    prepared = pool.context.prepared
-    before = prepared.finish_torque(prepared.missing)
-    excused = pool.evidence.excused(remaining(pool, chosen))
-    return _shrink(pool.context, before, what_is_left(pool, chosen), excused, replicas)
+    pool = search.pool
+    context, prepared = pool.context, pool.context.prepared
+    before, after = prepared.finish_torque(prepared.missing), what_is_left(pool, chosen)
+    energies = _energies(pool.evidence, before, after, louder(search) * search.replicas)
+    shrink = energies.shrink
+    if not chosen or shrink.share is None:
+        return shrink
+    own = sum(
+        c.family.form_error**2
+        * float(np.sum(prepared.finish_torque(effect_torque(context, c))[pool.evidence.used] ** 2))
+        for c in chosen
+        if not c.family.passing
+    )
+    interval = energies.interval(prepared.settings.decimated, own)
+    return dataclasses.replace(shrink, interval=interval)
 
 
 def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
@@ -135,6 +134,7 @@ class OtherMotion:
         self._prepared, self._context = prepared, context
         self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
         self._stated = stated(log)
+        self._noise = louder(search) * self._replicas
 
     def trial(self, chosen: list[Candidate]) -> Trial:
         """Missing torque and misfit with and without the effects."""
@@ -144,14 +144,9 @@ class OtherMotion:
         charged = [evidence.charged(e) for e in effects]
         y = prepared.finish_torque(prepared.missing)
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
+        after = y - sum(effects, np.zeros_like(y))
         return Trial(
-            shrink=_shrink(
-                context,
-                y,
-                y - sum(effects, np.zeros_like(y)),
-                evidence.excused(left),
-                self._replicas,
-            ),
+            shrink=_energies(evidence, y, after, self._noise).shrink,
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),
@@ -179,7 +174,7 @@ def without_harm(
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
-        own = held_out(pool, effects, search.replicas)
+        own = held_out(search, effects)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
