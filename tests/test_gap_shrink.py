@@ -52,7 +52,7 @@ def test_what_no_model_predicts_does_not_count():
 def test_nothing_that_counts_is_no_gap():
     zero = np.zeros((ROWS, 2))
     shrink = Energies.of(np.zeros((ROWS, 2), bool), zero + 1.0, zero, zero, zero[None]).shrink
-    assert (shrink.before, shrink.noise) == (0.0, 0.0)
+    assert (shrink.before, shrink.noise, shrink.share) == (0.0, 0.0, None)
 
 
 @pytest.mark.parametrize("remains", [0.0, 0.2, 0.5])
@@ -60,14 +60,23 @@ def test_interval_holds_the_shrink_on_another_motion(remains):
     rng = np.random.default_rng(1)
     held = 0
     for _ in range(100):
-        low, high = energies(rng, 0.6, remains).interval(RATE)
+        interval = energies(rng, 0.6, remains).interval(RATE)
         share = energies(rng, 0.6, remains).shrink.share
-        held += share is not None and low <= share <= high
+        assert interval is not None
+        assert share is not None
+        held += interval[0] <= share <= interval[1]
     assert held >= 90
 
 
 def test_interval_is_wider_where_equations_err():
     one = energies(np.random.default_rng(0), 3.0, 0.1)
-    low, high = one.interval(RATE)
-    lower, higher = one.interval(RATE, 0.02 * float(one.before.sum()))
-    assert lower < low < high < higher
+    narrow, wide = one.interval(RATE), one.interval(RATE, 0.02 * float(one.before.sum()))
+    assert narrow is not None
+    assert wide is not None
+    assert wide[0] < narrow[0] < narrow[1] < wide[1]
+
+
+def test_below_the_floor_nothing_is_foretold():
+    none, noise = np.zeros((ROWS, 2)), np.ones((1, ROWS, 2))
+    everywhere = np.ones((ROWS, 2), bool)
+    assert Energies.of(everywhere, none + 0.5, none + 0.5, none, noise).interval(RATE) is None

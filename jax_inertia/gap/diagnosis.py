@@ -25,7 +25,7 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose, remaining
-from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
+from jax_inertia.gap.shrink import OtherMotion, louder, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.gap.words import named, percent
@@ -113,7 +113,7 @@ def diagnose(
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             pool.evidence.excused(remaining(pool, chosen)),
-            search.replicas,
+            louder(search) * search.replicas,
         ),
     )
 

@@ -22,13 +22,13 @@ class Shrink:
     before: float
     after: float
     sensors: float
-    """Of the sensors' noise."""
+    """Of the sensors' noise, and of a drive's where what is left passes for it."""
     excused: float
     """Of the nominal model's own errors as this log most likely has them: its numbers within their tolerances, how its
     friction turns over, when within a period a torque acted. What goes with them, in energy, is there before and after
     alike."""
     interval: tuple[float, float] | None = None
-    """95 %, of the share on another motion; None where it was not foretold."""
+    """95 %, of the share on another motion; None where that was not foretold."""
 
     @property
     def noise(self) -> float:
@@ -38,7 +38,7 @@ class Shrink:
     @property
     def share(self) -> float | None:
         """1 − after/before, both with the floor taken off; None where hardly more than it was there before."""
-        if self.before < NEAR * self.noise:
+        if self.before <= NEAR * self.noise:
             return None
         gap = self.before**2 - self.noise**2
         return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
@@ -88,11 +88,12 @@ class Energies:
 
     def interval(
         self, rate: float, own: float = 0.0, *, block: float = 1.0, draws: int = 1000, seed: int = 0
-    ) -> tuple[float, float]:
+    ) -> tuple[float, float] | None:
         """95 % interval of the share on another motion: a bootstrap over blocks of time [s] (Künsch 1989).
 
         Drawn twice, once for what chance and the equations' own errors leave here, once for the same on the other
-        motion; `own` is the energy that those errors leave [N² m²], as large as they usually are.
+        motion; `own` is the energy that those errors leave [N² m²], as large as they usually are. None where the gap
+        is below its floor.
         """
         of_block = (np.arange(len(self.before)) / (rate * block)).astype(int)
         before, after, left, sensors = (
@@ -101,6 +102,8 @@ class Energies:
         )
         rest, gap = left - sensors, before - after + left - sensors
         whole, count = gap.sum(), len(gap)
+        if whole <= 0:
+            return None
         rng = np.random.default_rng(seed)
         pick = rng.integers(0, count, (2, draws, count))
         # A draw that hardly holds the gap tells no share of it.

@@ -29,9 +29,9 @@ def _energies(
 
 
 def louder(search: Search) -> Float[np.ndarray, " nv"]:
-    """How many times its sensors' noise each row's is, by what is left of the first log.
+    """How many times the sensors' each row's noise is, by what is left of the first log.
 
-    More than one where that log states no noise and what is left passes for one: a motor misses its command at random.
+    More than once where that log states none and what is left passes for noise: a motor misses its command at random.
     """
     pool, prepared = search.pool, search.pool.context.prepared
     quiet = search.floor <= pool.evidence.noise_energy(search.replicas)
@@ -47,14 +47,13 @@ def louder(search: Search) -> Float[np.ndarray, " nv"]:
     return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
 
 
-def held_out(search: Search, chosen: list[Candidate]) -> Shrink:
+def held_out(pool: Pool, chosen: list[Candidate], replicas: np.ndarray) -> Shrink:
     """Missing torque before and after, each fifth of the log predicted from the other four."""
-    pool = search.pool
     context, prepared = pool.context, pool.context.prepared
     before, after = prepared.finish_torque(prepared.missing), what_is_left(pool, chosen)
-    energies = _energies(pool.evidence, before, after, louder(search) * search.replicas)
+    energies = _energies(pool.evidence, before, after, replicas)
     shrink = energies.shrink
-    if not chosen or shrink.share is None:
+    if not chosen:
         return shrink
     own = sum(
         c.family.form_error**2
@@ -170,23 +169,23 @@ def without_harm(
     With them, the shrink on the log itself and the trial on the other motion.
     """
     pool = search.pool
-    chosen = search.chosen
+    chosen, replicas = search.chosen, louder(search) * search.replicas
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
-        own = held_out(search, effects)
+        own = held_out(pool, effects, replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
             misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
-            own.after / own.before / WORSE_TORQUE,
+            own.after / max(own.before, 1e-300) / WORSE_TORQUE,
         ]
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
-                trial.shrink.after / trial.shrink.before / WORSE_TORQUE,
+                trial.shrink.after / max(trial.shrink.before, 1e-300) / WORSE_TORQUE,
             ]
         return max(harm), own, trial
 
