@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jax_inertia.gap.energies import Energies
+from jax_inertia.gap.energies import Energies, holding
 
 ROWS, RATE = 400, 50.0
 
@@ -36,6 +36,11 @@ def test_errors_that_undo_what_is_left_are_no_floor_of_their_own():
     assert against.excused == 0.0
     with_it = Energies.of(everywhere, 3.0 * left, left, left, none).shrink
     assert with_it.excused == pytest.approx(with_it.after)
+
+
+def test_rows_that_hold_the_gap():
+    assert holding([0.01, 0.4, 0.59]) == [2, 1]
+    assert holding([0.0, 0.0]) == [0]
 
 
 def test_what_no_model_predicts_does_not_count():

@@ -1,11 +1,13 @@
 """How large the missing torque is before and after, against a floor that no effect removes.
 
-It is measured on the samples that effects and the model's errors are fitted to (`Evidence.used`): next to rest, the
-filters carry friction that no model predicts. The floor is the sensors' noise and the energy that goes with the nominal
-model's own errors, as a log most likely has them, when they are taken out of what is left.
+It is measured on the rows that hold the gap, where others add but noise, and on the samples that effects and the
+model's errors are fitted to (`Evidence.used`): next to rest, the filters carry friction that no model predicts. The
+floor is the sensors' noise and the energy that goes with the nominal model's own errors, as a log most likely has them,
+when they are taken out of what is left.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.stats
@@ -13,11 +15,19 @@ from jaxtyping import Bool, Float
 
 # Of the floor: a gap below this is mostly the floor's own.
 NEAR = 1.2
+# A row holds the gap that has this share of it.
+HOLDING = 0.02
+
+
+def holding(share: Sequence[float]) -> list[int]:
+    """Rows that hold the gap, the loudest first, by each row's share of it."""
+    order = sorted(range(len(share)), key=lambda k: -share[k])
+    return [k for k in order if share[k] >= HOLDING] or order[:1]
 
 
 @dataclasses.dataclass(frozen=True)
 class Shrink:
-    """Root mean square of the missing torque over all rows [N m]: before, after, and what no effect removes."""
+    """Rms of the missing torque over the rows that hold the gap [N m]: before, after, and what no effect removes."""
 
     before: float
     after: float
@@ -46,7 +56,7 @@ class Shrink:
 
 @dataclasses.dataclass(frozen=True)
 class Energies:
-    """Squared torques summed over the rows that count, moment by moment [N² m²]."""
+    """Squared torques summed over rows, moment by moment [N² m²]."""
 
     before: Float[np.ndarray, " R"]
     after: Float[np.ndarray, " R"]

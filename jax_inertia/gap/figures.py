@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from jax_inertia.gap.energies import Energies
+from jax_inertia.gap import energies
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.trace import Trace
@@ -169,10 +169,8 @@ def affected(found: Diagnosis) -> int:
 
 
 def holding(found: Diagnosis) -> list[int]:
-    """Rows that hold the gap, the loudest first: each at least a fiftieth of it."""
-    shares = [found.share[name] for name in found.trace.rows]
-    order = sorted(range(len(shares)), key=lambda k: -shares[k])
-    return [k for k in order if shares[k] >= 0.02] or order[:1]
+    """Rows that hold the gap, the loudest first."""
+    return energies.holding([found.share[name] for name in found.trace.rows])
 
 
 def _rms(x: np.ndarray, trace: Trace, rows: list[int]) -> float:
@@ -186,7 +184,7 @@ def _floor(trace: Trace, rows: list[int]) -> float:
     before, excused = trace.missing[:, rows], trace.excused[:, rows]
     after = (trace.missing, *trace.left)[-1][:, rows]
     noise = np.broadcast_to(trace.noise[rows], (1, *after.shape))
-    return Energies.of(~trace.rest[:, rows], before, after, excused, noise).shrink.noise
+    return energies.Energies.of(~trace.rest[:, rows], before, after, excused, noise).shrink.noise
 
 
 def short(name: str, most: int = 22) -> str:

@@ -21,11 +21,16 @@ from jax_inertia.robot import Robot
 
 
 def _energies(
-    evidence: Evidence, before: np.ndarray, after: np.ndarray, replicas: np.ndarray
+    evidence: Evidence,
+    rows: list[int],
+    before: Float[np.ndarray, "R nv"],
+    after: Float[np.ndarray, "R nv"],
+    replicas: Float[np.ndarray, "K R nv"],
 ) -> Energies:
-    """Of finished torques on a log."""
+    """Of finished torques on a log, over some rows."""
     excused = evidence.excused(evidence.charged(after))
-    return Energies.of(evidence.used, before, after, excused, replicas)
+    torques = (x[..., rows] for x in (before, after, excused, replicas))
+    return Energies.of(evidence.used[:, rows], *torques)
 
 
 def louder(search: Search) -> Float[np.ndarray, " nv"]:
@@ -47,22 +52,26 @@ def louder(search: Search) -> Float[np.ndarray, " nv"]:
     return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
 
 
-def held_out(pool: Pool, chosen: list[Candidate], replicas: np.ndarray) -> Shrink:
-    """Missing torque before and after, each fifth of the log predicted from the other four."""
+def held_out(
+    pool: Pool,
+    rows: list[int],
+    chosen: list[Candidate],
+    after: Float[np.ndarray, "R nv"],
+    replicas: Float[np.ndarray, "K R nv"],
+) -> Shrink:
+    """Missing torque on some rows before and `after` the chosen effects (`what_is_left`)."""
     context, prepared = pool.context, pool.context.prepared
-    before, after = prepared.finish_torque(prepared.missing), what_is_left(pool, chosen)
-    energies = _energies(pool.evidence, before, after, replicas)
-    shrink = energies.shrink
+    before = prepared.finish_torque(prepared.missing)
+    energies = _energies(pool.evidence, rows, before, after, replicas)
     if not chosen:
-        return shrink
-    own = sum(
-        c.family.form_error**2
-        * float(np.sum(prepared.finish_torque(effect_torque(context, c))[pool.evidence.used] ** 2))
-        for c in chosen
-        if not c.family.passing
-    )
+        return energies.shrink
+    own = 0.0
+    for c in (c for c in chosen if not c.family.passing):
+        effect = prepared.finish_torque(effect_torque(context, c))
+        counted = effect[:, rows][pool.evidence.used[:, rows]]
+        own += c.family.form_error**2 * float(counted @ counted)
     interval = energies.interval(prepared.settings.decimated, own)
-    return dataclasses.replace(shrink, interval=interval)
+    return dataclasses.replace(energies.shrink, interval=interval)
 
 
 def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
@@ -118,12 +127,16 @@ class Trial:
 
     shrink: Shrink
     misfit: Tried
+    grown: float
+    """Missing torque of all rows with the effects, over that without."""
 
 
 class OtherMotion:
     """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
 
-    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
+    def __init__(
+        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
+    ):
         prepared = prepare(robot, log)
         own, self._replicas, _ = whitener(prepared, log)
         context = Context(prepared, motion_band(prepared, own, self._replicas))
@@ -132,7 +145,7 @@ class OtherMotion:
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
-        self._stated = stated(log)
+        self._stated, self._rows = stated(log), rows
         self._noise = louder(search) * self._replicas
 
     def trial(self, chosen: list[Candidate]) -> Trial:
@@ -145,7 +158,7 @@ class OtherMotion:
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
         after = y - sum(effects, np.zeros_like(y))
         return Trial(
-            shrink=_energies(evidence, y, after, self._noise).shrink,
+            shrink=_energies(evidence, self._rows, y, after, self._noise).shrink,
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),
@@ -153,7 +166,16 @@ class OtherMotion:
                 allowed=sum((c.excuses(e) for c, e in zip(lasting, charged, strict=True)), 0.0),
                 stated=self._stated,
             ),
+            grown=_grown(evidence, y, after),
         )
+
+
+def _grown(
+    evidence: Evidence, before: Float[np.ndarray, "R nv"], after: Float[np.ndarray, "R nv"]
+) -> float:
+    """Finished torques' rms over all rows, after over before."""
+    sizes = [float(np.linalg.norm(x[evidence.used])) for x in (after, before)]
+    return sizes[0] / max(sizes[1], 1e-300)
 
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
@@ -162,30 +184,32 @@ WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
 def without_harm(
-    search: Search, other: OtherMotion | None
+    search: Search, other: OtherMotion | None, rows: list[int]
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
-    With them, the shrink on the log itself and the trial on the other motion.
+    With them, the shrink on the log itself, each fifth of it predicted from the other four, and the trial on the other
+    motion.
     """
-    pool = search.pool
+    pool, prepared = search.pool, search.pool.context.prepared
     chosen, replicas = search.chosen, louder(search) * search.replicas
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
-        own = held_out(pool, effects, replicas)
+        after = what_is_left(pool, effects)
+        own = held_out(pool, rows, effects, after, replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
             misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
-            own.after / max(own.before, 1e-300) / WORSE_TORQUE,
+            _grown(pool.evidence, prepared.finish_torque(prepared.missing), after) / WORSE_TORQUE,
         ]
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
-                trial.shrink.after / max(trial.shrink.before, 1e-300) / WORSE_TORQUE,
+                trial.grown / WORSE_TORQUE,
             ]
         return max(harm), own, trial
 
