@@ -10,7 +10,6 @@ from diagnosis_cases import Case, Files
 import jax_inertia as ji
 from jax_inertia._diagnose_run import Inputs, Result
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.energies import holding
 from jax_inertia.gap.evidence import used
 from jax_inertia.log import read_log
 from jax_inertia.robot import Robot
@@ -77,7 +76,7 @@ def summarise(case: Case, files: Files, inputs: Inputs, result: Result, seconds:
     ]
     theirs = published_left(case, files, inputs.robot)
     # As the shrink is measured.
-    loud = holding([report["gap"]["share"][name] for name in trace.rows])
+    loud = list(trace.gap)
     moving = ~trace.rest
     last = trace.left[-1] if trace.left else trace.missing
     rows = [

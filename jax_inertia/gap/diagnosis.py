@@ -17,7 +17,6 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
 from jax_inertia.gap.doubt import leans_on
-from jax_inertia.gap.energies import holding
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
@@ -26,7 +25,7 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose, remaining
-from jax_inertia.gap.shrink import OtherMotion, louder, what_is_left, without_harm
+from jax_inertia.gap.shrink import OtherMotion, louder, rows_of_gap, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.gap.words import named, percent
@@ -79,7 +78,7 @@ def diagnose(
     progress("checking on held-out stretches and on the other motion")
     # How large the gap is, where and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
-    rows = holding(evidence.share.tolist())
+    rows = rows_of_gap(evidence, search.replicas)
     other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search, rows)
     chosen, heldout, trial = without_harm(search, other, rows)
     if len(chosen) < len(search.chosen):
@@ -114,6 +113,7 @@ def diagnose(
             tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             pool.evidence.excused(remaining(pool, chosen)),
             louder(search) * search.replicas,
+            rows,
         ),
     )
 

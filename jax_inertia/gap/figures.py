@@ -170,7 +170,8 @@ def affected(found: Diagnosis) -> int:
 
 def holding(found: Diagnosis) -> list[int]:
     """Rows that hold the gap, the loudest first."""
-    return energies.holding([found.share[name] for name in found.trace.rows])
+    shares = [found.share[name] for name in found.trace.rows]
+    return sorted(found.trace.gap or energies.holding(shares), key=lambda k: -shares[k])
 
 
 def _rms(x: np.ndarray, trace: Trace, rows: list[int]) -> float:

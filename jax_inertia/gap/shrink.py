@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.energies import Energies, Shrink
+from jax_inertia.gap.energies import Energies, Shrink, holding
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
@@ -50,6 +50,16 @@ def louder(search: Search) -> Float[np.ndarray, " nv"]:
 
     sensors = energy(search.replicas).mean(axis=0)
     return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
+
+
+def rows_of_gap(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"]) -> list[int]:
+    """Rows that hold the gap, in units of their noise or in N m: a faint sensor hides neither the one nor the other."""
+    prepared = evidence.prepared
+    missing = prepared.finish_torque(prepared.missing)
+    excess = np.where(evidence.used, missing**2 - np.mean(replicas**2, axis=0), 0.0).sum(axis=0)
+    excess = np.maximum(excess, 0.0)
+    torque = excess / max(excess.sum(), 1e-300)
+    return sorted({*holding(evidence.share.tolist()), *holding(torque.tolist())})
 
 
 def held_out(

@@ -46,6 +46,8 @@ class Trace:
     """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
     forces: tuple[BodyForce, ...]
     """The most telling body first."""
+    gap: tuple[int, ...] = ()
+    """Rows that hold the gap, in units of their noise or in N m: those that the shrink is of."""
 
 
 def collect(
@@ -54,6 +56,7 @@ def collect(
     left: tuple[np.ndarray, ...],
     excused: Float[np.ndarray, "R nv"],
     replicas: Float[np.ndarray, "K R nv"],
+    gap: list[int],
 ) -> Trace:
     """Gather the signals of one run; `effects`, `left` and `excused` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
@@ -75,6 +78,7 @@ def collect(
         excused=excused,
         energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
         forces=_forces(pool, missing / noise, noise),
+        gap=tuple(gap),
     )
 
 
