@@ -7,13 +7,13 @@ import pytest
 
 from jax_inertia.demo.command import judged
 from jax_inertia.demo.hidden import Secret
+from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval
 from jax_inertia.gap.report import to_report
-from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.suggest import suggestions
-from jax_inertia.gap.trace import Trace, regions, shrink_interval
+from jax_inertia.gap.trace import Trace, regions
 from jax_inertia.gap.verdict import Verdict
 
 KNEE, HIP = Place("joint", "knee", 0), Place("joint", "hip", 1)
@@ -139,15 +139,6 @@ def test_in_a_console_and_in_a_notebook():
         assert said in page
     assert "<script" not in page
     assert "<table" not in found(Verdict.NO_GAP)._repr_html_()
-
-
-def test_shrink_interval_holds_the_shrink_and_narrows_with_data():
-    low, high = shrink_interval(trace(500))
-    assert 0.9 < low < high <= 1.0
-    worse = dataclasses.replace(trace(500), left=(0.5 * trace(500).missing,))
-    low, high = shrink_interval(worse)
-    assert low < 0.5 < high or (low, high) == pytest.approx((0.5, 0.5), abs=0.01)
-    assert shrink_interval(dataclasses.replace(trace(), left=())) is None
 
 
 def test_regions_show_what_the_gap_follows():

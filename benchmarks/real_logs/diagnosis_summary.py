@@ -10,7 +10,7 @@ from diagnosis_cases import Case, Files
 import jax_inertia as ji
 from jax_inertia._diagnose_run import Inputs, Result
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.context import Context
+from jax_inertia.gap.evidence import used
 from jax_inertia.log import read_log
 from jax_inertia.robot import Robot
 
@@ -75,6 +75,8 @@ def summarise(case: Case, files: Files, inputs: Inputs, result: Result, seconds:
         {**e, "doubt": _doubt(case, e, peak, inertia), "weak": _weak(e)} for e in report["effects"]
     ]
     theirs = published_left(case, files, inputs.robot)
+    # As the shrink is measured.
+    loud = list(trace.gap)
     moving = ~trace.rest
     last = trace.left[-1] if trace.left else trace.missing
     rows = [
@@ -98,7 +100,8 @@ def summarise(case: Case, files: Files, inputs: Inputs, result: Result, seconds:
         floor=report["gap"]["noise_floor"],
         shrink=report["shrink"],
         published={
-            which: _rms(x, m) for which, (x, m) in zip(("log", "test"), theirs, strict=False)
+            which: _rms(x[:, loud], m[:, loud])
+            for which, (x, m) in zip(("log", "test"), theirs, strict=False)
         },
         rows=rows,
         gains=[f.message for f in inputs.quality if f.check == "drive_gain"],
@@ -121,8 +124,7 @@ def published_left(case: Case, files: Files, robot: Robot) -> list[tuple[np.ndar
         prepared = prepare(robot, log if case.gains is None else log.with_torque_gains(case.gains))
         v, a = np.asarray(prepared.observation.motion.v), np.asarray(prepared.observation.a)
         left = prepared.finish(prepared.missing + case.law(v, a))
-        rest = Context(prepared).unpredicted
-        out.append((left, ~rest))
+        out.append((left, used(prepared)))
     return out
 
 

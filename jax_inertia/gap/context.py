@@ -208,11 +208,6 @@ class Context:
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
         return self.below(self.prepared.settings.after, carried)
 
-    @functools.cached_property
-    def unpredicted(self) -> np.ndarray:
-        """Rows of the slow grid that no model predicts: at rest, where friction is arbitrary, or unmeasured (R, nv)."""
-        return self.at_rest[self.prepared.kept] | ~self.prepared.valid
-
 
 def _bristle(x: np.ndarray, start: float, reach: float) -> np.ndarray:
     out = np.empty(len(x))

@@ -25,7 +25,7 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose, remaining
-from jax_inertia.gap.shrink import OtherMotion, what_is_left, without_harm
+from jax_inertia.gap.shrink import OtherMotion, louder, rows_of_gap, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.gap.words import named, percent
@@ -76,8 +76,11 @@ def diagnose(
     pool, verdict = search.pool, search.verdict
     context = pool.context
     progress("checking on held-out stretches and on the other motion")
-    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search)
-    chosen, heldout, trial = without_harm(search, other)
+    # How large the gap is, where and when, is told in units of the sensors' noise.
+    evidence = first.pool.evidence
+    rows = rows_of_gap(evidence, search.replicas)
+    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search, rows)
+    chosen, heldout, trial = without_harm(search, other, rows)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
@@ -87,20 +90,16 @@ def diagnose(
         verdict = second_look(verdict, trial.misfit)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
-    # How large the gap is, and when, is told in units of the sensors' noise.
-    evidence = first.pool.evidence
-    raw = evidence.unflatten(evidence.raw[:, 0])
     names = {dof: name for name, dof in context.joint_dofs.items()}
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
-    excess = np.maximum(np.sum(raw**2 - evidence.used, axis=0), 0.0)
     label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
     return Diagnosis(
         verdict=verdict,
         confidence=findings[0].probability if findings else verdict.confidence(first.bare),
-        chi2=float(np.sum(raw**2) / evidence.rows),
+        chi2=float(np.sum(evidence.raw**2) / evidence.rows),
         noise_floor=float(first.floor / evidence.rows),
         per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
-        share=dict(zip(label, (excess / max(excess.sum(), 1e-300)).tolist(), strict=True)),
+        share=dict(zip(label, evidence.share.tolist(), strict=True)),
         findings=findings,
         heldout=heldout,
         test=None if trial is None else trial.shrink,
@@ -113,7 +112,8 @@ def diagnose(
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             pool.evidence.excused(remaining(pool, chosen)),
-            search.replicas,
+            louder(search) * search.replicas,
+            rows,
         ),
     )
 

@@ -112,6 +112,13 @@ class Evidence:
         """Number of whitened samples used."""
         return int(self.used.sum())
 
+    @property
+    def share(self) -> Float[np.ndarray, " nv"]:
+        """What each row has of the gap: of the energy above the noise's, before anything is explained."""
+        excess = np.sum(self.unflatten(self.raw[:, 0]) ** 2 - self.used, axis=0)
+        excess = np.maximum(excess, 0.0)
+        return excess / max(excess.sum(), 1e-300)
+
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""
         return self._charge_own(self._charge_fixed(x))

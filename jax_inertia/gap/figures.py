@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from jax_inertia.gap import energies
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.trace import Trace
@@ -124,7 +125,7 @@ def waterfall(found: Diagnosis) -> str:
         axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], zorder=2, height=0.6)
         for k, value in enumerate(values):
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
-        floor = _rms(np.hypot(trace.noise, trace.excused), trace, rows)
+        floor = _floor(trace, rows)
         axes.axvline(floor, color=_BLUE, ls="--", lw=1.3)
         axes.text(floor, -0.55, f" floor {floor:.2g}", color=_BLUE, fontsize=8.5, va="bottom")
         axes.set_yticks(at, names)
@@ -168,16 +169,23 @@ def affected(found: Diagnosis) -> int:
 
 
 def holding(found: Diagnosis) -> list[int]:
-    """Rows that hold the gap, the loudest first: each at least a fiftieth of it."""
+    """Rows that hold the gap, the loudest first."""
     shares = [found.share[name] for name in found.trace.rows]
-    order = sorted(range(len(shares)), key=lambda k: -shares[k])
-    return [k for k in order if shares[k] >= 0.02] or order[:1]
+    return sorted(found.trace.gap or energies.holding(shares), key=lambda k: -shares[k])
 
 
 def _rms(x: np.ndarray, trace: Trace, rows: list[int]) -> float:
     """Over samples in motion."""
     moving = ~trace.rest[:, rows]
     return float(np.sqrt(np.mean(x[:, rows][moving] ** 2))) if moving.any() else 0.0
+
+
+def _floor(trace: Trace, rows: list[int]) -> float:
+    """What no effect removes, over samples in motion."""
+    before, excused = trace.missing[:, rows], trace.excused[:, rows]
+    after = (trace.missing, *trace.left)[-1][:, rows]
+    noise = np.broadcast_to(trace.noise[rows], (1, *after.shape))
+    return energies.Energies.of(~trace.rest[:, rows], before, after, excused, noise).shrink.noise
 
 
 def short(name: str, most: int = 22) -> str:

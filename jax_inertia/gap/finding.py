@@ -3,9 +3,9 @@
 import dataclasses
 
 from jax_inertia._readable import line, table
+from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.intervals import Interval
-from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import chance, named, number, percent, plain, unit

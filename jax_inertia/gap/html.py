@@ -9,9 +9,9 @@ import numpy as np
 
 from jax_inertia.gap import figures
 from jax_inertia.gap.correct import Correction
+from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
-from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.log import Log

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding
 from jax_inertia.gap.rollout import Rollouts
-from jax_inertia.gap.shrink import Shrink
 from jax_inertia.gap.suggest import Suggestion, suggestions
-from jax_inertia.gap.trace import regions, shrink_interval
+from jax_inertia.gap.trace import regions
 from jax_inertia.preflight import Finding as Quality
 
 
@@ -23,8 +23,8 @@ def to_report(
     Beyond the contract: `where` (rows, bodies, regions of state), `doubts`, `data_quality`, `notes`.
     """
     heldout = _shrink(found.heldout)
-    if (interval := shrink_interval(found.trace)) is not None:
-        heldout["ci95"] = list(interval)
+    if found.heldout.interval is not None:
+        heldout["ci95"] = list(found.heldout.interval)
     report = {
         "schema": 1,
         "verdict": str(found.verdict),

@@ -40,7 +40,7 @@ class Search:
     misfits: list[float]
     """Charged misfit J after 0, 1, 2 ... effects."""
     floor: float
-    """J that the sensors' noise alone would leave."""
+    """J that noise alone would leave: the sensors', or all there is where that has no memory and none is stated."""
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
     verdict: Verdict

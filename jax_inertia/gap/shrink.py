@@ -3,68 +3,85 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
+from jax_inertia.gap.energies import Energies, Shrink, holding
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP, remaining, stacked
-from jax_inertia.gap.verdict import Tried
+from jax_inertia.gap.select import STOP, stacked
+from jax_inertia.gap.verdict import Tried, Verdict
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
-# Of the floor: a gap below this is mostly the floor's own.
-NEAR = 1.2
+
+def _energies(
+    evidence: Evidence,
+    rows: list[int],
+    before: Float[np.ndarray, "R nv"],
+    after: Float[np.ndarray, "R nv"],
+    replicas: Float[np.ndarray, "K R nv"],
+) -> Energies:
+    """Of finished torques on a log, over some rows."""
+    excused = evidence.excused(evidence.charged(after))
+    torques = (x[..., rows] for x in (before, after, excused, replicas))
+    return Energies.of(evidence.used[:, rows], *torques)
 
 
-@dataclasses.dataclass(frozen=True)
-class Shrink:
-    """Root mean square of the missing torque over all rows [N m]: before, after, and what no effect removes."""
+def louder(search: Search) -> Float[np.ndarray, " nv"]:
+    """How many times the sensors' each row's noise is, by what is left of the first log.
 
-    before: float
-    after: float
-    sensors: float
-    """Of the sensors' noise."""
-    excused: float
-    """Of the nominal model's own errors as this log most likely has them: its numbers within their tolerances, how its
-    friction turns over, when within a period a torque acted. They are there before and after alike."""
+    More than once where that log states none and what is left passes for noise: a motor misses its command at random.
+    """
+    pool, prepared = search.pool, search.pool.context.prepared
+    quiet = search.floor <= pool.evidence.noise_energy(search.replicas)
+    if quiet or search.verdict is not Verdict.EXPLAINED:
+        return np.ones(prepared.robot.nv)
+    left = what_is_left(pool, search.chosen)
+    left = left - pool.evidence.excused(pool.evidence.charged(left))
 
-    @property
-    def noise(self) -> float:
-        """The floor: sensors and model together."""
-        return float(np.hypot(self.sensors, self.excused))
+    def energy(x: np.ndarray) -> np.ndarray:
+        return np.sum(np.where(pool.evidence.used, x**2, 0.0), axis=-2)
 
-    @property
-    def share(self) -> float | None:
-        """1 − after/before, both with the floor taken off; None where hardly more than it was there before."""
-        if self.before < NEAR * self.noise:
-            return None
-        gap = self.before**2 - self.noise**2
-        return 1.0 - float(np.sqrt(max(self.after**2 - self.noise**2, 0.0) / gap))
+    sensors = energy(search.replicas).mean(axis=0)
+    return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
 
 
-def _shrink(
-    context: Context, before: np.ndarray, after: np.ndarray, excused: np.ndarray, replicas
+def rows_of_gap(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"]) -> list[int]:
+    """Rows that hold the gap, in units of their noise or in N m: a faint sensor hides neither the one nor the other."""
+    prepared = evidence.prepared
+    missing = prepared.finish_torque(prepared.missing)
+    excess = np.where(evidence.used, missing**2 - np.mean(replicas**2, axis=0), 0.0).sum(axis=0)
+    excess = np.maximum(excess, 0.0)
+    torque = excess / max(excess.sum(), 1e-300)
+    return sorted({*holding(evidence.share.tolist()), *holding(torque.tolist())})
+
+
+def held_out(
+    pool: Pool,
+    rows: list[int],
+    chosen: list[Candidate],
+    after: Float[np.ndarray, "R nv"],
+    replicas: Float[np.ndarray, "K R nv"],
 ) -> Shrink:
-    """Finished torques on all rows to one number each, over rows that a model should predict."""
-    counted = ~context.unpredicted
-
-    def rms(x: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(x[..., counted] ** 2)))
-
-    return Shrink(rms(before), rms(after), rms(np.asarray(replicas)), rms(excused))
-
-
-def held_out(pool: Pool, chosen: list[Candidate], replicas) -> Shrink:
-    """Missing torque before and after, each fifth of the log predicted from the other four."""
-    prepared = pool.context.prepared
+    """Missing torque on some rows before and `after` the chosen effects (`what_is_left`)."""
+    context, prepared = pool.context, pool.context.prepared
     before = prepared.finish_torque(prepared.missing)
-    excused = pool.evidence.excused(remaining(pool, chosen))
-    return _shrink(pool.context, before, what_is_left(pool, chosen), excused, replicas)
+    energies = _energies(pool.evidence, rows, before, after, replicas)
+    if not chosen:
+        return energies.shrink
+    own = 0.0
+    for c in (c for c in chosen if not c.family.passing):
+        effect = prepared.finish_torque(effect_torque(context, c))
+        counted = effect[:, rows][pool.evidence.used[:, rows]]
+        own += c.family.form_error**2 * float(counted @ counted)
+    interval = energies.interval(prepared.settings.decimated, own)
+    return dataclasses.replace(energies.shrink, interval=interval)
 
 
 def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
@@ -120,12 +137,16 @@ class Trial:
 
     shrink: Shrink
     misfit: Tried
+    grown: float
+    """Missing torque of all rows with the effects, over that without."""
 
 
 class OtherMotion:
     """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
 
-    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
+    def __init__(
+        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
+    ):
         prepared = prepare(robot, log)
         own, self._replicas, _ = whitener(prepared, log)
         context = Context(prepared, motion_band(prepared, own, self._replicas))
@@ -134,7 +155,8 @@ class OtherMotion:
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
-        self._stated = stated(log)
+        self._stated, self._rows = stated(log), rows
+        self._noise = louder(search) * self._replicas
 
     def trial(self, chosen: list[Candidate]) -> Trial:
         """Missing torque and misfit with and without the effects."""
@@ -144,14 +166,9 @@ class OtherMotion:
         charged = [evidence.charged(e) for e in effects]
         y = prepared.finish_torque(prepared.missing)
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
+        after = y - sum(effects, np.zeros_like(y))
         return Trial(
-            shrink=_shrink(
-                context,
-                y,
-                y - sum(effects, np.zeros_like(y)),
-                evidence.excused(left),
-                self._replicas,
-            ),
+            shrink=_energies(evidence, self._rows, y, after, self._noise).shrink,
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),
@@ -159,7 +176,16 @@ class OtherMotion:
                 allowed=sum((c.excuses(e) for c, e in zip(lasting, charged, strict=True)), 0.0),
                 stated=self._stated,
             ),
+            grown=_grown(evidence, y, after),
         )
+
+
+def _grown(
+    evidence: Evidence, before: Float[np.ndarray, "R nv"], after: Float[np.ndarray, "R nv"]
+) -> float:
+    """Finished torques' rms over all rows, after over before."""
+    sizes = [float(np.linalg.norm(x[evidence.used])) for x in (after, before)]
+    return sizes[0] / max(sizes[1], 1e-300)
 
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
@@ -168,30 +194,32 @@ WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
 def without_harm(
-    search: Search, other: OtherMotion | None
+    search: Search, other: OtherMotion | None, rows: list[int]
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
-    With them, the shrink on the log itself and the trial on the other motion.
+    With them, the shrink on the log itself, each fifth of it predicted from the other four, and the trial on the other
+    motion.
     """
-    pool = search.pool
-    chosen = search.chosen
+    pool, prepared = search.pool, search.pool.context.prepared
+    chosen, replicas = search.chosen, louder(search) * search.replicas
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
-        own = held_out(pool, effects, search.replicas)
+        after = what_is_left(pool, effects)
+        own = held_out(pool, rows, effects, after, replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
             misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
-            own.after / own.before / WORSE_TORQUE,
+            _grown(pool.evidence, prepared.finish_torque(prepared.missing), after) / WORSE_TORQUE,
         ]
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
-                trial.shrink.after / trial.shrink.before / WORSE_TORQUE,
+                trial.grown / WORSE_TORQUE,
             ]
         return max(harm), own, trial
 

@@ -30,7 +30,8 @@ class Trace:
     v: Float[np.ndarray, "R nv"]
     tau: Float[np.ndarray, "R nv"]
     rest: Bool[np.ndarray, "R nv"]
-    """Where friction at rest makes the torque arbitrary, or nothing was measured: left out of every mean."""
+    """Where friction at rest makes the torque arbitrary, or nothing was measured, and just after: left out of every
+    mean."""
     missing: Float[np.ndarray, "R nv"]
     """Missing torque y [N m]."""
     effects: tuple[Float[np.ndarray, "R nv"], ...]
@@ -45,6 +46,8 @@ class Trace:
     """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
     forces: tuple[BodyForce, ...]
     """The most telling body first."""
+    gap: tuple[int, ...] = ()
+    """Rows that hold the gap, in units of their noise or in N m: those that the shrink is of."""
 
 
 def collect(
@@ -53,6 +56,7 @@ def collect(
     left: tuple[np.ndarray, ...],
     excused: Float[np.ndarray, "R nv"],
     replicas: Float[np.ndarray, "K R nv"],
+    gap: list[int],
 ) -> Trace:
     """Gather the signals of one run; `effects`, `left` and `excused` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
@@ -66,7 +70,7 @@ def collect(
         q=prepared.finish(context.joint_position),
         v=prepared.finish(context.v),
         tau=prepared.finish(context.tau),
-        rest=context.unpredicted,
+        rest=~evidence.used,
         missing=missing,
         effects=effects,
         left=left,
@@ -74,6 +78,7 @@ def collect(
         excused=excused,
         energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
         forces=_forces(pool, missing / noise, noise),
+        gap=tuple(gap),
     )
 
 
@@ -127,29 +132,3 @@ def regions(trace: Trace) -> tuple[Region, ...]:
         share = energy / max(energy.sum(), 1e-300)
         out.append(Region(trace.rows[loud], signal, edges, share))
     return tuple(out)
-
-
-def shrink_interval(
-    trace: Trace, *, block: float = 0.5, draws: int = 1000, seed: int = 0
-) -> tuple[float, float] | None:
-    """95 % interval of the held-out shrink 1 − after/before, the floor off both, by a bootstrap over blocks of time.
-
-    Blocks [s] keep what is correlated together (Künsch 1989). None without findings.
-    """
-    if not trace.left:
-        return None
-    moving = ~trace.rest
-    label = ((trace.time - trace.time[0]) / block).astype(int)
-
-    def sums(x: np.ndarray) -> np.ndarray:
-        return np.bincount(label, weights=np.sum(np.where(moving, x, 0.0), axis=1))
-
-    before, after = sums(trace.missing**2), sums(trace.left[-1] ** 2)
-    noise = sums(trace.noise**2 + trace.excused**2)
-    rng = np.random.default_rng(seed)
-    pick = rng.integers(0, len(before), (draws, len(before)))
-    gap = np.maximum((before - noise)[pick].sum(axis=1), 1e-300)
-    rest = np.maximum((after - noise)[pick].sum(axis=1), 0.0)
-    share = 1.0 - np.sqrt(rest / gap)
-    low, high = np.quantile(share, [0.025, 0.975])
-    return float(low), float(high)
