@@ -105,7 +105,8 @@ def test_run_is_a_loop_of_steps():
     for k in range(20):
         state, _ = step(estimator, state, jax.tree.map(lambda x, k=k: x[k], log), 0.01)
     whole, _ = run(estimator, estimator.initial(), jax.tree.map(lambda x: x[:20], log))
-    np.testing.assert_allclose(whole.belief.mean, state.belief.mean, rtol=1e-7, atol=1e-9)
+    # The two are compiled apart and round apart, and what the first samples leave open magnifies it.
+    np.testing.assert_allclose(whole.belief.mean, state.belief.mean, rtol=1e-6, atol=1e-8)
 
 
 def test_rows_that_are_not_measured_say_nothing():
