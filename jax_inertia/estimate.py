@@ -317,8 +317,8 @@ def make_estimator(
     prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the
     noise of accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards
     zero (`measurement.agreed_residual`); left out (the paper), it belongs into `sigma_tau`.
-    Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), or noise that is not
-    positive.
+    Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), noise that is not
+    positive, or a form that leaves rows out beside correlated noise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimate import make_estimator
@@ -353,6 +353,12 @@ def make_estimator(
         sigma_a = jnp.broadcast_to(jnp.asarray(sigma_a, robot.pi.dtype), (robot.nv,))
         if not bool(jnp.all(sigma_a >= 0)):
             raise ValueError(f"sigma_a is {np.asarray(sigma_a)}; noise cannot be negative")
+    independent = isinstance(noise, kalman.IndependentNoise) and sigma_a is None
+    if form is not None and form.leaves_rows_out and not independent:
+        raise ValueError(
+            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
+            "give it all rows"
+        )
     block_diag = jax.scipy.linalg.block_diag
     start = kalman.Belief(mean.ravel(), block_diag(*prior.covariance(chart, nominal)))
     growth = start.covariance / 3.0

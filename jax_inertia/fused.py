@@ -40,6 +40,10 @@ class FusedSquareRoot(SquareRoot):
 
     rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
+    @property
+    def leaves_rows_out(self) -> bool:
+        return self.rows is not None
+
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:

@@ -168,6 +168,11 @@ class Correction(eqx.Module):
 class Form(eqx.Module):
     """How gain and posterior covariance are computed from whitened rows (unit noise)."""
 
+    @property
+    def leaves_rows_out(self) -> bool:
+        """Whether some rows of H are taken for zero: whitening must not mix rows then, noise be independent."""
+        return False
+
     @abc.abstractmethod
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]

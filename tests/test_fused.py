@@ -7,6 +7,7 @@ import pytest
 
 from jax_inertia import fused
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
+from jax_inertia.estimate import make_estimator
 from jax_inertia.fused import FusedSquareRoot
 from jax_inertia.kalman import Belief, IndependentNoise, Standard, update
 
@@ -60,6 +61,14 @@ def test_rows_left_out_count_in_nis_alone(batched: bool):
     found, wanted = jax.vmap(both)(jnp.asarray(z)[None]) if batched else both(jnp.asarray(z))
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9)
+
+
+def test_rows_are_not_left_out_of_correlated_noise(cases):
+    robot = cases("floating_tree").robot
+    form = FusedSquareRoot(moved_rows(robot, (1,)))
+    make_estimator(robot, [1], sigma_tau=1.0, form=form)
+    with pytest.raises(ValueError, match="leaves rows out"):
+        make_estimator(robot, [1], sigma_tau=1.0, form=form, sigma_a=0.1)
 
 
 def test_moved_rows_are_those_of_the_regressor(cases):
