@@ -32,7 +32,7 @@ class FusedSquareRoot(SquareRoot):
     The rows are taken one after the other by the triangular update of Carlson (1973, "Fast triangular formulation of
     the square root filter", AIAA Journal 11): P⁺ = L Lᵀ stays positive, as with the QR factorisation. On other
     devices, unbatched, or with more than 24 states it is `SquareRoot` itself. A batch over several devices has to be
-    split by `jax.shard_map`: XLA does not split a kernel. Not differentiable on a GPU.
+    split by `jax.shard_map`: XLA does not split a kernel. To differentiate through a filter, take `SquareRoot`.
 
     `rows` are those of H that may differ from zero, ascending (None: all), the `moved_rows` of the estimated bodies;
     the others count in `nis` alone. Whitening must not mix rows then: independent noise.
