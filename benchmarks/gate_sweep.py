@@ -29,12 +29,11 @@ import scipy.stats  # noqa: E402
 from jaxtyping import Float  # noqa: E402
 
 from benchmarks.harness import gate_page, results, stepping  # noqa: E402
-from benchmarks.paper.brain import FEET, foot_wrenches, measurement_noise  # noqa: E402
+from benchmarks.paper.brain import FEET, foot_wrenches, measurement_noise, with_accelerations  # noqa: E402
 from benchmarks.paper.plant import Sensors  # noqa: E402
 from jax_inertia import load_model  # noqa: E402
 from jax_inertia.charts import LogCholeskyUUt  # noqa: E402
 from jax_inertia.differences import Observation  # noqa: E402
-from jax_inertia.dynamics import mass_matrix  # noqa: E402
 from jax_inertia.estimate import Estimator, make_estimator  # noqa: E402
 from jax_inertia.kalman import FixedGate, IndependentNoise  # noqa: E402
 from jax_inertia.measurement import torque_residuals  # noqa: E402
@@ -108,8 +107,8 @@ def sweep(robot: Robot, logs: Noisy, scale: np.ndarray, tick: float) -> Noisy:
     """Mass, NIS and acceptance of every rollout × noise told × reopening × γ × tick: one compile."""
     filter_ = filter_of(robot)
     q0 = np.asarray(logs["q"][0, 0])
-    spread = mass_matrix(robot, jnp.asarray(q0)) * SENSORS.acceleration()
-    noise = measurement_noise(robot, q0, SENSORS, (0.0,) * 4).plus(spread @ spread.T)
+    noise = measurement_noise(robot, q0, SENSORS, (0.0,) * 4)
+    noise = with_accelerations(noise, robot, q0, SENSORS)
     root = jnp.linalg.inv(jnp.linalg.cholesky(noise.covariance))
     valid = jnp.ones(robot.nv, bool)
 

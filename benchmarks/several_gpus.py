@@ -16,8 +16,6 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from benchmarks.harness import fleet
-from benchmarks.harness.states import BODIES
-from jax_inertia.fused import FusedSquareRoot, moved_rows
 
 STEPS, ROUNDS = 20, 5
 
@@ -25,8 +23,7 @@ STEPS, ROUNDS = 20, 5
 def measured(devices: int, robots: int) -> dict:
     """Rate of a chain of filter steps, each fed with the result of the one before."""
     robot = fleet.humanoid_robot("float32")
-    rows = moved_rows(robot, tuple(robot.body_index(b) for b in BODIES))
-    filter_ = fleet.estimator(robot, form=FusedSquareRoot(rows))
+    filter_ = fleet.estimator(robot, form=fleet.in_one_kernel(robot))
     mesh = Mesh(np.array(jax.devices()[:devices]), ("robots",))
     sharding = NamedSharding(mesh, PartitionSpec("robots"))
     count = robots * devices

@@ -108,6 +108,7 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
     lane = jnp.minimum(lane, robots - 1)
     level = jnp.minimum(jnp.arange(height), n - 1)
     row = jax.lax.broadcasted_iota(jnp.int32, (height, WIDTH), 0)
+    state = jnp.minimum(row, n - 1)
     one, zero = jnp.ones(WIDTH, dtype), jnp.zeros((height, WIDTH), dtype)
     margin = float(jnp.finfo(dtype).eps)
 
@@ -120,7 +121,7 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
     def factored(j, columns):
         """Column j of `kalman.cholesky`, from the left."""
         new = column_of(p_ref, j)
-        new = jnp.where(jnp.minimum(row, n - 1) == j, new * (1.0 + 8.0 * margin), new)
+        new = jnp.where(state == j, new * (1.0 + 8.0 * margin), new)
         for other in columns:
             new = new - other * entry(other, j)[None]
         new = jnp.where(row >= j, new * jax.lax.rsqrt(entry(new, j))[None], 0.0)
@@ -150,7 +151,7 @@ def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref
             new = new + column * entry(column, j)[None]
         more = new * (1.0 + n * margin) + float(jnp.finfo(dtype).tiny) ** 0.5
         at = p_out.at[j, level[:, None], lane[None, :]]
-        triton.store(at, jnp.asarray(jnp.where(jnp.minimum(row, n - 1) == j, more, new)))
+        triton.store(at, jnp.asarray(jnp.where(state == j, more, new)))
 
     # By blocks: of column j only the j before it count, and zeros cost as much as numbers.
     blocks = [(first, min(first + BLOCK, n)) for first in range(0, n, BLOCK)]

@@ -9,6 +9,7 @@ from jax_inertia import inverse_dynamics, load_model
 from jax_inertia.charts import LogCholeskyUUt
 from jax_inertia.differences import Observation
 from jax_inertia.estimate import Estimator, State, make_estimator
+from jax_inertia.fused import FusedSquareRoot, moved_rows
 from jax_inertia.kalman import ChiSquaredGate, Form
 from jax_inertia.motion import Motion
 from jax_inertia.priors import Load
@@ -36,6 +37,11 @@ def estimator(
         form=form,
         analytic_jacobian=analytic,
     )
+
+
+def in_one_kernel(robot: Robot) -> FusedSquareRoot:
+    """The form of the update for a fleet on a GPU, of the rows that the two bodies move."""
+    return FusedSquareRoot(moved_rows(robot, tuple(robot.body_index(b) for b in BODIES)))
 
 
 def observations(robot: Robot, samples: int) -> Observation:

@@ -15,7 +15,6 @@ from mujoco import mjx
 from benchmarks.harness import fleet
 from benchmarks.harness.states import BODIES, states
 from jax_inertia import condensed_dynamics, torque_regressor
-from jax_inertia.fused import FusedSquareRoot, moved_rows
 from jax_inertia.kalman import Form, Information, SquareRoot
 from jax_inertia.robots import HumanoidOptions, humanoid_mjcf
 
@@ -153,9 +152,7 @@ def closed_loop(robots: int, ticks: int = 30) -> Build:
 def rows(robots: int, loops: int) -> dict[str, Build]:
     """Everything that is timed, in the order of importance."""
     forms: dict[str, Callable[[Any], Form]] = {
-        "one kernel": lambda r: FusedSquareRoot(
-            moved_rows(r, tuple(r.body_index(b) for b in BODIES))
-        ),
+        "one kernel": fleet.in_one_kernel,
         "information": lambda _: Information(),
         "square root, the default": lambda _: SquareRoot(),
     }

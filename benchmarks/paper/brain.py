@@ -179,6 +179,14 @@ def measurement_noise(
     return CorrelatedNoise(jnp.asarray(r))
 
 
+def with_accelerations(
+    noise: CorrelatedNoise, robot: Robot, q: Float[np.ndarray, " nq"], sensors: Sensors
+) -> CorrelatedNoise:
+    """R with M Σ_v̇ Mᵀ in the pose q added: noise of accelerations told as if it were torque's, as in the paper."""
+    spread = mass_matrix(robot, jnp.asarray(q)) * sensors.acceleration()
+    return noise.plus(spread @ spread.T)
+
+
 _CHART = LogCholeskyUUt()
 
 
@@ -223,8 +231,7 @@ def make_brain(
         noise = CorrelatedNoise(noise.covariance * overlap)
         sigma_a = jnp.asarray(sensors.acceleration() * overlap**0.5)
     else:
-        spread = mass_matrix(robot, jnp.asarray(home)) * sensors.acceleration()
-        noise = noise.plus(spread @ spread.T)
+        noise = with_accelerations(noise, robot, home, sensors)
     estimator = make_estimator(
         robot,
         settings.bodies,

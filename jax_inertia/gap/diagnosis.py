@@ -79,8 +79,11 @@ def diagnose(
     # How large the gap is, where and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
     rows = rows_of_gap(evidence, search.replicas)
-    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search, rows)
-    chosen, heldout, trial = without_harm(search, other, rows)
+    loud, other = louder(search), None
+    if test_log is not None:
+        other = OtherMotion(robot, test_log, tolerance, search, rows, loud)
+    noise = loud * search.replicas
+    chosen, heldout, trial = without_harm(search, other, rows, noise)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
@@ -112,7 +115,7 @@ def diagnose(
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             pool.evidence.excused(remaining(pool, chosen)),
-            louder(search) * search.replicas,
+            noise,
             rows,
         ),
     )

@@ -19,7 +19,13 @@ NEAR = 1.2
 HOLDING = 0.02
 
 
-def holding(share: Sequence[float]) -> list[int]:
+def shares(excess: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    """What each row has of the gap, by its energy above the noise's."""
+    excess = np.maximum(excess, 0.0)
+    return excess / max(excess.sum(), 1e-300)
+
+
+def holding(share: Sequence[float] | Float[np.ndarray, " nv"]) -> list[int]:
     """Rows that hold the gap, the loudest first, by each row's share of it."""
     order = sorted(range(len(share)), key=lambda k: -share[k])
     return [k for k in order if share[k] >= HOLDING] or order[:1]

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from jax_inertia.gap.chain import Prepared
+from jax_inertia.gap.energies import shares
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
@@ -115,9 +116,7 @@ class Evidence:
     @property
     def share(self) -> Float[np.ndarray, " nv"]:
         """What each row has of the gap: of the energy above the noise's, before anything is explained."""
-        excess = np.sum(self.unflatten(self.raw[:, 0]) ** 2 - self.used, axis=0)
-        excess = np.maximum(excess, 0.0)
-        return excess / max(excess.sum(), 1e-300)
+        return shares(np.sum(self.unflatten(self.raw[:, 0]) ** 2 - self.used, axis=0))
 
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""

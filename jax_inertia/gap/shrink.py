@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.energies import Energies, Shrink, holding
+from jax_inertia.gap.energies import Energies, Shrink, holding, shares
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
@@ -57,21 +57,19 @@ def rows_of_gap(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"]) -> li
     prepared = evidence.prepared
     missing = prepared.finish_torque(prepared.missing)
     excess = np.where(evidence.used, missing**2 - np.mean(replicas**2, axis=0), 0.0).sum(axis=0)
-    excess = np.maximum(excess, 0.0)
-    torque = excess / max(excess.sum(), 1e-300)
-    return sorted({*holding(evidence.share.tolist()), *holding(torque.tolist())})
+    return sorted({*holding(evidence.share), *holding(shares(excess))})
 
 
 def held_out(
     pool: Pool,
     rows: list[int],
     chosen: list[Candidate],
+    before: Float[np.ndarray, "R nv"],
     after: Float[np.ndarray, "R nv"],
     replicas: Float[np.ndarray, "K R nv"],
 ) -> Shrink:
-    """Missing torque on some rows before and `after` the chosen effects (`what_is_left`)."""
+    """Missing torque on some rows, `before` and `after` the chosen effects (`what_is_left`)."""
     context, prepared = pool.context, pool.context.prepared
-    before = prepared.finish_torque(prepared.missing)
     energies = _energies(pool.evidence, rows, before, after, replicas)
     if not chosen:
         return energies.shrink
@@ -145,18 +143,24 @@ class OtherMotion:
     """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
 
     def __init__(
-        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
+        self,
+        robot: Robot,
+        log: Log,
+        tolerance: Tolerance,
+        search: Search,
+        rows: list[int],
+        loud: Float[np.ndarray, " nv"],
     ):
         prepared = prepare(robot, log)
-        own, self._replicas, _ = whitener(prepared, log)
-        context = Context(prepared, motion_band(prepared, own, self._replicas))
+        own, replicas, _ = whitener(prepared, log)
+        context = Context(prepared, motion_band(prepared, own, replicas))
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
         self._stated, self._rows = stated(log), rows
-        self._noise = louder(search) * self._replicas
+        self._replicas, self._noise = replicas, loud * replicas
 
     def trial(self, chosen: list[Candidate]) -> Trial:
         """Missing torque and misfit with and without the effects."""
@@ -194,25 +198,28 @@ WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
 def without_harm(
-    search: Search, other: OtherMotion | None, rows: list[int]
+    search: Search,
+    other: OtherMotion | None,
+    rows: list[int],
+    noise: Float[np.ndarray, "K R nv"],
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
     With them, the shrink on the log itself, each fifth of it predicted from the other four, and the trial on the other
     motion.
     """
-    pool, prepared = search.pool, search.pool.context.prepared
-    chosen, replicas = search.chosen, louder(search) * search.replicas
+    pool, chosen, prepared = search.pool, search.chosen, search.pool.context.prepared
+    before = prepared.finish_torque(prepared.missing)
     alone = float(pool.evidence.y @ pool.evidence.y)
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
         after = what_is_left(pool, effects)
-        own = held_out(pool, rows, effects, after, replicas)
+        own = held_out(pool, rows, effects, before, after, noise)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
             misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
-            _grown(pool.evidence, prepared.finish_torque(prepared.missing), after) / WORSE_TORQUE,
+            _grown(pool.evidence, before, after) / WORSE_TORQUE,
         ]
         if trial is not None:
             j = trial.misfit
