@@ -38,7 +38,10 @@ def trace(samples: int = 500) -> Trace:
         effects=(effect,),
         left=(noise,),
         noise=np.full(2, 0.01),
+        motors=np.zeros(2),
+        turning=np.zeros(2),
         excused=np.zeros((samples, 2)),
+        erring=np.zeros((samples, 2)),
         energy=((effect + noise) / 0.01) ** 2,
         forces=(),
     )

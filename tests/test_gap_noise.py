@@ -5,6 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
+from chain_log import DAMPING, FRICTION, JOINTS, QPOS, TAU, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
@@ -19,78 +20,6 @@ from jax_inertia.gap.scales import Learner
 from jax_inertia.gap.strain import Strained, strained
 from jax_inertia.gap.verdict import with_strain
 from jax_inertia.log import Log, TorqueKind
-
-JOINTS = 5
-DAMPING = np.array([1.2, 1.5, 0.8, 0.3, 0.2])
-FRICTION = np.array([0.8, 1.0, 0.5, 0.2, 0.15])
-QPOS, TAU = 2e-5, np.array([0.02, 0.03, 0.02, 0.005, 0.003])
-GAINS = np.array([400.0, 400.0, 200.0, 50.0, 20.0])
-
-
-def chain_xml(friction):
-    axes, out = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0"), ""
-    for k in range(JOINTS):
-        mass, length = 4.0 * 0.65**k, 0.3 - 0.03 * k
-        spin = mass * length**2 / 10
-        out += (
-            f'<body name="segment{k + 1}" pos="0 0 {0.0 if k == 0 else 0.33 - 0.03 * k}">'
-            f'<joint name="axis{k + 1}" axis="{axes[k]}" damping="{DAMPING[k]}" '
-            f'frictionloss="{friction[k]}" armature="{0.1 * 0.6**k}"/>'
-            f'<inertial mass="{mass}" pos="0.01 0.02 {0.5 * length}" '
-            f'diaginertia="{spin} {spin} {0.3 * spin}"/>'
-        )
-    return (
-        '<mujoco><option timestep="0.0005" integrator="RK4"/><worldbody>'
-        + out
-        + "</body>" * JOINTS
-        + "</worldbody></mujoco>"
-    )
-
-
-def wave(t, seed):
-    rng = np.random.default_rng(seed)
-    frequency, phase = rng.uniform(0.1, 0.7, (3, JOINTS)), rng.uniform(0, 6.28, (3, JOINTS))
-    size = 0.35 / (1 + frequency)
-    angle = 2 * np.pi * frequency * t + phase
-    return np.sum(size * np.sin(angle), 0), np.sum(size * 2 * np.pi * frequency * np.cos(angle), 0)
-
-
-def simulate(damping=DAMPING, friction=0.0, stops=False, seed=1, seconds=7.0):
-    """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s."""
-    model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
-    model.dof_damping[:] = damping
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = wave(0.0, seed)
-    rng = np.random.default_rng(seed + 50)
-    bristle = np.zeros(JOINTS)
-    time, qpos, tau = [], [], []
-    clock = 0.0
-    for k in range(round(seconds * 2000)):
-        if k % 8 == 0:
-            target, speed = wave(data.time, seed)
-            if stops:
-                pace = np.clip(abs(data.time - 3.0) / 0.5 - 2.0, 0.0, 1.0)
-                later, faster = wave(clock, seed)
-                target[1:], speed[1:] = later[1:], pace * faster[1:]
-                clock += pace * 8 * 0.0005
-            u = GAINS * (target - data.qpos) + 0.1 * GAINS * (speed - data.qvel)
-            u += data.qfrc_bias
-            time.append(data.time)
-            qpos.append(data.qpos + QPOS * rng.standard_normal(JOINTS))
-            tau.append(u + TAU * rng.standard_normal(JOINTS))
-        # A bristle's law, not the sign of the velocity that the model's friction is taken for.
-        bristle = np.clip(bristle + data.qvel * 0.0005 / 3e-4, -1, 1)
-        data.qfrc_applied[:] = u - friction * bristle
-        mujoco.mj_step(model, data)
-    return Log(
-        time=np.array(time),
-        joint_names=tuple(f"axis{k + 1}" for k in range(JOINTS)),
-        qpos=np.array(qpos),
-        tau=np.array(tau),
-        tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(JOINTS, QPOS),
-        sigma_tau=TAU,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +70,7 @@ def test_a_number_of_the_model_beyond_its_tolerance_is_named(robot):
     [(0.0, Verdict.EXPLAINED), (20.0, Verdict.PARTLY), (90.0, Verdict.UNKNOWN)],
 )
 def test_an_explanation_that_leans_on_a_bent_model_is_doubted(energy, verdict):
-    strains = [Strained("mass of arm", 6.0, 0.5, energy)] if energy else []
+    strains = [Strained(0, "mass of arm", 6.0, 0.5, energy)] if energy else []
     assert with_strain(Verdict.EXPLAINED, strains, explained=1000.0) is verdict
     assert with_strain(Verdict.UNKNOWN, strains, explained=1000.0) is Verdict.UNKNOWN
 

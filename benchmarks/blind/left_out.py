@@ -25,8 +25,12 @@ CONTAINS = {
     "torque_bias": {"joint_spring"},
     "com_shift": {"payload"},
     "constant_force": {"push"},
+    "joint_elasticity": {"backlash"},
 }
-"""Families that are another one with a number more: to name those is no mistake."""
+"""Families that are another one with a number more (a gear's play on its spring): to name those is no mistake."""
+
+PARTS = {"asymmetric_coulomb": {"coulomb_friction", "torque_bias"}}
+"""Families that are the sum of others at the same place, exactly."""
 
 
 def holders(answers: dict) -> dict[str, list[str]]:
@@ -48,11 +52,16 @@ def honest(truth: dict, report: dict, whole: dict | None) -> bool:
     found, effect = key(report["effects"][0]), truth["effects"][0]
     if found in accepted(truth)[0]:
         return True
-    if found[0] in CONTAINS.get(effect["family"], ()) and found[1] == effect["location"]["name"]:
+    place = effect["location"]["name"]
+    if found[0] in CONTAINS.get(effect["family"], ()) and found[1] == place:
         return True
-    if whole is None or not whole["effects"] or key(whole["effects"][0]) != key(effect):
+    parts = PARTS.get(effect["family"])
+    if parts and parts <= {f for f, at in map(key, report["effects"]) if at == place}:
+        return True
+    if whole is None or not whole["effects"]:
         return False
-    return found in {key(t) for t in whole["effects"][0]["equivalent"]}
+    first = whole["effects"][0]
+    return {found, key(effect)} <= {key(first), *map(key, first["equivalent"])}
 
 
 def table(answers: dict, out: Path, found: Path) -> str:

@@ -25,8 +25,9 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose, remaining
-from jax_inertia.gap.shrink import OtherMotion, louder, rows_of_gap, what_is_left, without_harm
+from jax_inertia.gap.shrink import OtherMotion, rows_of_gap, what_is_left, without_harm
 from jax_inertia.gap.trace import collect
+from jax_inertia.gap.turning import turning
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
 from jax_inertia.gap.words import named, percent
 from jax_inertia.log import Log
@@ -79,20 +80,20 @@ def diagnose(
     # How large the gap is, where and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
     rows = rows_of_gap(evidence, search.replicas)
-    loud, other = louder(search), None
+    other = None
     if test_log is not None:
-        other = OtherMotion(robot, test_log, tolerance, search, rows, loud)
-    noise = loud * search.replicas
-    chosen, heldout, trial = without_harm(search, other, rows, noise)
+        other = OtherMotion(robot, test_log, tolerance, search, rows)
+    chosen, heldout, trial = without_harm(search, other, rows)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
             verdict = Verdict.of_nothing(first.bare)
-    elif trial is not None and chosen and not any(c.family.passing for c in chosen):
-        # A wrong cause may fit one motion; it seldom fits two.
+    elif trial is not None and chosen:
+        # A wrong cause may fit one motion; it seldom fits two, and what happened in passing does not happen twice.
         verdict = second_look(verdict, trial.misfit)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
+    reaches, turned = turning(pool, chosen)
     names = {dof: name for name, dof in context.joint_dofs.items()}
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
     label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
@@ -115,7 +116,10 @@ def diagnose(
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
             tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
             pool.evidence.excused(remaining(pool, chosen)),
-            noise,
+            pool.evidence.excused(pool.evidence.charged(turned)),
+            reaches,
+            search.motors,
+            search.replicas,
             rows,
         ),
     )

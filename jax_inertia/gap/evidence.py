@@ -83,22 +83,30 @@ class Evidence:
         self.named = [name for kind in self.kinds for name in nuisances.named[kind]]
         """What each of these columns is an error of."""
         self._own = Span(self.tolerances)
-        self._take(dict.fromkeys(self.kinds, 1.0) | (scales or {}))
+        self._take(dict.fromkeys(self.kinds, 1.0) | (scales or {}), frozenset())
 
     def rescaled(self, scales: dict[str, float]) -> "Evidence":
         """The same log where the tolerances are `scales` times as large."""
         out = copy.copy(self)
-        out._take(scales)
+        out._take(scales, self.pinned)
         return out
 
-    def _take(self, scales: dict[str, float]) -> None:
-        self.scales = scales
+    def pinning(self, columns: Iterable[int]) -> "Evidence":
+        """The same log where some of the model's numbers are taken for exact: what is beside them is an effect's."""
+        out = copy.copy(self)
+        out._take(self.scales, self.pinned.union(columns))
+        return out
+
+    def _take(self, scales: dict[str, float], pinned: frozenset[int]) -> None:
+        self.scales, self.pinned = scales, pinned
         self._charging = self._own.charging(self.per_column())
         self.y = self.charge(self.raw)[:, 0]
 
     def per_column(self) -> Float[np.ndarray, " k"]:
         """The scale of each column of the tolerances."""
-        return np.array([self.scales[kind] for kind in self.kinds])[self.kind_of]
+        out = np.array([self.scales[kind] for kind in self.kinds])[self.kind_of]
+        out[sorted(self.pinned)] = 0.0
+        return out
 
     @property
     def gram(self) -> Float[np.ndarray, "k k"]:
@@ -170,7 +178,8 @@ class Evidence:
     def furthest(self, left: Float[np.ndarray, " n"], count: int) -> list[int]:
         """The tolerances that are strained most by what effects leave, against their scales now, the most first."""
         off = self._off(self._charge_own(left[:, None])[:, 0])
-        return np.argsort(-np.abs(off) / self.per_column())[:count].tolist()
+        strain = np.abs(off) / np.maximum(self.per_column(), 1e-300)
+        return np.argsort(-strain)[:count].tolist()
 
     def charged_tolerance(self, j: int) -> Float[np.ndarray, "n 1"]:
         """The column of the j-th tolerance in the charged metric."""

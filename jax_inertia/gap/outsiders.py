@@ -1,4 +1,4 @@
-"""What a missing torque may come from that is no family: functions of the state, hysteresis, encoders, clocks, lengths.
+"""What a missing torque may come from that is no family: free functions, hysteresis, encoders, clocks, lengths.
 
 None of these is ever reported as the cause. They stand beside what was found: where one of them fits better, the cause
 is not in the library, and the log itself says what it depends on (`doubt`).
@@ -53,6 +53,8 @@ def _every(context: Context) -> Iterator[tuple[str, Columns]]:
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
+    weights = np.einsum("b,tbjc->tjc", context.pi[:, 0], context.force_rows)
+    yield "another gravity (a force on every body by its mass)", Columns(weights)
     if context.robot.has_free_base:
         # What the base's own sensors do to these columns is not told apart from what they explain.
         return

@@ -97,10 +97,10 @@ class Pool:
             out.append(Block.noisy(self.evidence, s, x, again - x, self.echo.noise))
         return out
 
-    def rescaled(self, scales: dict[str, float]) -> "Pool":
-        """The same candidates where the model's tolerances are `scales` times as large."""
+    def charged_as(self, evidence: Evidence) -> "Pool":
+        """The same candidates where the model's tolerances are larger, smaller or fewer."""
         out = copy.copy(self)
-        out.evidence = self.evidence.rescaled(scales)
+        out.evidence = evidence
         move = out.evidence.recharging(self.evidence)
 
         def move_all(parts: list[np.ndarray]) -> list[np.ndarray]:

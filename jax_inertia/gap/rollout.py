@@ -2,8 +2,8 @@
 
 From states of the log, driven by the logged torque and nothing else, the nominal model (before), the corrected one
 (after), and the corrected one against itself from states and torques with the sensors' noise once more, and with the
-torque that the nominal model's own errors most likely have along the way (floor). Dry friction is as sharp as the step
-allows in all of them, whatever `solreffriction` says.
+torque that the nominal model's own errors most likely have along the way (floor). In all of them dry friction turns
+round as the log shows (`turning`): by bristles, or as sharply as the step allows, whatever `solreffriction` says.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import DAMPING_RATIO, DEFLECTION, Correction
 from jax_inertia.gap.effect import Effect
+from jax_inertia.gap.motors import with_motors
 from jax_inertia.gap.noise import perturbed
 from jax_inertia.gap.trace import Trace
 from jax_inertia.log import Log, TorqueKind
@@ -28,6 +29,8 @@ from jax_inertia.robot import Robot
 
 _STEP = 5e-4
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
+# ω² h² of a joint on its bristles, at most.
+STIFFEST = 0.2
 _STILL = 0.05  # no joint faster than this, and friction at rest decides what happens [rad/s]
 
 
@@ -80,7 +83,11 @@ def rollouts(
         return None
     effects = (*correction.in_model, *correction.by_callback)
     clean = _Recording(robot, log, effects)
-    noisy = _Recording(robot, perturbed(log, np.random.default_rng(seed)), effects)
+    noisy = _Recording(
+        robot,
+        perturbed(with_motors(log, robot, trace.motors), np.random.default_rng(seed)),
+        effects,
+    )
     prepared = clean.prepared
     passing = [e.values["start"] for e in effects if e.family == "push"]
     starts = _starts(prepared, horizon, windows, passing)
@@ -89,8 +96,8 @@ def rollouts(
     period = 1.0 / log.rate
     step = period / max(1, round(period / _STEP))
     samples = np.linspace(0.0, horizon, 26)
-    before = _Plant(nominal, robot, (), step)
-    after = _Plant(correction.spec, robot, effects, step)
+    before = _Plant(nominal, robot, (), step, trace.turning)
+    after = _Plant(correction.spec, robot, effects, step, trace.turning)
     joints = [k for k, adr in enumerate(before.adr) if adr >= 0]
     paths: list[list[np.ndarray]] = [[], [], []]
     for k in starts.tolist():
@@ -180,20 +187,34 @@ class _Recording:
     def __init__(self, robot: Robot, log: Log, effects: Sequence[Effect]):
         self.prepared = prepare(robot, log)
         self.torque = _Torque(log, robot)
+        self._context = Context(self.prepared)
         self.twists: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         """Position and velocity of the hinge between motor and link, by joint."""
         rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
         for e in effects:
             if e.family in ("joint_elasticity", "backlash"):
                 coupling = e.values["stiffness"], DAMPING_RATIO, e.values.get("dead_zone", 0.0)
-                ahead = Context(self.prepared).separation(rows[e.name], coupling)
+                ahead = self._context.separation(rows[e.name], coupling)
                 self.twists[e.name] = -ahead, -np.gradient(ahead, self.prepared.time)
+
+    def bent(self, k: int, turning: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " r"]:
+        """How far bristles are bent at a sample, −1 to 1, of the rows that have any."""
+        bends = np.flatnonzero(turning).tolist()
+        paths = [self._context.bristle(row, float(turning[row])) for row in bends]
+        return np.array([z[k] for z in paths])
 
 
 class _Plant:
     """One model, ready to be run from a state of the log."""
 
-    def __init__(self, spec: MjSpec, robot: Robot, effects: Sequence[Effect], step: float):
+    def __init__(
+        self,
+        spec: MjSpec,
+        robot: Robot,
+        effects: Sequence[Effect],
+        step: float,
+        turning: Float[np.ndarray, " nv"],
+    ):
         spec = spec.copy()
         spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -234,20 +255,31 @@ class _Plant:
         # within a fraction of a milliradian, and each reversal would cost a milliradian at the horizon.
         model.dof_solref[:], model.dof_solimp[:, :2] = (2.0 * step, 1.0), 0.999
         self.friction = model.dof_frictionloss.copy()
+        # Bristles too stiff for the step to follow are as good as sharp.
+        stiff = self.friction[self.rows] * step**2 > STIFFEST * turning * self._inertia()
+        self.turning = np.where((turning > 0) & ~stiff, turning, 0.0)
+
+    def _inertia(self) -> Float[np.ndarray, " nv"]:
+        """What each row's own torque accelerates, as the model stands at first [kg m²]."""
+        mujoco.mj_forward(self.model, self.data)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        return np.diagonal(full)[self.rows]
 
     def run(
         self, recording: "_Recording", k: int, samples: np.ndarray, erring: Trace | None = None
     ) -> Float[np.ndarray, "S nv"]:
         """Positions at the samples, as the log's encoders would show them; zero on other rows.
 
-        `erring`: a trace whose excused torque acts as well.
+        `erring`: a trace whose errors of the model act as well.
         """
         model, data, torque = self.model, self.data, recording.torque
         time, step = recording.prepared.time, model.opt.timestep
         start, origin = float(time[k]), float(time[0])
         self._begin(recording, k)
-        model.dof_frictionloss[:] = self.friction
         act = Callback(self.law)
+        bent = recording.bent(k, self.turning)
+        mine = self.rows[self.turning > 0]
         for u in self._on_rows(torque(start - np.arange(round(_MEMORY / step), 0, -1) * step)):
             act.arrives(u)
         out = np.zeros((len(samples), len(self.adr)))
@@ -259,7 +291,7 @@ class _Plant:
         applied, held = self._on_rows(torque(middle)), torque.index(middle)
         errors = np.zeros_like(applied)
         if erring is not None:
-            rows = [np.interp(middle - origin, erring.time, x) for x in erring.excused.T]
+            rows = [np.interp(middle - origin, erring.time, x) for x in erring.erring.T]
             errors = self._on_rows(np.stack(rows, axis=1))
         seen, scale = self.places[self.adr[own]], self.scale[own]
         for n in range(steps + 1):
@@ -269,7 +301,17 @@ class _Plant:
                 break
             data.time = start - origin + n * step
             data.qfrc_applied[:] = applied[n]
+            model.dof_frictionloss[:] = self.friction
             act(model, data)
+            if len(mine):
+                # Dahl's bristles (1968) over this step, in the solver's place.
+                moved = data.qvel[mine] * step
+                side = np.sign(moved)
+                bent = side + (bent - side) * np.exp(
+                    -np.abs(moved) / self.turning[self.turning > 0]
+                )
+                data.qfrc_applied[mine] -= model.dof_frictionloss[mine] * bent
+                model.dof_frictionloss[mine] = 0.0
             # Behind what the drive passes on: a gain or a limit is none of it.
             data.qfrc_applied += errors[n]
             if torque.wrench is not None:

@@ -16,8 +16,9 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
-from jax_inertia.gap.noise import Whitener, memoryless, motion_band, stated, whitener
-from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
+from jax_inertia.gap.motors import hidden_noise, with_motors
+from jax_inertia.gap.noise import Whitener, at_random, motion_band, stated, whitener
+from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import bent_by, misfit, remaining, row_energy, select, suited
@@ -40,7 +41,11 @@ class Search:
     misfits: list[float]
     """Charged misfit J after 0, 1, 2 ... effects."""
     floor: float
-    """J that noise alone would leave: the sensors', or all there is where that has no memory and none is stated."""
+    """J that noise alone would leave."""
+    known: bool
+    """Whether the log states its noise, or what is left is at random and as loud as it was taken for."""
+    motors: np.ndarray
+    """Torque noise of each row that no sensor shows [N m]."""
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
     verdict: Verdict
@@ -67,7 +72,9 @@ class Finder:
     nuisances: Nuisances
     library: list[Family]
     max_effects: int
-    stated: bool
+    log: Log
+    tolerance: Tolerance
+    motors: np.ndarray
 
     def search(self, white: Whitener, noise: float | None = None) -> Search:
         """One pass, against the noise of a whitener."""
@@ -77,37 +84,50 @@ class Finder:
         pool = Pool(
             context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
         )
+        found = self._settled(pool, white, noise)
+        beyond = [s.column for s in found.strains if self._has_cause(pool.evidence, s.column)]
+        if not beyond:
+            return found
+        # A number that is off by more than its tolerance is not within it, and the library has an effect for it.
+        evidence = found.pool.evidence.pinning(beyond)
+        freed = self._settled(found.pool.charged_as(evidence), white, noise)
+        return freed if freed.chosen and freed.verdict is not Verdict.UNKNOWN else found
+
+    def _settled(self, pool: Pool, white: Whitener, noise: float | None) -> Search:
+        """Effects and the scales of the model's tolerances, found in turn."""
         floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
         scales, alone = suited(pool, chosen, self.max_effects, against)
         for _ in range(ROUNDS):
             if scales == pool.evidence.scales:
                 break
-            pool = pool.rescaled(scales)
+            pool = pool.charged_as(pool.evidence.rescaled(scales))
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
             scales, alone = suited(pool, chosen, self.max_effects, against)
         return self._judged(pool, white, floor, against, chosen, ranking, misfits, alone)
+
+    def _has_cause(self, evidence: Evidence, column: int) -> bool:
+        """Whether the library has the effect that an error of one of the model's numbers would be."""
+        return CAUSES[evidence.kind(column)] in {family.name for family in self.library}
 
     def _judged(
         self,
         pool: Pool,
         white: Whitener,
-        sensors: float,
+        floor: float,
         against: float,
         chosen: list[Candidate],
         ranking: list[Candidate],
         misfits: list[float],
         alone: list[int],
     ) -> Search:
-        """What was found, with the verdict on it; `sensors` is the misfit of their noise, `alone` as of `suited`."""
-        floor = sensors
+        """What was found, with the verdict on it; `floor` is the misfit of noise alone, `alone` as of `suited`."""
         left = remaining(pool, chosen)
-        if not self.stated and misfits[-1] > floor:
-            rows = pool.evidence.unflatten(left)
-            if memoryless(rows, 1.0 / self.context.prepared.settings.decimated):
-                floor = misfits[-1]
+        known = stated(self.log) or (
+            misfits[-1] < LOUDER * floor and self._at_random(pool.evidence, left)
+        )
         strains = [s for s in strained(pool.evidence, left, alone) if s.name not in bent_by(chosen)]
         own = strained(pool.evidence, pool.evidence.y) if chosen else strains
-        bare = strangeness(pool.evidence, self.replicas, floor, sensors, self.stated, own)
+        bare = strangeness(pool.evidence, self.replicas, floor, known, own)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.
@@ -117,7 +137,7 @@ class Finder:
         verdict, in_doubt = Verdict.of_nothing(bare), 0.0
         if chosen:
             allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
-            verdict = judge(misfits, floor, allowed, self.stated)
+            verdict = judge(misfits, floor, allowed, known)
             enough = max(2, len(chosen) / 2)
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
                 verdict = Verdict.PARTLY
@@ -125,9 +145,40 @@ class Finder:
             in_doubt = _in_doubt(pool, chosen, rival, changing)
             verdict = doubted(verdict, in_doubt)
         return Search(
-            pool, white, self.replicas, chosen, ranking, misfits, floor, against, verdict, rival,
-            changing, in_doubt, bare, strains,
+            pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.motors,
+            against, verdict, rival, changing, in_doubt, bare, strains,
         )  # fmt: skip
+
+    def _at_random(self, evidence: Evidence, left: np.ndarray) -> bool:
+        """Whether what effects leave looks like noise."""
+        period = 1.0 / self.context.prepared.settings.decimated
+        return at_random(evidence.unflatten(left), period)
+
+    def by_its_motors(self) -> tuple["Finder", Search]:
+        """The first pass, against the noise that the log's motors turn out to have where it states none.
+
+        Effects hide in noise that is taken for less than it is, and stand out of it once it is known; so the two are
+        found in turn.
+        """
+        finder, found = self, self.search(self.white)
+        for _ in range(ROUNDS):
+            ratio = found.misfits[-1] / found.floor
+            evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
+            if (
+                stated(self.log)
+                or 1.0 / LOUDER < ratio < LOUDER
+                or not self._at_random(evidence, left)
+            ):
+                break
+            prepared = self.context.prepared
+            motors = hidden_noise(evidence, left, self.replicas, self.log, prepared)
+            if not motors.any():
+                break
+            finder = _made(
+                prepared, self.log, self.tolerance, self.library, self.max_effects, motors
+            )
+            found = finder.search(finder.white)
+        return finder, found
 
     def _selected(self, pool: Pool, noise: float | None):
         """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""
@@ -149,15 +200,30 @@ def finder(
             f"{count} samples are of joints that move, at least {LEAST} are needed: friction at rest is whatever "
             "balances, so a robot that stands still tells nothing"
         )
-    white, replicas, again = whitener(prepared, log)
+    return _made(prepared, log, tolerance, library, max_effects, np.zeros(prepared.robot.nv))
+
+
+def _made(
+    prepared: Prepared,
+    log: Log,
+    tolerance: Tolerance,
+    library: list[Family],
+    max_effects: int,
+    motors: np.ndarray,
+) -> Finder:
+    """A finder that takes a log's torque noise for as loud as its samples show, and `motors` beside [N m]."""
+    noisy = with_motors(log, prepared.robot, motors) if motors.any() else log
+    white, replicas, again = whitener(prepared, noisy)
     context = Context(prepared, motion_band(prepared, white, replicas))
     own = nuisances(context, tolerance, log)
-    return Finder(context, white, replicas, again, own, library, max_effects, stated(log))
+    return Finder(
+        context, white, replicas, again, own, library, max_effects, log, tolerance, motors
+    )
 
 
 def find(finder: Finder) -> tuple[Search, Search]:
     """The first pass and the last, which are one where the sensors' noise is all there is."""
-    first = finder.search(finder.white)
+    finder, first = finder.by_its_motors()
     if (
         first.verdict in (Verdict.EXPLAINED, Verdict.NO_GAP)
         or first.misfits[-1] < WORSE * first.noise
@@ -176,7 +242,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     ]
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
-    verdict = judge([first.misfits[0], after], first.floor, allowed, finder.stated)
+    verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
     if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
     verdict = doubted(verdict, second.in_doubt)
@@ -189,6 +255,8 @@ LEAST = 100
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
 WORSE = 3.0
+# The motors' noise is estimated anew where what is left is this many times what was taken for noise, or as much less.
+LOUDER = 1.3
 
 
 def _in_doubt(

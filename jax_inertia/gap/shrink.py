@@ -10,12 +10,13 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Energies, Shrink, holding, shares
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import Whitener, motion_band, stated, whitener
+from jax_inertia.gap.motors import with_motors
+from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
 from jax_inertia.gap.select import STOP, stacked
-from jax_inertia.gap.verdict import Tried, Verdict
+from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -31,25 +32,6 @@ def _energies(
     excused = evidence.excused(evidence.charged(after))
     torques = (x[..., rows] for x in (before, after, excused, replicas))
     return Energies.of(evidence.used[:, rows], *torques)
-
-
-def louder(search: Search) -> Float[np.ndarray, " nv"]:
-    """How many times the sensors' each row's noise is, by what is left of the first log.
-
-    More than once where that log states none and what is left passes for noise: a motor misses its command at random.
-    """
-    pool, prepared = search.pool, search.pool.context.prepared
-    quiet = search.floor <= pool.evidence.noise_energy(search.replicas)
-    if quiet or search.verdict is not Verdict.EXPLAINED:
-        return np.ones(prepared.robot.nv)
-    left = what_is_left(pool, search.chosen)
-    left = left - pool.evidence.excused(pool.evidence.charged(left))
-
-    def energy(x: np.ndarray) -> np.ndarray:
-        return np.sum(np.where(pool.evidence.used, x**2, 0.0), axis=-2)
-
-    sensors = energy(search.replicas).mean(axis=0)
-    return np.sqrt(np.maximum(energy(left) / np.maximum(sensors, 1e-300), 1.0))
 
 
 def rows_of_gap(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"]) -> list[int]:
@@ -149,18 +131,18 @@ class OtherMotion:
         tolerance: Tolerance,
         search: Search,
         rows: list[int],
-        loud: Float[np.ndarray, " nv"],
     ):
         prepared = prepare(robot, log)
+        log = with_motors(log, robot, search.motors)
         own, replicas, _ = whitener(prepared, log)
         context = Context(prepared, motion_band(prepared, own, replicas))
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
-        self._evidence = Evidence(prepared, own, doubts, search.pool.evidence.scales)
-        self._stated, self._rows = stated(log), rows
-        self._replicas, self._noise = replicas, loud * replicas
+        first = search.pool.evidence
+        self._evidence = Evidence(prepared, own, doubts, first.scales).pinning(first.pinned)
+        self._known, self._rows, self._replicas = search.known, rows, replicas
 
     def trial(self, chosen: list[Candidate]) -> Trial:
         """Missing torque and misfit with and without the effects."""
@@ -172,13 +154,13 @@ class OtherMotion:
         left = evidence.y - sum(charged, np.zeros_like(evidence.y))
         after = y - sum(effects, np.zeros_like(y))
         return Trial(
-            shrink=_energies(evidence, self._rows, y, after, self._noise).shrink,
+            shrink=_energies(evidence, self._rows, y, after, self._replicas).shrink,
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),
                 floor=evidence.noise_energy(self._replicas),
                 allowed=sum((c.excuses(e) for c, e in zip(lasting, charged, strict=True)), 0.0),
-                stated=self._stated,
+                known=self._known,
             ),
             grown=_grown(evidence, y, after),
         )
@@ -198,10 +180,7 @@ WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
 def without_harm(
-    search: Search,
-    other: OtherMotion | None,
-    rows: list[int],
-    noise: Float[np.ndarray, "K R nv"],
+    search: Search, other: OtherMotion | None, rows: list[int]
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
@@ -214,7 +193,7 @@ def without_harm(
 
     def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
         after = what_is_left(pool, effects)
-        own = held_out(pool, rows, effects, before, after, noise)
+        own = held_out(pool, rows, effects, before, after, search.replicas)
         trial = None if other is None else other.trial(effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.

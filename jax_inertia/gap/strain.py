@@ -23,19 +23,22 @@ SLOWLY = 16.0
 STRAINED = 4.0
 # Of that border, a number counts for no less that is off while all others of its kind are right.
 STANDS_OUT = 1.5
-# Where the log does not state its noise, a command may have missed its motor by more than the log can show.
+# Where the log does not state its noise and what is left is not at random, a motor may have missed its command by more
+# than the log can show.
 NOISE_UNSTATED = 4.0
 
 
-def known_to(stated: bool) -> float:
-    """The factor to which a log's noise is known, by whether the log states it."""
-    return NOISE_ERROR if stated else NOISE_UNSTATED
+def known_to(known: bool) -> float:
+    """The factor to which a log's noise is known, by whether it is stated or found to be what it was taken for."""
+    return NOISE_ERROR if known else NOISE_UNSTATED
 
 
 @dataclasses.dataclass(frozen=True)
 class Strained:
     """A number of the nominal model that the log wants further off than its tolerance allows."""
 
+    column: int
+    """Which of the tolerances (`Evidence.tolerances`)."""
     name: str
     off: float
     """How far, in tolerances."""
@@ -59,7 +62,7 @@ def strained(
     stated = evidence.rescaled({kind: max(scale, 1.0) for kind, scale in evidence.scales.items()})
     off, error, size = stated.deviations(stated.recharging(evidence)(left[:, None])[:, 0])
     out = [
-        Strained(name, abs(float(o)), float(e), float((o * s) ** 2))
+        Strained(j, name, abs(float(o)), float(e), float((o * s) ** 2))
         for j, (name, o, e, s) in enumerate(zip(evidence.named, off, error, size, strict=True))
         # By more than the log can be wrong about it: a direction that it hardly sees may lie anywhere.
         if abs(o) > STRAINED + 2 * e or j in alone
@@ -85,19 +88,17 @@ def strangeness(
     evidence: Evidence,
     replicas: Float[np.ndarray, "K R nv"],
     floor: float,
-    noise: float,
-    stated: bool,
+    known: bool,
     strains: list[Strained],
 ) -> Strangeness:
-    """Of the missing torque as it is; `noise` is the sensors' misfit, `floor` what is taken for noise, no less.
+    """Of the missing torque as it is; `floor` is the noise's misfit, `known` whether that can be relied on.
 
     `strains`: by the missing torque, `strained`.
     """
     y = evidence.y
-    # That is at random: nothing of it gathers in the motion's band.
-    slack = known_to(stated) / NOISE_ERROR
+    slack = known_to(known) / NOISE_ERROR
     own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
-    slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300)) * noise / floor
+    slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300))
     return Strangeness(
         float(y @ y) / (NOISE_ONLY * slack * floor),
         slow / SLOWLY,

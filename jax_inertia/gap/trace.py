@@ -40,8 +40,14 @@ class Trace:
     """y after one, two ... findings, each stretch predicted from the others [N m]."""
     noise: Float[np.ndarray, " nv"]
     """Standard deviation of y's noise [N m]."""
+    motors: Float[np.ndarray, " nv"]
+    """Of that in torque, what no sensor shows: a motor misses its command at random [N m]."""
+    turning: Float[np.ndarray, " nv"]
+    """Over which displacement each joint's dry friction turns round after a reversal [rad] (`turning`)."""
     excused: Float[np.ndarray, "R nv"]
     """What the nominal model's own errors most likely have in y, beside all findings [N m]."""
+    erring: Float[np.ndarray, "R nv"]
+    """The same once friction turns round over `turning`."""
     energy: Float[np.ndarray, "R nv"]
     """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
     forces: tuple[BodyForce, ...]
@@ -55,10 +61,13 @@ def collect(
     effects: tuple[np.ndarray, ...],
     left: tuple[np.ndarray, ...],
     excused: Float[np.ndarray, "R nv"],
+    erring: Float[np.ndarray, "R nv"],
+    turning: Float[np.ndarray, " nv"],
+    motors: Float[np.ndarray, " nv"],
     replicas: Float[np.ndarray, "K R nv"],
     gap: list[int],
 ) -> Trace:
-    """Gather the signals of one run; `effects`, `left` and `excused` are finished torques as in `Trace`."""
+    """Gather the signals of one run; `effects`, `left`, `excused` and `erring` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
     prepared = context.prepared
     names = {dof: name for name, dof in context.joint_dofs.items()}
@@ -75,7 +84,10 @@ def collect(
         effects=effects,
         left=left,
         noise=noise,
+        motors=motors,
+        turning=turning,
         excused=excused,
+        erring=erring,
         energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
         forces=_forces(pool, missing / noise, noise),
         gap=tuple(gap),

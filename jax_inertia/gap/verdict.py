@@ -37,14 +37,14 @@ TEMPER = 0.003
 DOUBT = 0.2
 
 
-def judge(misfits: list[float], floor: float, allowed: float, stated: bool) -> Verdict:
+def judge(misfits: list[float], floor: float, allowed: float, known: bool) -> Verdict:
     """The verdict for misfits after 0, 1, 2 ... effects, one at least.
 
     Explained: what is left is within the noise and the errors of the found effects' own equations. Partly: a fifth
     of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
-    `allowed`: misfit that the found equations' own errors may leave. `stated`: whether the log states its noise.
+    `allowed`: misfit that the found equations' own errors may leave. `known`: whether the noise is (`strain.known_to`).
     """
-    error = known_to(stated)
+    error = known_to(known)
     left = misfits[-1] - error * floor
     if left <= max(allowed, 0.2 * floor):
         return Verdict.EXPLAINED
@@ -80,8 +80,8 @@ class Tried:
     """What the sensors' noise alone would leave."""
     allowed: float
     """What the equations' own errors may leave."""
-    stated: bool
-    """Whether that log states its sensors' noise."""
+    known: bool
+    """Whether that log's noise is."""
 
 
 def second_look(verdict: Verdict, tried: Tried) -> Verdict:
@@ -89,7 +89,7 @@ def second_look(verdict: Verdict, tried: Tried) -> Verdict:
 
     What fits there is left as it is; what leaves twice what the first log may leave is doubted.
     """
-    error = known_to(tried.stated)
+    error = known_to(tried.known)
     excess, left = tried.before - tried.floor, tried.after - error * tried.floor
     if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY) or excess < error * tried.floor:
         return verdict

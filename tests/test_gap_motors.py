@@ -1,0 +1,48 @@
+"""Motors that miss their command at random, by as much as the log does not say; a chain in MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from chain_log import JOINTS, chain_xml, simulate
+
+from jax_inertia import load_model
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.motors import with_motors
+
+MISSED = np.array([0.3, 0.3, 0.15, 0.05, 0.03])
+# A controller that answers every jolt writes them into its commands.
+SOFT = 0.02
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
+
+
+def test_what_motors_miss_is_told_joint_by_joint(robot):
+    found = diagnose(robot, simulate(motors=MISSED, braking=SOFT))
+    assert found.verdict is Verdict.NO_GAP
+    assert found.noise_floor == pytest.approx(found.chi2, rel=0.3)
+    # The last joints' share stands on what the encoders leave of it.
+    assert found.trace.motors[:4] == pytest.approx(MISSED[:4], rel=0.2)
+
+
+def test_a_gain_stands_out_of_the_noise_of_motors(robot):
+    gain = np.array([1.0, 1.0, 1.0, 0.9, 1.0])
+    found = diagnose(robot, simulate(motors=MISSED, braking=SOFT, gain=gain))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("torque_gain", "axis4")
+    number = effect.parameters["gain"]
+    assert number.low < 0.9 < number.high
+    assert found.trace.motors[:4] == pytest.approx(MISSED[:4], rel=0.25)
+
+
+def test_a_log_that_states_its_noise_is_believed(robot):
+    assert not diagnose(robot, simulate()).trace.motors.any()
+
+
+def test_a_log_with_motors_states_both(robot):
+    log = simulate(seconds=2.0)
+    louder = with_motors(log, robot, MISSED)
+    assert louder.sigma_tau == pytest.approx(np.hypot(log.sigma_tau, MISSED))
