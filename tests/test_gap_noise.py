@@ -13,7 +13,14 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import Whitener, motion_band, sensor_noise, stage_of, whitener
+from jax_inertia.gap.noise import (
+    Whitener,
+    motion_band,
+    resolution,
+    sensor_noise,
+    stage_of,
+    whitener,
+)
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
@@ -167,6 +174,19 @@ def test_unstated_noise_is_measured_with_its_tails_and_without_impacts(draw):
     x = 0.01 * noise + np.sin(np.linspace(0, 30, 4000))[:, None]
     x[1000:] += 3.0
     assert sensor_noise(x, None) == pytest.approx(0.01 * np.ones(3), rel=0.05)
+
+
+@pytest.mark.parametrize("fastest", [0.3, 30.0])
+def test_a_coarse_encoder_is_as_noisy_as_its_steps(fastest):
+    """Slow motion repeats most samples, so that their third differences say nothing; fast motion dithers itself."""
+    step = 1e-3
+    x = np.sin(np.linspace(0, fastest, 4000) ** 2 / fastest)[:, None]
+    coarse = step * np.round(x / step)
+    assert sensor_noise(coarse, None) == pytest.approx([step / np.sqrt(12)], rel=0.1)
+    rng = np.random.default_rng(0)
+    assert resolution(x[:, 0]) == 0.0
+    assert resolution(x[:, 0] + 1e-4 * rng.normal(size=4000)) == 0.0
+    assert resolution(coarse[:, 0]) == pytest.approx(step)
 
 
 def test_the_motion_band_ends_where_noise_begins(robot):

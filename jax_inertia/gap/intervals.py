@@ -1,9 +1,9 @@
 """95 % intervals of what was found: the noise's own, widened by what the effects leave unexplained.
 
 All numbers of all effects, nonlinear ones included, are linearised together about the fit. The noise alone gives
-Σ = (AᵀA)⁻¹; where the equations are not quite the robot's, what is left is correlated over time, so the spread of the
-fit over the log with one stretch after the other left out (the delete-a-group jackknife of Kott 2001) is taken where
-it is wider.
+Σ = (AᵀA)⁻¹. An equation that errs by a share f of its effect e does so in the motion's few modes m, and adds
+(AᵀA)⁻¹ f² ‖e‖² / m. What is left is correlated over time, so the spread of the fit over the log with one stretch after
+the other left out (the delete-a-group jackknife of Kott 2001) is taken where it is wider.
 """
 
 import dataclasses
@@ -44,8 +44,9 @@ def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dic
     for c, block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])
         start = part.stop
-        own, moved = covariance[part, part] * max(1.0, inflation), spread[part, part]
-        out.append(_reported(pool, c, own, moved))
+        erring = c.excuses(c.effect) / pool.evidence.slow_modes
+        own = covariance[part, part] * (max(1.0, inflation) + erring)
+        out.append(_reported(pool, c, own, spread[part, part]))
     return out
 
 

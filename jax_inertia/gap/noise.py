@@ -231,19 +231,37 @@ IMPACT = 6.0
 
 
 def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:
-    """Standard deviation of one sample of each channel: as stated, or from its third differences.
+    """Standard deviation of one sample of each channel: as stated, or from its third differences and its steps.
 
     Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². Impacts, beyond `IMPACT` of what most
-    samples show, do not count; heavier tails than a Gaussian's, which a median would miss, do.
+    samples show, do not count; heavier tails than a Gaussian's, which a median would miss, do. A converter's steps of
+    width s are a noise of s/√12 at least, also where motion is so slow that most samples repeat the one before.
     """
     if stated is not None:
         return np.broadcast_to(np.asarray(stated, float), x.shape[1:])
-    third = np.abs(np.diff(np.asarray(x, float), n=3, axis=0))
+    x = np.asarray(x, float)
+    third = np.abs(np.diff(x, n=3, axis=0))
     usual = np.nanmedian(np.where(np.isfinite(third), third, np.nan), axis=0) / 0.6745
     counted = third <= IMPACT * usual
-    return np.sqrt(
+    rough = np.sqrt(
         (third**2).sum(axis=0, where=counted) / np.maximum(counted.sum(axis=0), 1) / 20.0
     )
+    steps = np.array([resolution(channel) for channel in x.T])
+    return np.maximum(rough, steps / np.sqrt(12.0))
+
+
+def resolution(x: Float[np.ndarray, " T"]) -> float:
+    """The step of a channel whose values are multiples of one; zero where they are not."""
+    apart = np.diff(np.unique(x[np.isfinite(x)]))
+    if len(apart) < LEVELS:
+        return 0.0
+    step = float(apart.min())
+    multiples = apart / step
+    return step if np.median(np.abs(multiples - np.round(multiples))) < ON_STEP else 0.0
+
+
+# Fewer values than this are a signal that hardly moves. How far from a multiple of a step the values usually lie.
+LEVELS, ON_STEP = 8, 0.02
 
 
 def perturbed(log: Log, rng: np.random.Generator) -> Log:

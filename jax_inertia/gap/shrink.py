@@ -179,6 +179,14 @@ def _grown(
 WORSE, WORSE_TORQUE = 0.1, 1.3
 
 
+def _harm_of(grown: float, before: float, after: float, floor: float) -> float:
+    """Harm of torques that have grown, beside the misfit before and after.
+
+    None where the most of the misfit is gone: noise of columns that hold accelerations is no harm in the noise's units.
+    """
+    return 0.0 if after - floor < 0.5 * (before - floor) else grown / WORSE_TORQUE
+
+
 def without_harm(
     search: Search, other: OtherMotion | None, rows: list[int]
 ) -> tuple[list[Candidate], Shrink, Trial | None]:
@@ -195,17 +203,18 @@ def without_harm(
         after = what_is_left(pool, effects)
         own = held_out(pool, rows, effects, before, after, search.replicas)
         trial = None if other is None else other.trial(effects)
+        left = misfit_held_out(pool, effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
-            misfit_held_out(pool, effects) / max(alone - 0.5 * STOP, 1.0),
-            _grown(pool.evidence, before, after) / WORSE_TORQUE,
+            left / max(alone - 0.5 * STOP, 1.0),
+            _harm_of(_grown(pool.evidence, before, after), alone, left, search.floor),
         ]
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
             harm += [
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
-                trial.grown / WORSE_TORQUE,
+                _harm_of(trial.grown, j.before, j.after, j.floor),
             ]
         return max(harm), own, trial
 
