@@ -5,7 +5,8 @@
 
 After the answers are open. `plan` writes OUT/FAMILY.txt, the clear logs that hold that family alone; `run` diagnoses
 those with `--exclude FAMILY`, as `solve.py` does, into OUT/FAMILY; `score.py --left-out OUT` adds the table. Honest is
-`unknown`, or a twin: what the diagnosis had itself declared to tie, or what contains the family as a special case.
+`unknown`, or a twin: what the diagnosis with all families declares to tie with it, what contains the family as a
+special case, or the parts that it is the sum of.
 """
 
 from __future__ import annotations

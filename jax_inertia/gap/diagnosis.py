@@ -29,7 +29,7 @@ from jax_inertia.gap.shrink import OtherMotion, rows_of_gap, what_is_left, witho
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
-from jax_inertia.gap.words import named, percent
+from jax_inertia.gap.words import named, number, percent
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -109,7 +109,7 @@ def diagnose(
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=tuple(log.notes),
+        notes=(*log.notes, *_unstated(search)),
         doubts=tuple(_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
@@ -187,6 +187,19 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         *beyond,
         f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
         "not in the library",
+    ]
+
+
+def _unstated(search: Search) -> list[str]:
+    """What was learned of noise that the log does not state, joint by joint."""
+    names = search.pool.context.joint_dofs.items()
+    louder = [(name, float(search.motors[row])) for name, row in names if search.motors[row] > 0]
+    if not louder:
+        return []
+    listed = ", ".join(f"{name} {number(size)}" for name, size in louder)
+    return [
+        f"the log states no noise; what is left is at random and as loud as if motors missed their torque by {listed} "
+        "N m from sample to sample: taken for noise"
     ]
 
 

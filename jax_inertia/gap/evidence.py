@@ -97,6 +97,12 @@ class Evidence:
         out._take(self.scales, self.pinned.union(columns))
         return out
 
+    def unpinned(self) -> "Evidence":
+        """The same log where none of them is."""
+        out = copy.copy(self)
+        out._take(self.scales, frozenset())
+        return out
+
     def _take(self, scales: dict[str, float], pinned: frozenset[int]) -> None:
         self.scales, self.pinned = scales, pinned
         self._charging = self._own.charging(self.per_column())

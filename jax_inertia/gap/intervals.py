@@ -39,7 +39,9 @@ def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dic
         return []
     a = np.concatenate(blocks, axis=1)
     residual = pool.evidence.y - sum(c.effect for c in chosen)
-    covariance, spread = _noise(a), _jackknife(pool, a, residual)
+    # An effect that stands for a number of the model is as uncertain as that number.
+    inexact = pool.evidence.unpinned().recharging(pool.evidence)
+    covariance, spread = _noise(inexact(a)), _jackknife(pool, a, residual)
     out, start = [], 0
     for c, block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])

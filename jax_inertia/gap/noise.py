@@ -222,7 +222,7 @@ def at_random(rows: Float[np.ndarray, "R nv"], period: float) -> bool:
     # Chance alone leaves 1/n in each squared correlation.
     squares = (products / np.maximum(energy, 1e-300)) ** 2 - 1.0 / len(rows)
     counts = np.sum(rows != 0.0, axis=0)
-    kurtosis = counts * np.sum(rows**4, axis=0) / np.maximum(energy, 1e-300) ** 2
+    kurtosis = counts * np.sum(rows**4, axis=0) / np.maximum(energy, 1e-100) ** 2
     share = energy / max(float(energy.sum()), 1e-300)
     return float(squares.mean(axis=0) @ share) < MEMORY and float(kurtosis @ share) < BURSTS
 
