@@ -16,7 +16,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.doubt import leans_on
+from jax_inertia.gap.doubt import better_than, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
@@ -87,7 +87,8 @@ def diagnose(
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
-            verdict = Verdict.of_nothing(first.bare)
+            stands_out = better_than(first.pool, [], first.noise) is not None
+            verdict = Verdict.of_nothing(first.bare, stands_out)
     elif trial is not None and chosen:
         # A wrong cause may fit one motion; it seldom fits two, and what happened in passing does not happen twice.
         verdict = second_look(verdict, trial.misfit)
@@ -176,10 +177,8 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
     if search.rival is not None:
         replaced, outsider = search.rival
         found = " and ".join(named(c.family.name, c.place) for c in replaced)
-        return [
-            *beyond,
-            f"{outsider.name} fits better than {found}: the cause is not in the library",
-        ]
+        does = f"fits better than {found}" if replaced else "explains what is there"
+        return [*beyond, f"{outsider.name} {does}: the cause is not in the library"]
     outsider, share = leans_on(search.pool, chosen)
     if share < TELLING:
         return beyond

@@ -16,9 +16,10 @@ from jax_inertia.gap.select import STOP, remaining, stacked
 def better_than(
     pool: Pool, chosen: list[Candidate], noise: float
 ) -> tuple[list[Candidate], Outsider] | None:
-    """Found effects and the outsider that should be in their place; None where all stand."""
-    if not chosen:
-        return None
+    """Found effects and the outsider that should be in their place; None where all stand.
+
+    Where nothing was found, an outsider that does better than nothing.
+    """
     others = outsiders(pool)
     now = float(np.sum(remaining(pool, chosen) ** 2))
     unit = max(1.0, now / max(noise, 1.0))
@@ -28,14 +29,18 @@ def better_than(
         rest = Beside.of(pool.evidence, *stacked(pool, kept))
         size = sum(c.size for c in replaced)
         allowed = sum(c.excuses(c.effect) for c in replaced)
-        if replaced[0].family.passing:
+        if any(c.family.passing for c in replaced[:1]):
             # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there.
             allowed = min(allowed, max(now - noise, 0.0))
         for o in others:
-            free = rest.free(o.columns)
+            columns = o.columns if replaced else o.beyond
+            free = rest.free(columns)
             left = np.linalg.lstsq(free, rest.target, rcond=None)
             after = float(np.sum((rest.target - free @ left[0]) ** 2))
-            price = (o.columns.shape[1] - size) * np.log(pool.evidence.rows)
+            price = (columns.shape[1] - size) * np.log(pool.evidence.rows)
+            if not replaced:
+                # It is the best of many, and nothing else speaks for it.
+                price += 2 * np.log(len(others))
             won = (now - after - allowed) / unit - price - STOP
             if won > most:
                 best, most = (replaced, o), won
@@ -44,6 +49,8 @@ def better_than(
 
 def _replaceable(chosen: list[Candidate]) -> list[list[Candidate]]:
     """Effects that one cause may be behind: each alone, all that happen in passing, and all there are."""
+    if not chosen:
+        return [[]]
     passing = [c for c in chosen if c.family.passing]
     alone = [[c] for c in chosen if not c.family.passing]
     groups = [*alone, *([passing] if passing else [])]

@@ -33,17 +33,30 @@ class Outsider:
     name: str
     columns: Float[np.ndarray, "n k"]
     """An orthonormal basis of its torques, in the charged metric."""
+    beyond: Float[np.ndarray, "n k"]
+    """The same of what no family and no tolerance has of it."""
 
 
 def outsiders(pool: Pool) -> list[Outsider]:
     """All of them that do something in this log."""
     out = []
     for name, columns in _every(pool.context):
-        left, size, _ = np.linalg.svd(pool.evidence.column(columns), full_matrices=False)
-        kept = size > max(1e-3 * float(size[0]), 1e-9)
-        if kept.any():
-            out.append(Outsider(name, left[:, kept]))
+        charged = pool.evidence.column(columns)
+        if (basis := _basis(charged)).shape[1]:
+            out.append(Outsider(name, basis, basis))
+    if not pool.context.robot.has_free_base:
+        # A lateness that stays is a delay, and one within a period a tolerance: the clock's own is what drifts.
+        late, drifting = np.hsplit(pool.evidence.column(Columns(_clocks(pool.context))), 2)
+        both, own = _basis(np.hstack([late, drifting])), _basis(late)
+        name = "a clock of the encoders that runs apart from the drives'"
+        out.append(Outsider(name, both, _basis(drifting - own @ (own.T @ drifting))))
     return out
+
+
+def _basis(columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n s"]:
+    """An orthonormal basis of columns, of those that do something."""
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, size > max(1e-3 * float(size[0]), 1e-9)]
 
 
 def _every(context: Context) -> Iterator[tuple[str, Columns]]:
@@ -61,7 +74,6 @@ def _every(context: Context) -> Iterator[tuple[str, Columns]]:
     for joint, row in context.joint_dofs.items():
         warp = _waves(context.joint_position[:, row])
         yield f"an encoder at {joint} that errs with its angle", off_path(context, row, warp)
-    yield "a clock of the encoders that runs apart from the drives'", Columns(_clocks(context))
     yield from _lengths(context)
 
 

@@ -134,7 +134,7 @@ class Finder:
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
         changing = inconstant(pool, chosen, against)
-        verdict, in_doubt = Verdict.of_nothing(bare), 0.0
+        verdict, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
         if chosen:
             allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, known)

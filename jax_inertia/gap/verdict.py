@@ -22,9 +22,9 @@ class Verdict(enum.StrEnum):
     NO_GAP = "no_gap"
 
     @classmethod
-    def of_nothing(cls, bare: Strangeness) -> "Verdict":
-        """The verdict where no effect was found."""
-        return cls.UNKNOWN if bare.most > 1.0 else cls.NO_GAP
+    def of_nothing(cls, bare: Strangeness, stands_out: bool = False) -> "Verdict":
+        """The verdict where no effect was found; `stands_out`: whether something that is no family does explain it."""
+        return cls.UNKNOWN if bare.most > 1.0 or stands_out else cls.NO_GAP
 
     def confidence(self, bare: Strangeness) -> float:
         """How sure a verdict without effects is: by how far the log is from the border between the two."""
