@@ -39,6 +39,15 @@ def test_an_encoder_whose_disk_is_eccentric_is_no_wrong_scale(robot):
     assert any("would have to change" in note and "elbow" in note for note in found.doubts)
 
 
+def test_what_no_effect_comes_near_stands_out_all_the_same(robot):
+    """A disk that wobbles thrice a turn, too little for any effect of the library to be found in its place."""
+    wobble = 6e-4 * np.array([0.0, 1.0])
+    found = diagnose(robot, simulate(encoder=lambda q: q + wobble * np.sin(3 * q)))
+    assert found.verdict is Verdict.UNKNOWN
+    assert not found.findings
+    assert any("encoder at elbow" in doubt for doubt in found.doubts)
+
+
 def test_a_friction_that_grows_with_the_angle_is_no_friction_of_the_library(robot):
     found = diagnose(robot, simulate(lambda t, q, v, u: np.array([0.0, -0.2 * v[1] * (q[1] > 0)])))
     assert found.verdict is Verdict.UNKNOWN

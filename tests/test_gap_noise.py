@@ -47,6 +47,19 @@ def test_one_damping_that_is_off_where_all_others_are_right_is_a_gap(robot):
     assert effect.parameters["damping"].value == pytest.approx(0.14 * DAMPING[2], rel=0.1)
 
 
+def test_a_friction_beyond_its_tolerance_competes_as_an_effect():
+    """The only friction of its kind, so that no other tells how good such numbers are."""
+    friction = np.array([0.0, 0.0, 0.5, 0.0, 0.0])
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(friction)))
+    found = diagnose(robot, simulate(friction=1.25 * friction))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("coulomb_friction", "axis3")
+    assert effect.parameters["coulomb"].value == pytest.approx(0.125, rel=0.05)
+    # It is known no better than the model's own.
+    assert effect.parameters["coulomb"].high - 0.125 > 0.05 * 0.5
+
+
 def test_dampings_that_are_all_off_by_as_much_are_a_model_slightly_off(robot):
     wrong = DAMPING * (1 + 0.07 * np.array([1.0, -1.0, 1.2, -0.8, 1.0]))
     found = diagnose(robot, simulate(wrong))

@@ -98,9 +98,10 @@ class Evidence:
         return out
 
     def unpinned(self) -> "Evidence":
-        """The same log where none of them is."""
+        """The same log where none of them is, and those of their kinds are no better than was stated."""
         out = copy.copy(self)
-        out._take(self.scales, frozenset())
+        kinds = {self.kind(j): 1.0 for j in self.pinned}
+        out._take({k: max(x, kinds.get(k, 0.0)) for k, x in self.scales.items()}, frozenset())
         return out
 
     def _take(self, scales: dict[str, float], pinned: frozenset[int]) -> None:

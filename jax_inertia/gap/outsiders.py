@@ -33,7 +33,7 @@ class Outsider:
     name: str
     columns: Float[np.ndarray, "n k"]
     """An orthonormal basis of its torques, in the charged metric."""
-    beyond: Float[np.ndarray, "n k"]
+    beyond: Float[np.ndarray, "n j"]
     """The same of what no family and no tolerance has of it."""
 
 
