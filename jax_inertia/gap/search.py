@@ -88,10 +88,11 @@ class Finder:
         beyond = [s.column for s in found.strains if self._has_cause(pool.evidence, s.column)]
         if not beyond:
             return found
-        # A number that is off by more than its tolerance is not within it, and the library has an effect for it.
+        # A number that is off by more than its tolerance is not within it, and the library has an effect for it: where
+        # that is all there is. Elsewhere it stands for what the library lacks.
         evidence = found.pool.evidence.pinning(beyond)
         freed = self._settled(found.pool.charged_as(evidence), white, noise)
-        return freed if freed.chosen and freed.verdict is not Verdict.UNKNOWN else found
+        return freed if freed.verdict is Verdict.EXPLAINED else found
 
     def _settled(self, pool: Pool, white: Whitener, noise: float | None) -> Search:
         """Effects and the scales of the model's tolerances, found in turn."""
