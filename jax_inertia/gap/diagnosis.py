@@ -80,9 +80,7 @@ def diagnose(
     # How large the gap is, where and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
     rows = rows_of_gap(evidence, search.replicas)
-    other = None
-    if test_log is not None:
-        other = OtherMotion(robot, test_log, tolerance, search, rows)
+    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search, rows)
     chosen, heldout, trial = without_harm(search, other, rows)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN

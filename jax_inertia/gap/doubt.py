@@ -29,7 +29,7 @@ def better_than(
         rest = Beside.of(pool.evidence, *stacked(pool, kept))
         size = sum(c.size for c in replaced)
         allowed = sum(c.excuses(c.effect) for c in replaced)
-        if any(c.family.passing for c in replaced[:1]):
+        if replaced and replaced[0].family.passing:
             # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there.
             allowed = min(allowed, max(now - noise, 0.0))
         for o in others:

@@ -162,16 +162,14 @@ class Finder:
         found in turn.
         """
         finder, found = self, self.search(self.white)
+        if stated(self.log):
+            return finder, found
+        prepared = self.context.prepared
         for _ in range(ROUNDS):
             ratio = found.misfits[-1] / found.floor
             evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
-            if (
-                stated(self.log)
-                or 1.0 / LOUDER < ratio < LOUDER
-                or not self._at_random(evidence, left)
-            ):
+            if 1.0 / LOUDER < ratio < LOUDER or not self._at_random(evidence, left):
                 break
-            prepared = self.context.prepared
             motors = hidden_noise(evidence, left, self.replicas, self.log, prepared)
             if not motors.any():
                 break
@@ -213,8 +211,7 @@ def _made(
     motors: np.ndarray,
 ) -> Finder:
     """A finder that takes a log's torque noise for as loud as its samples show, and `motors` beside [N m]."""
-    noisy = with_motors(log, prepared.robot, motors) if motors.any() else log
-    white, replicas, again = whitener(prepared, noisy)
+    white, replicas, again = whitener(prepared, with_motors(log, prepared.robot, motors))
     context = Context(prepared, motion_band(prepared, white, replicas))
     own = nuisances(context, tolerance, log)
     return Finder(

@@ -125,12 +125,7 @@ class OtherMotion:
     """A test log, made ready once, to try effects on; what happened in passing is not expected again."""
 
     def __init__(
-        self,
-        robot: Robot,
-        log: Log,
-        tolerance: Tolerance,
-        search: Search,
-        rows: list[int],
+        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
     ):
         prepared = prepare(robot, log)
         log = with_motors(log, robot, search.motors)
