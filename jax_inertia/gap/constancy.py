@@ -7,9 +7,7 @@ A friction, a gain, an encoder's scale: each is one number. So each found effect
 x being time, or the position, load or speed of a joint. Where that fits better by more than its numbers cost, and the
 size would have to change by much, the cause is something else that resembles the effect on average: an encoder whose
 disk sits off its axis resembles a wrong scale, a ripple of a gear under load resembles cogging, a clock that runs slow
-resembles a lag. Likewise a push is one force for a while: one that turns about, or is needed at several bodies at the
-same time, is none.
-"""
+resembles"""
 
 import dataclasses
 import itertools
@@ -68,12 +66,10 @@ def inconstant(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant 
 
 
 def crowded(chosen: list[Candidate]) -> tuple[Candidate, Candidate] | None:
-    """Two effects in passing that overlap in time at different bodies: one force that has no equation here."""
+    """Two effects in passing at different bodies: likelier than two events is one cause that has no equation here."""
     passing = [c for c in chosen if c.family.passing]
-    for a, b in itertools.combinations(passing, 2):
-        if a.place != b.place and max(a.shape[0], b.shape[0]) < min(a.shape[1], b.shape[1]):
-            return a, b
-    return None
+    pairs = itertools.combinations(passing, 2)
+    return next(((a, b) for a, b in pairs if a.place != b.place), None)
 
 
 def _variations(pool: Pool, c: Candidate) -> Iterator[tuple[str, float, Float[np.ndarray, "n k"]]]:

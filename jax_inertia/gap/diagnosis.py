@@ -170,7 +170,7 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
     if (pushes := crowded(search.chosen)) is not None:
         names = " and ".join(c.place.name for c in pushes)
         beyond.append(
-            f"forces at {names} at the same time: one cause that the library has no equation for"
+            f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
         )
     if search.rival is not None:
         replaced, outsider = search.rival
