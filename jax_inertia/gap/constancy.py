@@ -7,7 +7,8 @@ A friction, a gain, an encoder's scale: each is one number. So each found effect
 x being time, or the position, load or speed of a joint. Where that fits better by more than its numbers cost, and the
 size would have to change by much, the cause is something else that resembles the effect on average: an encoder whose
 disk sits off its axis resembles a wrong scale, a ripple of a gear under load resembles cogging, a clock that runs slow
-resembles"""
+resembles a lag. Likewise a push is one force for a while: one that turns about is none, nor are forces at two bodies.
+"""
 
 import dataclasses
 import itertools
