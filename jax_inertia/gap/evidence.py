@@ -23,7 +23,7 @@ from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
 
-# Shapes that go through the filters at once: more would leave the cache.
+# Shapes that go through filters and products at once: more would leave the cache.
 WIDE = 16
 
 
@@ -153,6 +153,14 @@ class Evidence:
         """From what was charged with the tolerances' scales `before` to the same with those of now."""
         return functools.partial(self._own.apply, self._charging @ np.linalg.inv(before._charging))
 
+    def recharged(
+        self, before: "Evidence", columns: Iterable[Float[np.ndarray, "n k"]]
+    ) -> Iterator[Float[np.ndarray, "n k"]]:
+        """`recharging` of many, some at a time."""
+        move, columns = self.recharging(before), iter(columns)
+        while batch := list(itertools.islice(columns, WIDE)):
+            yield from _apart(move(np.concatenate(batch, axis=1)), [x.shape[1] for x in batch])
+
     def deviations(
         self, left: Float[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -202,7 +210,7 @@ class Evidence:
         while batch := list(itertools.islice(shapes, WIDE)):
             wide = np.concatenate([c.values for c in batch], axis=-1)
             parts = self.column(Columns(wide, batch[0].row))
-            yield from np.split(parts, len(batch), axis=1)
+            yield from _apart(parts, [parts.shape[1] // len(batch)] * len(batch))
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""
@@ -244,6 +252,11 @@ class Evidence:
         whitening = self._whitening
         white = whitening(finished) if row is None else whitening.one_row(finished, row)
         return white[self.used]
+
+
+def _apart(wide: Float[np.ndarray, "n k"], sizes: list[int]) -> list[Float[np.ndarray, "n s"]]:
+    """Columns that lie side by side, each part in memory of its own: views would be read with all their neighbours."""
+    return [np.asfortranarray(x) for x in np.split(wide, np.cumsum(sizes)[:-1], axis=1)]
 
 
 # The chain's last filter carries what happens at rest this many samples into the motion.

@@ -101,27 +101,20 @@ class Pool:
         """The same candidates where the model's tolerances are larger, smaller or fewer."""
         out = copy.copy(self)
         out.evidence = evidence
-        move = out.evidence.recharging(self.evidence)
-
-        def move_all(parts: list[np.ndarray]) -> list[np.ndarray]:
-            sizes = np.cumsum([x.shape[1] for x in parts])[:-1]
-            return np.split(move(np.concatenate(parts, axis=1)), sizes, axis=1)
-
-        def moved(blocks: list[Block]) -> list[Block]:
-            columns = move_all([b.columns for b in blocks])
-            if blocks[0].noise is None:
-                return [
-                    Block(out.evidence, b.shape, x) for b, x in zip(blocks, columns, strict=True)
-                ]
-            noise = move_all([b.noise for b in blocks if b.noise is not None])
-            return [
-                Block.noisy(out.evidence, b.shape, x, w, out.echo.noise)
-                for b, x, w in zip(blocks, columns, noise, strict=True)
-            ]
-
-        out.echo = Echo(self.echo.context, move(self.echo.noise[:, None])[:, 0])
         every = {id(e.blocks): e.blocks for e in self.entries}
-        now = {key: moved(blocks) for key, blocks in every.items()}
+        blocks = [b for group in every.values() for b in group]
+        columns = evidence.recharged(self.evidence, (b.columns for b in blocks))
+        noises = (b.noise for b in blocks if b.noise is not None)
+        noise = evidence.recharged(self.evidence, noises)
+        again = evidence.recharging(self.evidence)(self.echo.noise[:, None])
+        out.echo = Echo(self.echo.context, again[:, 0])
+
+        def moved(b: Block) -> Block:
+            if b.noise is None:
+                return Block(evidence, b.shape, next(columns))
+            return Block.noisy(evidence, b.shape, next(columns), next(noise), out.echo.noise)
+
+        now = {key: [moved(b) for b in group] for key, group in every.items()}
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out
 

@@ -263,10 +263,12 @@ def _in_doubt(
     rival: tuple[list[Candidate], Outsider] | None,
     changing: Inconstant | None,
 ) -> float:
-    """Share of the misfit explained that effects brought which do not stand; all of it for forces at two bodies."""
-    if crowded(chosen) is not None:
-        return 1.0
-    fallen = [*(rival[0] if rival else ()), *([changing.effect] if changing else ())]
+    """Share of the misfit explained that effects brought which do not stand."""
+    fallen = [
+        *(rival[0] if rival else ()),
+        *([changing.effect] if changing else ()),
+        *(crowded(chosen) or ()),
+    ]
     if not fallen:
         return 0.0
     standing = [c for c in chosen if not any(c is f for f in fallen)]
