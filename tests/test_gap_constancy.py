@@ -90,7 +90,9 @@ def test_forces_in_passing_at_two_bodies_are_one_cause():
     friction = candidate(ViscousFriction(), "elbow")
     again = candidate(Push(), "upper", 2.5, 3.0, 0.3, 0.0)
     elsewhere = candidate(Push(), "lower", 2.5, 3.0, 0.3, 0.0)
+    overlapping = candidate(Push(), "upper", 1.5, 3.0, 0.3, 0.0)
     assert crowded([first, friction, again]) is None
+    assert crowded([first, friction, overlapping]) is None
     assert crowded([first, friction, elsewhere]) == (first, elsewhere)
 
 

@@ -23,8 +23,15 @@ def figure(rows: int, *, height: float) -> tuple[Figure, list[Axes]]:
 
 def legend(axis: Axes) -> None:
     """One line above the panel, where it hides nothing."""
-    room = {"borderpad": 0.1, "handlelength": 1.2, "columnspacing": 1.2}
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, frameon=False, **room)
+    axis.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=5,
+        frameon=False,
+        borderpad=0.1,
+        handlelength=1.2,
+        columnspacing=1.2,
+    )
 
 
 def save(fig: Figure, name: str) -> Path:

@@ -10,6 +10,7 @@ import copy
 import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import numpy as np
 import scipy.fft
@@ -22,6 +23,8 @@ from jax_inertia.gap.energies import shares
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
+
+T = TypeVar("T")
 
 # Shapes that go through filters and products at once: more would leave the cache.
 WIDE = 16
@@ -157,8 +160,8 @@ class Evidence:
         self, before: "Evidence", columns: Iterable[Float[np.ndarray, "n k"]]
     ) -> Iterator[Float[np.ndarray, "n k"]]:
         """`recharging` of many, some at a time."""
-        move, columns = self.recharging(before), iter(columns)
-        while batch := list(itertools.islice(columns, WIDE)):
+        move = self.recharging(before)
+        for batch in _batches(columns):
             yield from _apart(move(np.concatenate(batch, axis=1)), [x.shape[1] for x in batch])
 
     def deviations(
@@ -206,11 +209,10 @@ class Evidence:
 
     def of_many(self, shapes: Iterable[Columns]) -> Iterator[Float[np.ndarray, "n k"]]:
         """`column` of columns alike in form and row, some at a time: filters and products like them wide."""
-        shapes = iter(shapes)
-        while batch := list(itertools.islice(shapes, WIDE)):
+        for batch in _batches(shapes):
             wide = np.concatenate([c.values for c in batch], axis=-1)
             parts = self.column(Columns(wide, batch[0].row))
-            yield from _apart(parts, [parts.shape[1] // len(batch)] * len(batch))
+            yield from _apart(parts, [c.values.shape[-1] for c in batch])
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""
@@ -252,6 +254,13 @@ class Evidence:
         whitening = self._whitening
         white = whitening(finished) if row is None else whitening.one_row(finished, row)
         return white[self.used]
+
+
+def _batches(items: Iterable[T]) -> Iterator[list[T]]:
+    """`WIDE` of them at a time."""
+    items = iter(items)
+    while batch := list(itertools.islice(items, WIDE)):
+        yield batch
 
 
 def _apart(wide: Float[np.ndarray, "n k"], sizes: list[int]) -> list[Float[np.ndarray, "n s"]]:

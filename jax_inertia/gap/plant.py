@@ -145,7 +145,8 @@ class Plant:
         self._begin(recording, k)
         act = Callback(self.law)
         bent = recording.bent(k, self.turning)
-        mine = self.rows[self.turning > 0]
+        turns = self.turning > 0
+        mine, reach = self.rows[turns], self.turning[turns]
         for u in self._on_rows(torque(start - np.arange(round(_MEMORY / step), 0, -1) * step)):
             act.arrives(u)
         out = np.zeros((len(samples), len(self.adr)))
@@ -173,9 +174,7 @@ class Plant:
                 # Dahl's bristles (1968) over this step, in the solver's place.
                 moved = data.qvel[mine] * step
                 side = np.sign(moved)
-                bent = side + (bent - side) * np.exp(
-                    -np.abs(moved) / self.turning[self.turning > 0]
-                )
+                bent = side + (bent - side) * np.exp(-np.abs(moved) / reach)
                 data.qfrc_applied[mine] -= model.dof_frictionloss[mine] * bent
                 model.dof_frictionloss[mine] = 0.0
             # Behind what the drive passes on: a gain or a limit is none of it.

@@ -22,7 +22,7 @@ class Verdict(enum.StrEnum):
     NO_GAP = "no_gap"
 
     @classmethod
-    def of_nothing(cls, bare: Strangeness, stands_out: bool = False) -> "Verdict":
+    def of_nothing(cls, bare: Strangeness, stands_out: bool) -> "Verdict":
         """The verdict where no effect was found; `stands_out`: whether something that is no family does explain it."""
         return cls.UNKNOWN if bare.most > 1.0 or stands_out else cls.NO_GAP
 
