@@ -9,6 +9,7 @@ from arm_log import ARM, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.block import Block
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
@@ -80,9 +81,9 @@ def test_a_force_that_turns_about_is_no_push(robot):
 
 
 def candidate(family, body: str, *shape: float) -> Candidate:
-    empty = np.zeros((0, 1))
     place = Place(family.kind, body, 0)
-    return Candidate(family, place, shape, np.zeros(1), empty, np.zeros(0), 1)
+    block = Block(None, shape, None)
+    return Candidate(family, place, block, np.zeros(1), np.eye(1), np.zeros(1))
 
 
 def test_forces_in_passing_at_two_bodies_are_one_cause():

@@ -13,8 +13,8 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.gap.block import Beside, Block
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
 from jax_inertia.gap.noise import NOISE_ERROR
 
@@ -25,18 +25,33 @@ class Candidate:
 
     family: Family
     place: Place
-    shape: Shape
+    block: Block
     theta: np.ndarray
-    columns: Float[np.ndarray, "n k"]
-    """∂e/∂θ in the charged metric, at the present numbers."""
-    offset: Float[np.ndarray, " n"]
-    """e − columns θ: zero for linear families."""
-    grid: int
+    tangent: Float[np.ndarray, "k p"]
+    """∂(weights of the block's columns)/∂θ at the present numbers."""
+    constant: Float[np.ndarray, " k"]
+    """Those weights less tangent θ: zero for linear families."""
+    grid: int = 1
     gain: float = 0.0
     """ΔJ over those chosen before."""
     aim: float = 0.0
     """What is maximised over the shape: the gain, in the motion's own band for families that are judged there."""
     score: float = -np.inf
+
+    @property
+    def shape(self) -> Shape:
+        """Its nonlinear numbers."""
+        return self.block.shape
+
+    @functools.cached_property
+    def columns(self) -> Float[np.ndarray, "n p"]:
+        """∂e/∂θ in the charged metric."""
+        return self.block.columns @ self.tangent
+
+    @functools.cached_property
+    def offset(self) -> Float[np.ndarray, " n"]:
+        """e − columns θ."""
+        return self.block.columns @ self.constant
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -60,98 +75,6 @@ class Candidate:
     def price(self, n: int) -> float:
         """Score that its numbers cost on n samples."""
         return self.size * np.log(n) + (2 * np.log(self.grid) if self.grid > 1 else 0.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class Block:
-    """Columns of one shape in the charged metric, and what noise alone puts into their moments."""
-
-    evidence: Evidence
-    shape: Shape
-    columns: Float[np.ndarray, "n k"]
-    noise: Float[np.ndarray, "n k"] | None = None
-    """What the echo's noise adds to the columns, where they carry it."""
-    noise_gram: Float[np.ndarray, "k k"] | float = 0.0
-    noise_cross: Float[np.ndarray, " k"] | float = 0.0
-
-    @classmethod
-    def noisy(
-        cls, evidence: Evidence, shape: Shape, columns, noise, of_y: Float[np.ndarray, " n"]
-    ) -> "Block":
-        """A block with its noise's moments."""
-        return cls(evidence, shape, columns, noise, noise.T @ noise, noise.T @ of_y)
-
-    @functools.cached_property
-    def gram(self) -> Float[np.ndarray, "k k"]:
-        """AᵀA."""
-        return self.columns.T @ self.columns
-
-    @functools.cached_property
-    def slow(self) -> Float[np.ndarray, "m k"]:
-        """The columns in the motion's own band."""
-        return self.evidence.slow(self.columns)
-
-
-# Columns of which the chosen effects leave less than this share of the energy are theirs.
-REACHED = 1e-10
-
-
-@dataclasses.dataclass(frozen=True)
-class Beside:
-    """What is left to explain where the columns of chosen effects are free to take their share."""
-
-    evidence: Evidence
-    basis: Float[np.ndarray, "n s"]
-    """Of the chosen columns, orthonormal."""
-    target: Float[np.ndarray, " n"]
-    """What they cannot reach."""
-
-    @classmethod
-    def of(
-        cls,
-        evidence: Evidence,
-        columns: Float[np.ndarray, "n s"],
-        target: Float[np.ndarray, " n"],
-    ) -> "Beside":
-        """Beside chosen columns, of a target in the charged metric."""
-        basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
-        return cls(evidence, basis, target - basis @ (basis.T @ target))
-
-    def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """What the chosen cannot reach of other columns."""
-        if not self.basis.shape[1]:
-            return columns
-        return columns - self.basis @ (self.basis.T @ columns)
-
-    def shared(self, block: Block) -> Float[np.ndarray, "s k"]:
-        """What the chosen can reach of a block's columns, in their basis."""
-        return self.basis.T @ block.columns
-
-    def moments(
-        self, block: Block, shared: Float[np.ndarray, "s k"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """AᵀA and Aᵀy of a block's free columns A; zero for columns that are not free."""
-        cross = block.columns.T @ self.target
-        gram = block.gram - shared.T @ shared
-        alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
-        return gram * np.outer(alive, alive), cross * alive
-
-    def slow_moments(
-        self, block: Block, shared: Float[np.ndarray, "s k"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The same in the motion's own band."""
-        seen = block.slow
-        if len(shared):
-            seen = seen - self._slow_basis @ shared
-        return seen.T @ seen, seen.T @ self._slow_target
-
-    @functools.cached_property
-    def _slow_basis(self) -> Float[np.ndarray, "m s"]:
-        return self.evidence.slow(self.basis)
-
-    @functools.cached_property
-    def _slow_target(self) -> Float[np.ndarray, " m"]:
-        return self.evidence.slow(self.target[:, None])[:, 0]
 
 
 def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
@@ -178,7 +101,7 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    columns, shared = block.columns, left.shared(block)
+    shared, count = left.shared(block), block.count
     raw, plain = left.moments(block, shared)
     if not raw.any():
         return None
@@ -190,7 +113,7 @@ def fit(
             return None
     else:
         gram, cross = raw, plain
-    offset = np.zeros(len(columns))
+    tangent, constant = np.eye(count), np.zeros(count)
     if family.whole is not None:
         theta = np.zeros(0)
         error = COARSE if coarse else family.whole
@@ -201,7 +124,7 @@ def fit(
             error, *left.slow_moments(block, shared)
         ):
             return None
-        columns, offset = np.zeros((len(columns), 0)), columns[:, 0]
+        tangent, constant = np.zeros((count, 0)), np.ones(count)
     elif family.size is None:
         theta = _least_norm(gram, cross)
         if theta is None:
@@ -211,9 +134,7 @@ def fit(
         if theta is None:
             return None
         tangent = _tangent(lambda t: family.weights(context, place, t), theta)
-        offset = columns @ family.weights(context, place, theta)
-        columns = columns @ tangent
-        offset = offset - columns @ theta
+        constant = family.weights(context, place, theta) - tangent @ theta
     w = family.weights(context, place, theta)
     aim = float(2 * w @ cross - w @ gram @ w)
     # Numbers may come from the motion's band; what they bring is counted in all of it, without what the columns' own
@@ -226,7 +147,7 @@ def fit(
         return None
     if family.slow and aim < SEEN:
         return None
-    return Candidate(family, place, block.shape, theta, columns, offset, 1, gain, aim)
+    return Candidate(family, place, block, theta, tangent, constant, gain=gain, aim=aim)
 
 
 def _as_large_as_it_must_be(error: float, gram: np.ndarray, cross: np.ndarray) -> bool:

@@ -16,7 +16,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.doubt import better_than, leans_on
+from jax_inertia.gap.doubt import better_than, entangled, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
@@ -172,6 +172,11 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         beyond.append(
             f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
         )
+    if (share := entangled(search.pool, search.chosen)) is not None:
+        beyond.append(
+            f"each alone, the effects explain {share:.1f} times what they explain together: "
+            "likelier than as many causes is one that is none of them"
+        )
     if search.rival is not None:
         replaced, outsider = search.rival
         found = " and ".join(named(c.family.name, c.place) for c in replaced)
@@ -223,10 +228,10 @@ def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
     out = []
     for entry in pool.entries:
         family, place, block = entry.family, entry.place, entry.blocks[len(entry.blocks) // 2]
-        if block.columns.shape[1] != 1 or family.grid(pool.context, place):
+        if block.count != 1 or family.grid(pool.context, place):
             continue
         price = STOP + np.log(pool.evidence.rows)
-        theta = np.array([np.sqrt(price) / np.linalg.norm(block.columns)])
+        theta = np.array([np.sqrt(price) / np.sqrt(block.gram[0, 0])])
         parameter = next(iter(family.parameters(pool.context, place, block.shape, theta).values()))
         out.append((family.name, place, parameter))
     return tuple(out)

@@ -1,4 +1,4 @@
-"""Whether something that no family is does better than what was found.
+"""Whether what was found may stand: something that no family is does better, or effects do only together what they do.
 
 A mechanical stop is no push, though it happens in passing, and oil that drags as the square of speed is no spring. So
 each found effect, and all of them together, are tried against every outsider (`outsiders`): where one fits better by
@@ -10,7 +10,11 @@ import numpy as np
 from jax_inertia.gap.candidate import Beside, Candidate
 from jax_inertia.gap.outsiders import Outsider, outsiders
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.select import STOP, remaining, stacked
+from jax_inertia.gap.select import STOP, misfit, remaining, stacked
+
+# Effects that have nothing to do with each other bring, each alone, what they bring together: in 44 pairs that were
+# found right in two opened sealed sets the sum was 0.85 to 1.21 of it.
+ENTANGLED = 0.35
 
 
 def better_than(
@@ -63,3 +67,17 @@ def leans_on(pool: Pool, chosen: list[Candidate]) -> tuple[Outsider, float]:
     total = max(float(left @ left), 1e-300)
     shares = [(o, float(np.sum((o.columns.T @ left) ** 2)) / total) for o in outsiders(pool)]
     return max(shares, key=lambda x: x[1])
+
+
+def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
+    """What effects explain each alone, summed, over what they explain together; None where that is about the same.
+
+    Where the sum is far more, each takes what the others could take as well; where it is far less, they undo each
+    other. Either way they draw one cause that is none of them.
+    """
+    if len(chosen) < 2:
+        return None
+    nothing = misfit(pool, [])
+    alone = sum(nothing - misfit(pool, [c]) for c in chosen)
+    share = alone / max(nothing - misfit(pool, chosen), 1e-300)
+    return share if abs(share - 1.0) > ENTANGLED else None

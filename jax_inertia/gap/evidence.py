@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import numpy as np
 import scipy.fft
-import scipy.linalg
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
@@ -23,40 +22,12 @@ from jax_inertia.gap.energies import shares
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
+from jax_inertia.gap.span import Span, Split
 
 T = TypeVar("T")
 
 # Shapes that go through filters and products at once: more would leave the cache.
 WIDE = 16
-
-
-class Span:
-    """The span of few columns N, and maps that act in it and leave alone what is orthogonal to it."""
-
-    def __init__(self, n: Float[np.ndarray, "n k"]):
-        self.gram = n.T @ n
-        values, vectors = scipy.linalg.eigh(self.gram)
-        kept = values > 1e-12 * max(values[-1], 1e-300)
-        size = np.sqrt(values[kept])
-        self._basis = n @ (vectors[:, kept] / size)
-        self._coordinates = size[:, None] * vectors[:, kept].T
-
-    def along(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
-        """Nᵀ x."""
-        return self._coordinates.T @ (self._basis.T @ x)
-
-    def charging(self, scales: Float[np.ndarray, " k"] | float = 1.0) -> Float[np.ndarray, "s s"]:
-        """M^{1/2} in the span, for M = (1 + N Λ² Nᵀ)⁻¹ with scales Λ."""
-        scaled = self._coordinates * scales
-        values, vectors = scipy.linalg.eigh(scaled @ scaled.T)
-        return (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T
-
-    def apply(
-        self, inside: Float[np.ndarray, "s s"], x: Float[np.ndarray, "n k"]
-    ) -> Float[np.ndarray, "n k"]:
-        """x, its part in the span mapped."""
-        part = self._basis.T @ x
-        return x + self._basis @ (inside @ part - part)
 
 
 class Evidence:
@@ -138,13 +109,23 @@ class Evidence:
 
     def charge(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x."""
-        return self._charge_own(self._charge_fixed(x))
+        return self.charge_own(self._charge_fixed(x))
 
     def _charge_fixed(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         return self._fixed.apply(self._fixed_charging, x)
 
-    def _charge_own(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    def charge_own(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """M^{1/2} x of what the fixed nuisances have charged."""
         return self._own.apply(self._charging, x)
+
+    def added(self, inside: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s k"]:
+        """What M^{1/2} adds to columns with these coordinates in the tolerances' span, A in `span`."""
+        return self._charging @ inside - inside
+
+    @property
+    def basis(self) -> Float[np.ndarray, "n s"]:
+        """Of the tolerances' span, orthonormal."""
+        return self._own.basis
 
     def without_tolerances(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What was charged with all nuisances, charged with the fixed ones alone."""
@@ -156,14 +137,6 @@ class Evidence:
         """From what was charged with the tolerances' scales `before` to the same with those of now."""
         return functools.partial(self._own.apply, self._charging @ np.linalg.inv(before._charging))
 
-    def recharged(
-        self, before: "Evidence", columns: Iterable[Float[np.ndarray, "n k"]]
-    ) -> Iterator[Float[np.ndarray, "n k"]]:
-        """`recharging` of many, some at a time."""
-        move = self.recharging(before)
-        for batch in _batches(columns):
-            yield from _apart(move(np.concatenate(batch, axis=1)), [x.shape[1] for x in batch])
-
     def deviations(
         self, left: Float[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -172,14 +145,14 @@ class Evidence:
         The first two in the tolerances that were stated, whatever their scales now.
         """
         scale = self.per_column()
-        off = self._off(self._charge_own(left[:, None])[:, 0])
+        off = self._off(self.charge_own(left[:, None])[:, 0])
         inside = np.eye(len(scale)) + scale[:, None] * self.gram * scale
         error = scale * np.sqrt(np.diagonal(np.linalg.inv(inside)))
         return off, error, np.sqrt(np.diagonal(self.gram))
 
     def excused(self, left: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
         """The finished torque that nuisances most likely have in what effects leave: N ẑ, ẑ = Λ² Nᵀ M (y − A θ)."""
-        inside = self._charge_own(left[:, None])
+        inside = self.charge_own(left[:, None])
         torque = self._nuisances.torque(
             self._fixed.along(self._charge_fixed(inside)[:, 0]), self._off(inside[:, 0])
         )
@@ -195,24 +168,24 @@ class Evidence:
 
     def furthest(self, left: Float[np.ndarray, " n"], count: int) -> list[int]:
         """The tolerances that are strained most by what effects leave, against their scales now, the most first."""
-        off = self._off(self._charge_own(left[:, None])[:, 0])
+        off = self._off(self.charge_own(left[:, None])[:, 0])
         strain = np.abs(off) / np.maximum(self.per_column(), 1e-300)
         return np.argsort(-strain)[:count].tolist()
 
     def charged_tolerance(self, j: int) -> Float[np.ndarray, "n 1"]:
         """The column of the j-th tolerance in the charged metric."""
-        return self._charge_own(self.tolerances[:, [j]])
+        return self.charge_own(self.tolerances[:, [j]])
 
     def column(self, columns: Columns) -> Float[np.ndarray, "n k"]:
         """A candidate's columns in the charged metric."""
         return self.charge(self._whiten(columns))
 
-    def of_many(self, shapes: Iterable[Columns]) -> Iterator[Float[np.ndarray, "n k"]]:
-        """`column` of columns alike in form and row, some at a time: filters and products like them wide."""
+    def of_many(self, shapes: Iterable[Columns]) -> Iterator[Split]:
+        """Columns alike in form and row, apart from the tolerances: some at a time, since filters like them wide."""
         for batch in _batches(shapes):
             wide = np.concatenate([c.values for c in batch], axis=-1)
-            parts = self.column(Columns(wide, batch[0].row))
-            yield from _apart(parts, [c.values.shape[-1] for c in batch])
+            charged = self._charge_fixed(self._whiten(Columns(wide, batch[0].row)))
+            yield from self._own.split(charged).parts([c.values.shape[-1] for c in batch])
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""
@@ -232,6 +205,11 @@ class Evidence:
         # The k-th cosine of a record of T seconds has k / 2T Hz.
         seconds = len(needed) / self.prepared.settings.decimated
         return int(np.clip(count, 2 * seconds, min(10 * seconds, len(needed))))
+
+    @functools.cached_property
+    def slow_basis(self) -> Float[np.ndarray, "m s"]:
+        """The tolerances' span in the motion's own band."""
+        return self.slow(self.basis)
 
     def slow(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
         """The part in the motion's own band, by its cosines; lengths are kept."""
@@ -261,11 +239,6 @@ def _batches(items: Iterable[T]) -> Iterator[list[T]]:
     items = iter(items)
     while batch := list(itertools.islice(items, WIDE)):
         yield batch
-
-
-def _apart(wide: Float[np.ndarray, "n k"], sizes: list[int]) -> list[Float[np.ndarray, "n s"]]:
-    """Columns that lie side by side, each part in memory of its own: views would be read with all their neighbours."""
-    return [np.asfortranarray(x) for x in np.split(wide, np.cumsum(sizes)[:-1], axis=1)]
 
 
 # The chain's last filter carries what happens at rest this many samples into the motion.

@@ -34,9 +34,9 @@ class Tolerance:
     """Relative, about the centre of mass."""
     damping: float = 0.05
     """Relative to the model's own damping, frictionloss and armature."""
-    period: float = 0.1
-    """Of the log's period, when within it a held torque acted: half a period, the most it can be, is five of these, and
-    brings less than an effect has to."""
+    period: float = 0.08
+    """Of the log's period, when within it a held torque acted: half a period, the most it can be, is six of these, and
+    brings just less than a delay has to and costs (`select.STOP`, `Candidate.price`)."""
     sampled: float = 0.25
     """The same for a torque that a sensor sampled: of the moment, or of the period that followed."""
 

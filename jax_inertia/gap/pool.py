@@ -2,16 +2,19 @@
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from jax_inertia.gap.candidate import Beside, Block, Candidate, fit
+from jax_inertia.gap.block import Beside, Block, Plain
+from jax_inertia.gap.candidate import Candidate, fit
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.span import Split
 
 # How often each number of a shape is refined in its turn, at most: those of a push depend on each other.
 TURNS = 6
@@ -23,7 +26,7 @@ class Echo:
 
     context: Context
     noise: Float[np.ndarray, " n"]
-    """What that noise does to y, in the charged metric."""
+    """What that noise does to y, before the tolerances charge it."""
 
 
 @dataclasses.dataclass
@@ -75,45 +78,42 @@ class Pool:
         return [
             b
             for b in self.blocks(family, place, shapes)
-            if np.isfinite(b.columns).all() and np.sum(b.columns**2) > 1e-12
+            if np.isfinite(b.plain.columns).all() and np.trace(b.gram) > 1e-12
         ]
 
     def blocks(self, family: Family, place: Place, shapes: list[Shape]) -> list[Block]:
         """A family's columns at a place, for given nonlinear numbers."""
 
-        def columns(context: Context) -> Iterator[np.ndarray]:
+        def columns(context: Context) -> Iterator[Split]:
             family.prepare(context, place, shapes)
             return self.evidence.of_many(family.columns(context, place, s) for s in shapes)
 
+        plain = functools.partial(Plain, self.evidence)
+        own = columns(self.context)
         if not family.noisy(self.context):
-            return [
-                Block(self.evidence, s, x)
-                for s, x in zip(shapes, columns(self.context), strict=True)
-            ]
-        out = []
-        for s, x, again in zip(
-            shapes, columns(self.context), columns(self.echo.context), strict=True
-        ):
-            out.append(Block.noisy(self.evidence, s, x, again - x, self.echo.noise))
-        return out
+            return [Block(self.evidence, s, plain(x)) for s, x in zip(shapes, own, strict=True)]
+        return [
+            Block(self.evidence, s, plain(x), plain(again.minus(x)), self._of_y)
+            for s, x, again in zip(shapes, own, columns(self.echo.context), strict=True)
+        ]
+
+    @functools.cached_property
+    def _of_y(self) -> Float[np.ndarray, " n"]:
+        """What the echo's noise does to y, charged twice."""
+        twice = self.evidence.charge_own(self.evidence.charge_own(self.echo.noise[:, None]))
+        return twice[:, 0]
 
     def charged_as(self, evidence: Evidence) -> "Pool":
         """The same candidates where the model's tolerances are larger, smaller or fewer."""
         out = copy.copy(self)
         out.evidence = evidence
-        every = {id(e.blocks): e.blocks for e in self.entries}
-        blocks = [b for group in every.values() for b in group]
-        columns = evidence.recharged(self.evidence, (b.columns for b in blocks))
-        noises = (b.noise for b in blocks if b.noise is not None)
-        noise = evidence.recharged(self.evidence, noises)
-        again = evidence.recharging(self.evidence)(self.echo.noise[:, None])
-        out.echo = Echo(self.echo.context, again[:, 0])
+        out.__dict__.pop("_of_y", None)
 
         def moved(b: Block) -> Block:
-            if b.noise is None:
-                return Block(evidence, b.shape, next(columns))
-            return Block.noisy(evidence, b.shape, next(columns), next(noise), out.echo.noise)
+            of_y = None if b.noise is None else out._of_y
+            return Block(evidence, b.shape, b.plain, b.noise, of_y)
 
+        every = {id(e.blocks): e.blocks for e in self.entries}
         now = {key: [moved(b) for b in group] for key, group in every.items()}
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out

@@ -13,7 +13,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, crowded, inconstant
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.doubt import better_than
+from jax_inertia.gap.doubt import better_than, entangled
 from jax_inertia.gap.evidence import Evidence, used
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import hidden_noise, with_motors
@@ -81,9 +81,9 @@ class Finder:
         context = self.context
         evidence = Evidence(context.prepared, white, self.nuisances)
         again = evidence.charged(self.again.finish_torque(self.again.missing))
-        pool = Pool(
-            context, evidence, self.library, Echo(context.echo(self.again), again - evidence.y)
-        )
+        noise_of_y = evidence.without_tolerances((again - evidence.y)[:, None])[:, 0]
+        echo = Echo(context.echo(self.again), noise_of_y)
+        pool = Pool(context, evidence, self.library, echo)
         found = self._settled(pool, white, noise)
         beyond = [s.column for s in found.strains if self._has_cause(pool.evidence, s.column)]
         if not beyond:
@@ -264,6 +264,8 @@ def _in_doubt(
     changing: Inconstant | None,
 ) -> float:
     """Share of the misfit explained that effects brought which do not stand."""
+    if entangled(pool, chosen) is not None:
+        return 1.0
     fallen = [
         *(rival[0] if rival else ()),
         *([changing.effect] if changing else ()),

@@ -1,0 +1,161 @@
+"""One shape's columns, and what is left to explain beside the effects that are chosen.
+
+Scales of the model's tolerances are tried many times and candidates are many, so columns are kept as they are before
+the tolerances charge them, and products of charged columns are had from that (`span`).
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Shape
+from jax_inertia.gap.span import Split
+
+
+@dataclasses.dataclass(frozen=True)
+class Plain:
+    """Columns before the tolerances charge them, and what is worked out of them once for all scales."""
+
+    evidence: Evidence
+    """Of this log, whatever its scales."""
+    split: Split
+
+    @property
+    def columns(self) -> Float[np.ndarray, "n k"]:
+        """X."""
+        return self.split.columns
+
+    @functools.cached_property
+    def gram(self) -> Float[np.ndarray, "k k"]:
+        """XᵀX."""
+        return self.columns.T @ self.columns
+
+    @functools.cached_property
+    def slow(self) -> Float[np.ndarray, "m k"]:
+        """X in the motion's own band."""
+        return self.evidence.slow(self.columns)
+
+    def charged_gram(self, added: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
+        """XᵀMX, where M^{1/2} adds this within the tolerances' span."""
+        inside = self.split.inside
+        both = inside + added
+        return self.gram + both.T @ both - inside.T @ inside
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Columns of one shape in the charged metric, and what noise alone puts into their moments."""
+
+    evidence: Evidence
+    shape: Shape
+    plain: Plain
+    noise: Plain | None = None
+    """What the echo's noise adds to the columns, where they carry it."""
+    of_y: Float[np.ndarray, " n"] | None = None
+    """What it does to y, charged twice: for products with columns that are not charged at all."""
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return self.plain.columns.shape[1]
+
+    @functools.cached_property
+    def _added(self) -> Float[np.ndarray, "s k"]:
+        return self.evidence.added(self.plain.split.inside)
+
+    @functools.cached_property
+    def columns(self) -> Float[np.ndarray, "n k"]:
+        """A."""
+        return self.plain.columns + self.evidence.basis @ self._added
+
+    @functools.cached_property
+    def gram(self) -> Float[np.ndarray, "k k"]:
+        """AᵀA."""
+        return self.plain.charged_gram(self._added)
+
+    @functools.cached_property
+    def slow(self) -> Float[np.ndarray, "m k"]:
+        """A in the motion's own band."""
+        return self.plain.slow + self.evidence.slow_basis @ self._added
+
+    @functools.cached_property
+    def noise_gram(self) -> Float[np.ndarray, "k k"] | float:
+        """wᵀw."""
+        if self.noise is None:
+            return 0.0
+        return self.noise.charged_gram(self.evidence.added(self.noise.split.inside))
+
+    @functools.cached_property
+    def noise_cross(self) -> Float[np.ndarray, " k"] | float:
+        """wᵀn."""
+        return 0.0 if self.noise is None else self.noise.columns.T @ self.of_y
+
+
+# Columns of which the chosen effects leave less than this share of the energy are theirs.
+REACHED = 1e-10
+
+
+@dataclasses.dataclass(frozen=True)
+class Beside:
+    """What is left to explain where the columns of chosen effects are free to take their share."""
+
+    evidence: Evidence
+    basis: Float[np.ndarray, "n s"]
+    """Of the chosen columns, orthonormal."""
+    target: Float[np.ndarray, " n"]
+    """What they cannot reach."""
+
+    @functools.cached_property
+    def _twice(self) -> Float[np.ndarray, "n s+1"]:
+        """Basis and target charged once more, for products with columns that are not charged."""
+        return self.evidence.charge_own(np.column_stack([self.basis, self.target]))
+
+    @classmethod
+    def of(
+        cls,
+        evidence: Evidence,
+        columns: Float[np.ndarray, "n s"],
+        target: Float[np.ndarray, " n"],
+    ) -> "Beside":
+        """Beside chosen columns, of a target in the charged metric."""
+        basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
+        return cls(evidence, basis, target - basis @ (basis.T @ target))
+
+    def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """What the chosen cannot reach of other columns."""
+        if not self.basis.shape[1]:
+            return columns
+        return columns - self.basis @ (self.basis.T @ columns)
+
+    def shared(self, block: Block) -> Float[np.ndarray, "s k"]:
+        """What the chosen can reach of a block's columns, in their basis."""
+        return self._twice[:, :-1].T @ block.plain.columns
+
+    def moments(
+        self, block: Block, shared: Float[np.ndarray, "s k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """AᵀA and Aᵀy of a block's free columns A; zero for columns that are not free."""
+        cross = block.plain.columns.T @ self._twice[:, -1]
+        gram = block.gram - shared.T @ shared
+        alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
+        return gram * np.outer(alive, alive), cross * alive
+
+    def slow_moments(
+        self, block: Block, shared: Float[np.ndarray, "s k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same in the motion's own band."""
+        seen = block.slow
+        if len(shared):
+            seen = seen - self._slow_basis @ shared
+        return seen.T @ seen, seen.T @ self._slow_target
+
+    @functools.cached_property
+    def _slow_basis(self) -> Float[np.ndarray, "m s"]:
+        return self.evidence.slow(self.basis)
+
+    @functools.cached_property
+    def _slow_target(self) -> Float[np.ndarray, " m"]:
+        return self.evidence.slow(self.target[:, None])[:, 0]
