@@ -35,11 +35,13 @@ def simulate(
     seconds=8.0,
     noise=1.0,
     force=lambda t: np.zeros(3),
+    at=None,
     encoder=lambda q: q,
 ):
     """A log of the arm, with `torque(t, q, v, u)` acting beside the logged u and `force(t)` on the lower arm.
 
-    `encoder` gives what the encoders read where the joints are at q.
+    `at`: the point of it that the force acts on, its centre of mass if None. `encoder` gives what the encoders read
+    where the joints are at q.
     """
     model = mujoco.MjModel.from_xml_string(ARM)
     edit(model)
@@ -56,7 +58,10 @@ def simulate(
         rows["qpos"].append(encoder(data.qpos) + noise * 2e-5 * rng.standard_normal(2))
         rows["tau"].append(u + noise * np.array([0.03, 0.01]) * rng.standard_normal(2))
         for _ in range(4):
-            data.xfrc_applied[2, :3] = force(data.time)
+            pull = data.xfrc_applied[2, :3] = force(data.time)
+            if at is not None:
+                point = data.xpos[2] + data.xmat[2].reshape(3, 3) @ at
+                data.xfrc_applied[2, 3:] = np.cross(point - data.xipos[2], pull)
             data.qfrc_applied[:] = u + torque(data.time, data.qpos, data.qvel, u)
             mujoco.mj_step(model, data)
     return Log(

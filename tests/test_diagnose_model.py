@@ -218,6 +218,22 @@ def test_forces_on_a_body():
     np.testing.assert_allclose(drag, -2.0 * np.linalg.norm(velocity) * velocity, rtol=1e-6)
 
 
+def test_a_force_at_a_point_turns_about_the_centre_of_mass():
+    point = np.array([0.05, 0.02, -0.3])
+    values = {f"force_{k}": x for k, x in zip("xyz", (3.0, 1.0, -2.0), strict=True)}
+    values |= {f"point_{k}": float(x) for k, x in zip("xyz", point, strict=True)}
+    wrench = applied(body("constant_force", **values))[1]
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = Q, V
+    mujoco.mj_forward(model, data)
+    by_wrench, by_point = np.zeros(2), np.zeros(2)
+    mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.xipos[2], 2, by_wrench)
+    world = data.xpos[2] + data.xmat[2].reshape(3, 3) @ point
+    mujoco.mj_applyFT(model, data, np.array([3.0, 1.0, -2.0]), np.zeros(3), world, 2, by_point)
+    np.testing.assert_allclose(by_wrench, by_point, rtol=1e-9)
+
+
 def test_delay_and_lag_by_their_step_response():
     model = mujoco.MjModel.from_xml_string(ARM)
     late = Callback(law(model, [joint("time_delay", delay=0.0035)]))
@@ -241,6 +257,15 @@ def test_mjx_does_what_c_does():
         body("drag", coefficient=2.0),
         body(
             "push", force_x=3.0, force_y=0.0, force_z=-2.0, start=0.0, end=0.05, flank=0.5, skew=0.0
+        ),
+        body(
+            "constant_force",
+            force_x=1.0,
+            force_y=0.0,
+            force_z=2.0,
+            point_x=0.1,
+            point_y=0.0,
+            point_z=-0.3,
         ),
         Effect("actuator_lag", "global", "global", {"time_constant": 0.01}),
     ]

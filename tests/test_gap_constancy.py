@@ -15,7 +15,7 @@ from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.constancy import crowded
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Place
-from jax_inertia.gap.families.body import Push
+from jax_inertia.gap.families.force import Push
 from jax_inertia.gap.families.joint import ViscousFriction
 from jax_inertia.gap.outsiders import _lengths
 
@@ -82,7 +82,8 @@ def test_a_force_that_turns_about_is_no_push(robot):
 
 def candidate(family, body: str, *shape: float) -> Candidate:
     place = Place(family.kind, body, 0)
-    block = Block(None, shape, None)
+    block = object.__new__(Block)
+    vars(block)["shape"] = shape
     return Candidate(family, place, block, np.zeros(1), np.eye(1), np.zeros(1))
 
 

@@ -9,10 +9,12 @@ from chain_log import DAMPING, FRICTION, JOINTS, QPOS, TAU, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.block import Beside, Block, Plain
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import (
     Whitener,
     motion_band,
@@ -142,6 +144,33 @@ def test_rescaled_evidence_is_what_those_scales_give_at_once(robot):
     np.testing.assert_allclose(after.y, at_once.y, rtol=1e-9, atol=1e-9)
     moved = after.recharging(before)(before.y[:, None])[:, 0]
     np.testing.assert_allclose(moved, at_once.y, rtol=1e-6, atol=1e-6)
+
+
+def test_products_of_columns_need_no_charging(robot):
+    log = simulate(seconds=3.0)
+    prepared = prepare(robot, log)
+    white, _, _ = whitener(prepared, log)
+    context = Context(prepared)
+    doubts = nuisances(context, Tolerance(), log)
+    scales = {"mass": 0.1, "centre of mass": 2.0, "inertia": 1.0, "damping": 0.3, "armature": 0.5}
+    before = Evidence(prepared, white, doubts)
+    after, at_once = before.rescaled(scales), Evidence(prepared, white, doubts, scales)
+    # A payload's columns lie mostly in what errors of the masses are, a force's do not.
+    for values in (-context.regressor[:, :, 2, :], context.force_rows[:, 2]):
+        [split] = before.of_many([Columns(values)])
+        block = Block(after, (), Plain(before, split))
+        expected = at_once.column(Columns(values))
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(block.columns, expected, atol=1e-8 * size)
+        np.testing.assert_allclose(
+            block.gram, expected.T @ expected, atol=1e-8 * np.abs(expected.T @ expected).max()
+        )
+        np.testing.assert_allclose(block.slow, at_once.slow(expected), atol=1e-8 * size)
+        left = Beside.of(after, expected[:, :1], after.y)
+        gram, cross = left.moments(block, left.shared(block))
+        free = left.free(expected)
+        np.testing.assert_allclose(gram[1:, 1:], (free.T @ free)[1:, 1:], atol=1e-8 * size**2)
+        np.testing.assert_allclose(cross[1:], free[:, 1:].T @ after.y, atol=1e-7 * size * 1e2)
 
 
 def test_known_friction_at_rest_is_not_taken_for_noise(robot, rubbing):

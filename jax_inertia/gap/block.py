@@ -109,7 +109,7 @@ class Beside:
     """What they cannot reach."""
 
     @functools.cached_property
-    def _twice(self) -> Float[np.ndarray, "n s+1"]:
+    def _twice(self) -> Float[np.ndarray, "n c"]:
         """Basis and target charged once more, for products with columns that are not charged."""
         return self.evidence.charge_own(np.column_stack([self.basis, self.target]))
 

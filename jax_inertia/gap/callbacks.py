@@ -22,7 +22,7 @@ import numpy as np
 
 from jax_inertia._mujoco_types import MjData, MjModel
 from jax_inertia.gap.effect import Effect
-from jax_inertia.gap.families.body import push_window
+from jax_inertia.gap.families.force import push_window
 
 _LATE = ("time_delay", "actuator_lag")
 _FRICTION = ("stribeck_friction", "load_friction")
@@ -35,12 +35,14 @@ HANDLED = frozenset(
 
 
 class _Moment(NamedTuple):
-    """What the law looks at: joint positions at each row (nv,), v, u (nv,), t, velocities of the bodies' centres."""
+    """What the law looks at: positions at each row (nv,), v, u (nv,), t, turns and centres' velocities of bodies."""
 
     q: Any
     v: Any
     u: Any
     t: Any
+    turn: Any
+    """(nb, 3, 3)."""
     velocity: Any
 
 
@@ -55,7 +57,8 @@ class Law:
     """Position of each row in qpos; −1 where a row has none of its own."""
     friction: np.ndarray
     """frictionloss of corrected.xml: with the constant part of what was found."""
-    bodies: int
+    centres: np.ndarray
+    """Of mass, of each body in its own frame (nb, 3)."""
     period: float
 
     def memory(self, xp: ModuleType, u) -> tuple:
@@ -88,12 +91,13 @@ class Law:
         return tuple(after), u
 
     def __call__(self, xp: ModuleType, now: _Moment) -> tuple[Any, Any, Any]:
-        """(torque on the rows, dry friction of the rows, world force on each body)."""
+        """(torque on the rows, dry friction of the rows, world force and moment on each body's centre (nb, 6))."""
         tau, friction = now.u, xp.asarray(self.friction)
-        force = xp.zeros((self.bodies, 3))
+        bodies = len(self.centres)
+        wrench = xp.zeros((bodies, 6))
         for effect, index in zip(self.effects, self.index, strict=True):
             values = effect.values
-            here = np.arange(self.bodies if effect.kind == "body" else len(self.adr)) == index
+            here = np.arange(bodies if effect.kind == "body" else len(self.adr)) == index
             match effect.family:
                 case "torque_gain":
                     tau = xp.where(here, values["gain"] * tau, tau)
@@ -112,16 +116,25 @@ class Law:
                 case "load_friction":
                     friction = friction + here * values["load_coefficient"] * xp.abs(now.u)
                 case "constant_force":
-                    force = force + here[:, None] * _vector(values)
+                    wrench = wrench + here[:, None] * self._applied(xp, now, effect, index)
                 case "push":
                     shape = (values[name] for name in ("start", "end", "flank", "skew"))
                     window = push_window(xp, now.t, *shape)
-                    force = force + here[:, None] * _vector(values) * window
+                    applied = self._applied(xp, now, effect, index)
+                    wrench = wrench + here[:, None] * applied * window
                 case "drag":
                     speed = xp.sqrt(xp.sum(now.velocity**2, axis=1, keepdims=True) + 1e-12)
                     drag = values["coefficient"] * speed * now.velocity
-                    force = force - here[:, None] * drag
-        return tau, xp.maximum(friction, 0.0), force
+                    wrench = wrench - xp.concatenate([here[:, None] * drag, 0 * drag], axis=1)
+        return tau, xp.maximum(friction, 0.0), wrench
+
+    def _applied(self, xp: ModuleType, now: _Moment, effect: Effect, body: int) -> Any:
+        """World force and moment about a body's centre of mass of a force there, or at a point of the body."""
+        force = xp.asarray(_vector(effect.values, "force"))
+        if "point_x" not in effect.values:
+            return xp.concatenate([force, xp.zeros(3)])
+        lever = now.turn[body] @ (_vector(effect.values, "point") - self.centres[body])
+        return xp.concatenate([force, xp.cross(lever, force)])
 
 
 def law(model: MjModel, effects: Sequence[Effect]) -> Law:
@@ -132,7 +145,9 @@ def law(model: MjModel, effects: Sequence[Effect]) -> Law:
         if model.jnt_type[j] in _SCALAR:
             adr[model.jnt_dofadr[j]] = model.jnt_qposadr[j]
     index = tuple(_index(model, e) for e in mine)
-    return Law(mine, index, adr, model.dof_frictionloss.copy(), model.nbody, model.opt.timestep)
+    return Law(
+        mine, index, adr, model.dof_frictionloss.copy(), model.body_ipos.copy(), model.opt.timestep
+    )
 
 
 def callback(model: MjModel, effects: Sequence[Effect]) -> Callable[[MjModel, MjData], None]:
@@ -165,13 +180,14 @@ class Callback:
         velocity = None
         if self._drags:
             velocity = _centre_velocity(np, data, model.body_rootid)
-        tau, friction, force = law(np, _Moment(q, data.qvel, u, data.time, velocity))
+        turn = data.xmat.reshape(-1, 3, 3)
+        tau, friction, wrench = law(np, _Moment(q, data.qvel, u, data.time, turn, velocity))
         data.qfrc_applied[:] = tau
         if self._rubs:
             model.dof_frictionloss[:] = friction
         for effect, body in zip(law.effects, law.index, strict=True):
             if effect.family in _FORCE:
-                data.xfrc_applied[body, :3] = force[body]
+                data.xfrc_applied[body] = wrench[body]
 
 
 def mjx_callback(
@@ -200,10 +216,11 @@ def mjx_callback(
         memory, u = bound.late(jnp, memory, data.qfrc_applied)
         velocity = _centre_velocity(jnp, data, roots)
         q = jnp.where(bound.adr >= 0, data.qpos[bound.adr], 0.0)
-        tau, friction, force = bound(jnp, _Moment(q, data.qvel, u, data.time, velocity))
+        now = _Moment(q, data.qvel, u, data.time, data.xmat, velocity)
+        tau, friction, wrench = bound(jnp, now)
         applied: jax.Array = data.xfrc_applied
         for body in pushed:
-            applied = applied.at[body, :3].set(force[body])
+            applied = applied.at[body].set(wrench[body])
         if frictional:
             mx = mx.replace(dof_frictionloss=friction)
         return mx, data.replace(qfrc_applied=tau, xfrc_applied=applied), memory
@@ -216,8 +233,8 @@ def _centre_velocity(xp: ModuleType, data, roots):
     return data.cvel[:, 3:] + xp.cross(data.cvel[:, :3], data.xipos - data.subtree_com[roots])
 
 
-def _vector(values) -> np.ndarray:
-    return np.array([values[f"force_{k}"] for k in "xyz"])
+def _vector(values, name: str) -> np.ndarray:
+    return np.array([values[f"{name}_{k}"] for k in "xyz"])
 
 
 def _index(model: MjModel, effect: Effect) -> int:

@@ -58,6 +58,17 @@ class Candidate:
         return self.family.name, self.place.kind, self.place.name
 
     @property
+    def surprise(self) -> float:
+        """Score that its equation and unlikely numbers cost."""
+        if self.family.size is None:
+            return self.family.doubt
+        return self.family.doubt + float(np.sum((self.family.tightness() * self.theta) ** 2))
+
+    def same_as(self, other: "Candidate") -> bool:
+        """Whether it is the same equation at the same place."""
+        return self.key == other.key and self.family is other.family
+
+    @property
     def effect(self) -> Float[np.ndarray, " n"]:
         """e in the charged metric."""
         return self.offset + self.columns @ self.theta
@@ -156,14 +167,15 @@ def _as_large_as_it_must_be(error: float, gram: np.ndarray, cross: np.ndarray) -
 
 
 def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, cross: np.ndarray):
-    """min over θ of δπᵀ G δπ − 2 cᵀ δπ with δπ = weights(θ), by a few damped Gauss–Newton steps."""
+    """min over θ of wᵀ G w − 2 cᵀ w + |T θ|², w = weights(θ), T its tightness, by damped Gauss–Newton steps."""
+    prior = family.tightness() ** 2
 
     def change(t):
         return family.weights(context, place, t)
 
     def cost(t):
         d = change(t)
-        return d @ gram @ d - 2 * cross @ d
+        return d @ gram @ d - 2 * cross @ d + prior @ t**2
 
     best, best_cost = None, 0.0
     # Where ten numbers free of each other would put it: from far away the descent may end beside the truth.
@@ -171,8 +183,8 @@ def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, 
         damping, value = 1e-6, cost(theta)
         for _ in range(30):
             t = _tangent(change, theta)
-            slope = t.T @ (cross - gram @ change(theta))
-            hessian = t.T @ gram @ t
+            slope = t.T @ (cross - gram @ change(theta)) - prior * theta
+            hessian = t.T @ gram @ t + np.diag(prior)
             scale = np.diagonal(hessian) + 1e-12 * max(np.max(np.diagonal(hessian)), 1e-300)
             step = np.linalg.lstsq(hessian + damping * np.diag(scale), slope, rcond=None)[0]
             trial = cost(theta + step)

@@ -141,18 +141,25 @@ class Context:
 
     @functools.cached_property
     def force_rows(self) -> np.ndarray:
-        """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3).
-
-        Minus what holds a unit mass there against a gravity of one: one compiled regressor serves for all.
-        """
-        still = np.zeros_like(self.v)
+        """Torque of a unit world force at each body's centre of mass, Jᵀ (T, nb, nv, 3)."""
         mass = np.concatenate([np.ones((len(self.pi), 1)), centre_of_mass(self.robot.pi)], axis=1)
-        along = []
+        return -np.stack([np.einsum("tjbk,bk->tbj", x, mass) for x in self._held], axis=-1)
+
+    def lever_rows(self, body: int) -> np.ndarray:
+        """How that changes as the force's point moves along an axis i of the body, ∂(Jᵀ)/∂pᵢ (T, nv, 3 of i, 3)."""
+        return -np.stack([x[:, :, body, 1:] for x in self._held], axis=-1)
+
+    @functools.cached_property
+    def _held(self) -> list[np.ndarray]:
+        """What holds a unit mass, and a unit first moment, of each body against a gravity of one along each world axis.
+
+        (T, nv, nb, 4) each: one compiled regressor serves for all.
+        """
+        still, out = np.zeros_like(self.v), []
         for axis in np.eye(3):
             robot = eqx.tree_at(lambda r: r.gravity, self.robot, jnp.asarray(axis))
-            held = _regressor(robot, (self.q, still, still))[..., :4]
-            along.append(-np.einsum("tjbk,bk->tbj", held, mass))
-        return np.stack(along, axis=-1)
+            out.append(np.array(_regressor(robot, (self.q, still, still))[..., :4]))
+        return out
 
     @functools.cached_property
     def com_velocity(self) -> np.ndarray:

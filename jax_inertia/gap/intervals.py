@@ -41,7 +41,8 @@ def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dic
     residual = pool.evidence.y - sum(c.effect for c in chosen)
     # An effect that stands for a number of the model is as uncertain as that number.
     inexact = pool.evidence.unpinned().recharging(pool.evidence)
-    covariance, spread = _noise(inexact(a)), _jackknife(pool, a, residual)
+    covariance = _noise(np.concatenate([inexact(a), _before_data(chosen, blocks)]))
+    spread = _jackknife(pool, a, residual)
     out, start = [], 0
     for c, block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])
@@ -58,6 +59,15 @@ def _noise(a: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
     unit = (a * inverse).T @ (a * inverse)
     return np.linalg.pinv(unit, rcond=1e-10) * inverse[:, None] * inverse[None, :]
+
+
+def _before_data(chosen: list[Candidate], blocks: list[np.ndarray]) -> Float[np.ndarray, "s k"]:
+    """What is known of the numbers without any log, as rows of observations."""
+    rows = [np.zeros(b.shape[1]) for b in blocks]
+    for row, c in zip(rows, chosen, strict=True):
+        if c.family.size is not None:
+            row[: len(c.theta)] = c.family.tightness()
+    return np.diag(np.concatenate(rows))
 
 
 def _jackknife(

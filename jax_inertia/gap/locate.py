@@ -3,7 +3,7 @@
 import itertools
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia._findings import run_bounds
 from jax_inertia.gap.evidence import Evidence
@@ -24,6 +24,7 @@ def windows(
     time = _time(evidence)
     step = time[1] - time[0]
     total = (evidence.unflatten(residual) ** 2).sum(axis=1)
+    told = np.any(evidence.used, axis=1)
     usual = floor / len(total)
     excess = total.sum() - floor
     if excess < 20:
@@ -36,7 +37,7 @@ def windows(
     levels += [k * float(smooth.max()) for k in (0.03, 0.1, 0.3)]
     for level in levels:
         for start, stop in run_bounds(
-            _closed(smooth > max(level, 3.0 * usual), round(0.15 / step))
+            _closed(smooth > max(level, 3.0 * usual), round(0.15 / step), told)
         ):
             inside = total[start:stop].sum() - usual * (stop - start)
             if shortest < (stop - start) * step < longest and inside > 0.5 * excess:
@@ -52,7 +53,7 @@ def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[lis
     width = max(1, round(0.2 / step))
     smooth = np.convolve(total, np.ones(width) / width, mode="same")
     level = max(3.0 * evidence.used.shape[1], 0.25 * smooth.max())
-    loud = _closed(smooth > level, round(0.3 / step))
+    loud = _closed(smooth > level, round(0.3 / step), np.ones(len(total), bool))
     runs = [(a, b) for a, b in run_bounds(loud) if (b - a) * step > 0.05]
     return [[float(time[a]), float(time[min(b, len(time) - 1)])] for a, b in runs]
 
@@ -62,10 +63,12 @@ def _time(evidence: Evidence) -> np.ndarray:
     return time - evidence.prepared.time[0]
 
 
-def _closed(mask: np.ndarray, gap: int) -> np.ndarray:
-    """Fill gaps shorter than `gap` samples between loud stretches."""
+def _closed(
+    mask: Bool[np.ndarray, " R"], gap: int, told: Bool[np.ndarray, " R"]
+) -> Bool[np.ndarray, " R"]:
+    """Fill gaps of fewer than `gap` samples that tell anything between loud stretches: joints at rest do not."""
     out = mask.copy()
     for (_, stop), (start, _) in itertools.pairwise(run_bounds(mask)):
-        if start - stop < gap:
+        if np.sum(told[stop:start]) < gap:
             out[stop:start] = True
     return out

@@ -183,6 +183,17 @@ class Pool:
                 return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
         return candidate
 
+    def freed(self, candidate: Candidate, residual, chosen) -> Candidate | None:
+        """The same cause with more numbers, at the same shape; None where there is no such thing."""
+        family, place = candidate.family.freer, candidate.place
+        if family is None:
+            return None
+        [block] = self.blocks(family, place, [candidate.shape])
+        fitted = fit(self.context, family, place, block, Beside.of(self.evidence, chosen, residual))
+        if fitted is not None:
+            fitted.grid = candidate.grid
+        return fitted
+
     def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
         left = Beside.of(self.evidence, chosen, residual)

@@ -208,14 +208,24 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     if not ranked:
         return []
     before = misfit(pool, chosen)
-    noise = _noise_beside(pool, chosen, max(ranked, key=lambda c: c.gain), floor)
-    for c in ranked:
-        c.score = c.gain / noise - c.price(n)
-    ranked.sort(key=lambda c: -c.score)
+
+    def scored(every: list[Candidate]) -> float:
+        """Scores against what the best of them leaves; that."""
+        noise = _noise_beside(pool, chosen, max(every, key=lambda c: c.gain), floor)
+        for c in every:
+            c.score = c.gain / noise - c.price(n) - c.surprise
+        every.sort(key=lambda c: -c.score)
+        return noise
+
+    noise = scored(ranked)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
     lead = [pool.refined(c, target, columns, noise) for c in near]
+    freed = [f for c in lead if (f := pool.freed(c, target, columns)) is not None]
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
+    if any(f.gain > ranked[0].gain for f in freed):
+        ranked = [*ranked, *freed]
+        scored(ranked)
     return _parsimonious(ranked, before, floor)
 
 
@@ -279,10 +289,12 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
         for i in range(len(chosen)):
             others = [x for k, x in enumerate(chosen) if k != i]
             options = propose(pool, others, floor)
-            if not options or options[0].key == chosen[i].key:
+            if not options or options[0].same_as(chosen[i]):
                 continue
             trial = settle(pool, [*others[:i], options[0], *others[i:]])
-            if misfit(pool, trial) < misfit(pool, chosen) - STOP:
+            # Beside the others, the same cause may do with fewer numbers.
+            fewer = options[0].family.freer is chosen[i].family
+            if fewer or misfit(pool, trial) < misfit(pool, chosen) - STOP:
                 chosen, improved = trial, True
         if not improved:
             break

@@ -123,9 +123,15 @@ def probabilities(ranking: list[Candidate]) -> dict[tuple[str, str, str], float]
     if not ranking:
         return {}
     first = ranking[0]
-    # A richer family that contains the best at its place is no rival of it.
+    # A richer family that contains the best at its place is no rival of it, nor is the same with fewer numbers.
     rivals = [
-        c for c in ranking if c.place != first.place or first.family.name not in c.family.simpler
+        c
+        for c in ranking
+        if c is first
+        or (
+            c.key != first.key
+            and not (c.place == first.place and first.family.name in c.family.simpler)
+        )
     ]
     # Scores are against the noise already.
     temper = max(1.0, TEMPER * first.score)

@@ -1,6 +1,6 @@
 """Every family of effects that the diagnosis knows."""
 
-from jax_inertia.gap.families import body, drive, encoder, joint, world
+from jax_inertia.gap.families import body, drive, encoder, force, joint, world
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 LIBRARY: tuple[Family, ...] = (
@@ -27,9 +27,9 @@ LIBRARY: tuple[Family, ...] = (
     body.Payload(),
     body.ComShift(),
     body.LinkInertia(),
-    body.ConstantForce(),
-    body.Drag(),
-    body.Push(),
+    force.ConstantForce(),
+    force.Drag(),
+    force.Push(),
 )
 
 NAMES = tuple(sorted(f.name for f in LIBRARY))

@@ -55,6 +55,8 @@ class Family(abc.ABC):
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
     set_apart: ClassVar[float] = 30.0
     """Misfit, against the noise's, that they must leave more of for that not to be so."""
+    freer: ClassVar["Family | None"] = None
+    """The same cause with more numbers, tried only where this one leads."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
     form_error: ClassVar[float] = 0.01
@@ -127,6 +129,13 @@ class Family(abc.ABC):
     def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
         """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""
         return np.ones(1) if self.whole is not None else theta
+
+    doubt: ClassVar[float] = 0.0
+    """Score that it costs beyond its numbers, where it draws much that it is not."""
+
+    def tightness(self) -> Float[np.ndarray, " size"]:
+        """One over the standard deviation of each number of θ before any data, about zero; for `size` of them."""
+        return np.zeros(self.size or 0)
 
     def varying(
         self,

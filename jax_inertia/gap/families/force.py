@@ -1,0 +1,163 @@
+"""Forces on a body: for good, for a while, or of the air."""
+
+from types import ModuleType
+from typing import ClassVar
+
+import numpy as np
+
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+
+# What holds a robot up, or weighs it down [N].
+HARDEST_HOIST = 2000.0
+
+
+class Force(Family):
+    """Jᵀ f, f fixed in the world, on a body's centre of mass."""
+
+    kind = "body"
+    hardest: ClassVar[float]
+    """[N]"""
+
+    def physical(self, context, place, shape, theta):
+        return bool(np.linalg.norm(theta) < self.hardest)
+
+    def parameters(self, context, place, shape, theta):
+        return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
+
+
+class ConstantForceAtAPoint(Force):
+    """e = Jᵀ f + Σ rᵢ ∂Jᵀ/∂pᵢ f, r from the centre of mass; θ = [f, r]."""
+
+    name, equation = "constant_force", "Jᵀ f, f fixed in the world, at a point p of the body"
+    simpler, hardest, size, doubt = ("constant_force",), HARDEST_HOIST, 6, 30.0
+
+    def columns(self, context, place, shape):
+        levers = context.lever_rows(place.index)
+        flat = levers.reshape(*levers.shape[:2], 9)
+        return Columns(np.concatenate([context.force_rows[:, place.index], flat], axis=2))
+
+    def weights(self, context, place, theta):
+        return np.concatenate([theta[:3], np.outer(theta[3:], theta[:3]).ravel()])
+
+    def starts(self, context, place, free):
+        if free is None or not free[:3].any():
+            return [np.zeros(6)]
+        f = free[:3]
+        r = free[3:].reshape(3, 3) @ f / (f @ f)
+        origin = -_centre(context, place)
+        return [np.concatenate([f, x]) for x in (np.zeros(3), origin, _within(r))]
+
+    def tightness(self):
+        # Along a joint's axis a point may lie anywhere: there the force acts alike, on the links at either side too.
+        return np.array([0.0, 0.0, 0.0, *3 * [1.0 / REACH]])
+
+    def physical(self, context, place, shape, theta):
+        return super().physical(context, place, shape, theta[:3]) and bool(
+            np.linalg.norm(theta[3:]) < LONGEST
+        )
+
+    def parameters(self, context, place, shape, theta):
+        point = _centre(context, place) + theta[3:]
+        names = zip("xyz", point, strict=True)
+        return super().parameters(context, place, shape, theta[:3]) | {
+            f"point_{k}": Parameter(x, "m") for k, x in names
+        }
+
+
+# From a body's centre of mass to where something pulls at it [m].
+LONGEST = 1.0
+# How far from there it mostly does.
+REACH = 0.1
+
+
+def _within(r: np.ndarray) -> np.ndarray:
+    """r, no longer than half of what is allowed."""
+    return r * min(1.0, 0.5 * LONGEST / max(float(np.linalg.norm(r)), 1e-9))
+
+
+def _centre(context: Context, place: Place) -> np.ndarray:
+    """A body's centre of mass in its own frame."""
+    m, h = context.pi[place.index][0], context.pi[place.index][1:4]
+    return h / m if m > 0 else np.zeros(3)
+
+
+class ConstantForce(Force):
+    name, equation = "constant_force", "Jᵀ f, f fixed in the world"
+    hardest, freer = HARDEST_HOIST, ConstantForceAtAPoint()
+
+    def columns(self, context, place, shape):
+        return Columns(context.force_rows[:, place.index])
+
+
+class Drag(Family):
+    name, equation, kind = "drag", "−c |v| v at the centre of mass", "body"
+    form_error = 0.05
+
+    def columns(self, context, place, shape):
+        v = context.com_velocity[:, place.index]
+        f = -np.linalg.norm(v, axis=1, keepdims=True) * v
+        return Columns(np.einsum("tjc,tc->tj", context.force_rows[:, place.index], f)[:, :, None])
+
+    def physical(self, context, place, shape, theta):
+        return bool(0 < theta[0] < 200)
+
+    def parameters(self, context, place, shape, theta):
+        return {"coefficient": Parameter(theta[0], "N s²/m²")}
+
+
+# A person, or a light collision [N].
+HARDEST_PUSH = 700.0
+
+
+def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
+    """w(t): flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
+
+    `xp` is numpy or jax.numpy.
+    """
+    phase = xp.clip((time - start) / (end - start), 0.0, 1.0)
+    near = xp.minimum(xp.minimum(phase, 1 - phase) / flank, 1.0)
+    return (0.5 - 0.5 * xp.cos(np.pi * near)) * (1.0 + skew * xp.sin(2 * np.pi * phase))
+
+
+class Push(Force):
+    name, equation = "push", "Jᵀ f w(t), w a plateau with flanks over a short window"
+    # Where on the body it acts hardly shows while it lasts; that, and how it begins and ends, its form error excuses.
+    passing, form_error, hardest = True, 0.1, HARDEST_PUSH
+
+    # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
+    # by how much more it is in the first half: so that each hardly moves the others.
+    def shapes(self, context, place):
+        return [(*window, 0.3, 0.0) for window in context.windows]
+
+    def around(self, context, place, shape):
+        # The chain's low-pass smears a push by a tenth of a second.
+        rise, fall, *_ = shape
+        middle = 0.5 * (rise + fall)
+        return [
+            (max(rise - 0.1, 0.0), min(rise + 0.15, middle - 0.02)),
+            (max(fall - 0.15, middle + 0.02), min(fall + 0.1, context.time[-1])),
+            (0.02, 0.5),
+            (-0.7, 0.7),
+        ]
+
+    def columns(self, context, place, shape):
+        window = push_window(np, context.time, *_whole(shape), *shape[2:])
+        return Columns(context.force_rows[:, place.index] * window[:, None, None])
+
+    def parameters(self, context, place, shape, theta):
+        start, stop = _whole(shape)
+        return {
+            **super().parameters(context, place, shape, theta),
+            "start": Parameter(start, "s"),
+            "end": Parameter(stop, "s"),
+            "flank": Parameter(shape[2], "1"),
+            "skew": Parameter(shape[3], "1"),
+        }
+
+
+def _whole(shape) -> tuple[float, float]:
+    """When a push begins and ends."""
+    rise, fall, flank, _ = shape
+    half = 0.5 * flank * (fall - rise) / (1.0 - flank)
+    return rise - half, fall + half

@@ -1,0 +1,74 @@
+"""Forces on bodies: at their centre of mass or any other point; logs by MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_log import ARM, simulate
+
+from jax_inertia import load_model
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.candidate import Candidate
+from jax_inertia.gap.doubt import entangled
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.locate import _closed
+from jax_inertia.gap.pool import Pool
+
+PULL = np.array([4.0, 0.0, -7.0])
+TIP = (0.03, 0.0, -0.33)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(ARM))
+
+
+def test_a_pull_away_from_the_centre_of_mass_is_found_with_its_point(robot):
+    found = diagnose(robot, simulate(force=lambda t: PULL, at=TIP))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("constant_force", "lower")
+    # On a line along the elbow's axis, the nearer to the shoulder's the harder: all of it is in the intervals.
+    truth = dict(zip(("force_x", "force_y", "force_z"), PULL, strict=True))
+    truth |= dict(zip(("point_x", "point_y", "point_z"), TIP, strict=True))
+    for name, x in truth.items():
+        assert effect.parameters[name].low <= x <= effect.parameters[name].high
+    force = np.array([effect.parameters[f"force_{k}"].value for k in "xyz"])
+    cosine = force @ PULL / np.linalg.norm(force) / np.linalg.norm(PULL)
+    assert cosine == pytest.approx(1.0, abs=1e-3)
+    assert np.linalg.norm(force) == pytest.approx(np.linalg.norm(PULL), rel=0.3)
+
+
+def test_a_pull_at_the_centre_of_mass_needs_no_point(robot):
+    (effect,) = diagnose(robot, simulate(force=lambda t: PULL)).findings
+    assert (effect.family, effect.place.name) == ("constant_force", "lower")
+    assert not any(name.startswith("point") for name in effect.parameters)
+
+
+def test_what_joints_at_rest_do_not_tell_is_no_gap_between_two_stretches():
+    loud = np.array([0, 1, 1, 0, 0, 0, 0, 0, 1, 1, 0], bool)
+    all_tell = np.ones(len(loud), bool)
+    at_rest = all_tell & ~((np.arange(len(loud)) > 3) & (np.arange(len(loud)) < 7))
+    np.testing.assert_array_equal(_closed(loud, 3, all_tell), loud)
+    joined = np.array([0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0], bool)
+    np.testing.assert_array_equal(_closed(loud, 3, at_rest), joined)
+
+
+def beside(*columns: np.ndarray) -> tuple[Pool, list[Candidate]]:
+    """A pool whose missing torque is the sum of effects with these columns, and the effects."""
+    pool, evidence = object.__new__(Pool), object.__new__(Evidence)
+    pool.evidence, evidence.y = evidence, np.sum(columns, axis=0)
+    effects = [object.__new__(Candidate) for _ in columns]
+    for effect, column in zip(effects, columns, strict=True):
+        vars(effect).update(columns=column[:, None], offset=np.zeros(len(column)))
+    return pool, effects
+
+
+def test_effects_that_do_only_together_what_they_do_are_entangled():
+    x, y = np.eye(2) * 30.0
+    assert entangled(*beside(x, y)) is None
+    assert entangled(*beside(x, 0.2 * x + y)) is None
+    # Each takes what the other could take as well.
+    assert entangled(*beside(x, x + 0.3 * y)) == pytest.approx(2.0, abs=0.1)
+    # They undo each other, all but a little.
+    assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
+    assert entangled(*beside(x)) is None
