@@ -19,6 +19,10 @@ class Force(Family):
     hardest: ClassVar[float]
     """[N]"""
 
+    def rows(self, context: Context, place: Place) -> np.ndarray:
+        """Torque of unit weights (T, nv, k)."""
+        return context.force_rows[:, place.index]
+
     def physical(self, context, place, shape, theta):
         return bool(np.linalg.norm(theta) < self.hardest)
 
@@ -26,16 +30,15 @@ class Force(Family):
         return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
 
 
-class ConstantForceAtAPoint(Force):
-    """e = Jᵀ f + Σ rᵢ ∂Jᵀ/∂pᵢ f, r from the centre of mass; θ = [f, r]."""
+class AtAPoint(Force):
+    """The same on any point of the body: e = Jᵀ f + Σ rᵢ ∂Jᵀ/∂pᵢ f, r from the centre of mass; θ = [f, r]."""
 
-    name, equation = "constant_force", "Jᵀ f, f fixed in the world, at a point p of the body"
-    simpler, hardest, size, doubt = ("constant_force",), HARDEST_HOIST, 6, 30.0
+    size, doubt = 6, 30.0
 
-    def columns(self, context, place, shape):
+    def rows(self, context, place):
         levers = context.lever_rows(place.index)
         flat = levers.reshape(*levers.shape[:2], 9)
-        return Columns(np.concatenate([context.force_rows[:, place.index], flat], axis=2))
+        return np.concatenate([super().rows(context, place), flat], axis=2)
 
     def weights(self, context, place, theta):
         return np.concatenate([theta[:3], np.outer(theta[3:], theta[:3]).ravel()])
@@ -82,12 +85,22 @@ def _centre(context: Context, place: Place) -> np.ndarray:
     return h / m if m > 0 else np.zeros(3)
 
 
-class ConstantForce(Force):
-    name, equation = "constant_force", "Jᵀ f, f fixed in the world"
-    hardest, freer = HARDEST_HOIST, ConstantForceAtAPoint()
+class Lasting(Force):
+    """A force for good."""
+
+    name, hardest = "constant_force", HARDEST_HOIST
 
     def columns(self, context, place, shape):
-        return Columns(context.force_rows[:, place.index])
+        return Columns(self.rows(context, place))
+
+
+class ConstantForceAtAPoint(Lasting, AtAPoint):
+    equation = "Jᵀ f, f fixed in the world, at a point p of the body"
+    simpler = ("constant_force",)
+
+
+class ConstantForce(Lasting):
+    equation, freer = "Jᵀ f, f fixed in the world", ConstantForceAtAPoint()
 
 
 class Drag(Family):
@@ -120,10 +133,11 @@ def push_window(xp: ModuleType, time, start: float, end: float, flank: float, sk
     return (0.5 - 0.5 * xp.cos(np.pi * near)) * (1.0 + skew * xp.sin(2 * np.pi * phase))
 
 
-class Push(Force):
-    name, equation = "push", "Jᵀ f w(t), w a plateau with flanks over a short window"
-    # Where on the body it acts hardly shows while it lasts; that, and how it begins and ends, its form error excuses.
-    passing, form_error, hardest = True, 0.1, HARDEST_PUSH
+class Passing(Force):
+    """A force for a while, f w(t)."""
+
+    name, hardest = "push", HARDEST_PUSH
+    passing, form_error = True, 0.1
 
     # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
     # by how much more it is in the first half: so that each hardly moves the others.
@@ -143,7 +157,7 @@ class Push(Force):
 
     def columns(self, context, place, shape):
         window = push_window(np, context.time, *_whole(shape), *shape[2:])
-        return Columns(context.force_rows[:, place.index] * window[:, None, None])
+        return Columns(self.rows(context, place) * window[:, None, None])
 
     def parameters(self, context, place, shape, theta):
         start, stop = _whole(shape)
@@ -154,6 +168,16 @@ class Push(Force):
             "flank": Parameter(shape[2], "1"),
             "skew": Parameter(shape[3], "1"),
         }
+
+
+class PushAtAPoint(Passing, AtAPoint):
+    equation = "Jᵀ f w(t), w a plateau with flanks over a short window, at a point p of the body"
+    simpler = ("push",)
+
+
+class Push(Passing):
+    equation = "Jᵀ f w(t), w a plateau with flanks over a short window"
+    freer = PushAtAPoint()
 
 
 def _whole(shape) -> tuple[float, float]:
