@@ -18,6 +18,8 @@ from jax_inertia.gap.span import Split
 
 # How often each number of a shape is refined in its turn, at most: those of a push depend on each other.
 TURNS = 6
+# They have settled when a turn brings less than this share of what the effect explains.
+SETTLED = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,7 +171,7 @@ class Pool:
                 scipy.optimize.minimize_scalar(
                     cost, bounds=bounds, method="bounded", options={"maxiter": 10}
                 )
-            if best.aim - before < noise:
+            if best.aim - before < max(noise, SETTLED * best.aim):
                 break
         return best
 

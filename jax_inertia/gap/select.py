@@ -244,9 +244,14 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
     return ranked
 
 
+# Numbers have settled when another round brings less of the misfit than this share.
+SETTLED = 1e-4
+
+
 def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
     """Refit all numbers together: each in turn against what the others leave, then all θ at once."""
     for _ in range(3 if len(chosen) > 1 else 1):
+        before = misfit(pool, chosen)
         for i, c in enumerate(chosen):
             others = [x for k, x in enumerate(chosen) if k != i]
             columns, target = stacked(pool, others)
@@ -262,6 +267,8 @@ def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
         ):
             for c, x in zip(chosen, parts, strict=True):
                 c.theta = x
+        if before - misfit(pool, chosen) < SETTLED * before:
+            break
     return chosen
 
 
