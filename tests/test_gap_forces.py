@@ -1,5 +1,7 @@
 """Forces on bodies: at their centre of mass or any other point; logs by MuJoCo C."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -42,6 +44,12 @@ def test_a_pull_at_the_centre_of_mass_needs_no_point(robot):
     (effect,) = diagnose(robot, simulate(force=lambda t: PULL)).findings
     assert (effect.family, effect.place.name) == ("constant_force", "lower")
     assert not any(name.startswith("point") for name in effect.parameters)
+
+
+def test_the_headline_tells_how_hard_it_pulls(robot):
+    found = diagnose(robot, simulate(force=lambda t: np.array([0.0, 0.0, -7.0])))
+    size = float(re.search(r"constant force at lower \(([\d.]+) N\)", found.headline)[1])
+    assert size == pytest.approx(7.0, rel=0.05)
 
 
 def test_what_joints_at_rest_do_not_tell_is_no_gap_between_two_stretches():

@@ -1,6 +1,7 @@
 """What a diagnosis found, and how it reads in a console and in a notebook."""
 
 import dataclasses
+import math
 
 from jax_inertia._readable import line, table
 from jax_inertia.gap.energies import Shrink
@@ -151,7 +152,11 @@ class Diagnosis:
 
 
 def _named(f: Finding) -> str:
-    """Effect, place and the first of its numbers."""
-    first = next(iter(f.parameters.values()), None)
-    size = "" if first is None else f" ({number(first.value)}{unit(first.unit)})"
-    return f"{named(f.family, f.place)}{size}"
+    """Effect, place and the first of its numbers; of a vector's, its length."""
+    name, first = next(iter(f.parameters.items()), ("", None))
+    if first is None:
+        return named(f.family, f.place)
+    stem, _, axis = name.rpartition("_")
+    every = [f.parameters[f"{stem}_{k}"].value for k in "xyz" if f"{stem}_{k}" in f.parameters]
+    size = math.hypot(*every) if axis == "x" else first.value
+    return f"{named(f.family, f.place)} ({number(size)}{unit(first.unit)})"
