@@ -14,6 +14,7 @@ from jax_inertia.gap.doubt import entangled
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.locate import _closed
 from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.select import solved
 
 PULL = np.array([4.0, 0.0, -7.0])
 TIP = (0.03, 0.0, -0.33)
@@ -38,6 +39,14 @@ def test_a_pull_away_from_the_centre_of_mass_is_found_with_its_point(robot):
     cosine = force @ PULL / np.linalg.norm(force) / np.linalg.norm(PULL)
     assert cosine == pytest.approx(1.0, abs=1e-3)
     assert np.linalg.norm(force) == pytest.approx(np.linalg.norm(PULL), rel=0.3)
+
+
+def test_numbers_stay_where_they_are_along_what_is_not_told():
+    columns = np.outer(np.arange(1.0, 6.0), [2.0, 4.0])
+    start = np.array([3.0, -1.0])
+    target = columns @ start + columns[:, 0]
+    np.testing.assert_allclose(columns @ solved(columns, target, start), target)
+    assert np.linalg.norm(solved(columns, target, start) - start) < 1.0
 
 
 def test_a_pull_at_the_centre_of_mass_needs_no_point(robot):

@@ -244,6 +244,13 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
     return ranked
 
 
+def solved(columns: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Numbers that fit, as near to `start` as they come: along what a log does not tell they stay where they are."""
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0] = 1.0
+    return start + np.linalg.lstsq(columns / scale, target - columns @ start, rcond=1e-8)[0] / scale
+
+
 # Numbers have settled when another round brings less of the misfit than this share.
 SETTLED = 1e-4
 
@@ -259,7 +266,7 @@ def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
             if refit is not None:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
         columns, target = stacked(pool, chosen)
-        theta = np.linalg.lstsq(columns, target, rcond=None)[0]
+        theta = solved(columns, target, np.concatenate([c.theta for c in chosen]))
         parts = np.split(theta, np.cumsum([len(c.theta) for c in chosen])[:-1])
         if all(
             c.family.physical(pool.context, c.place, c.shape, x)

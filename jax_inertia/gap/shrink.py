@@ -15,7 +15,7 @@ from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP, stacked
+from jax_inertia.gap.select import STOP, solved, stacked
 from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -92,7 +92,7 @@ def _predicted(
     own = np.concatenate([c.theta for c in chosen])
     for fold in range(folds):
         train = flat != fold
-        theta = np.linalg.lstsq(columns[train], target[train], rcond=None)[0]
+        theta = solved(columns[train], target[train], own)
         for part, c, share in zip(parts, chosen, _share_of(theta, own, chosen), strict=True):
             # What happened once, in this fold, cannot be predicted from the others.
             out[fold_of == fold] += (1.0 if c.family.passing else share) * part[fold_of == fold]
