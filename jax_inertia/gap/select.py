@@ -306,8 +306,9 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
             if not options or options[0].same_as(chosen[i]):
                 continue
             trial = settle(pool, [*others[:i], options[0], *others[i:]])
-            # Beside the others, the same cause may do with fewer numbers.
-            fewer = options[0].family.freer is chosen[i].family
+            # Beside the others, the same cause at its place may do with fewer numbers.
+            same = options[0].key == chosen[i].key
+            fewer = same and options[0].family.freer is chosen[i].family
             if fewer or misfit(pool, trial) < misfit(pool, chosen) - STOP:
                 chosen, improved = trial, True
         if not improved:
