@@ -89,3 +89,39 @@ def test_effects_that_do_only_together_what_they_do_are_entangled():
     # They undo each other, all but a little.
     assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
     assert entangled(*beside(x)) is None
+
+
+def pushed(start: float, force: np.ndarray):
+    """A force for a second, from `start` [s] on."""
+    return lambda t: force if start < t < start + 1.0 else np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def push_log():
+    return simulate(force=pushed(3.0, 2.0 * PULL), seconds=8.0)
+
+
+@pytest.mark.parametrize(
+    ("again", "shrinks"),
+    [
+        pytest.param(lambda t: np.zeros(3), None, id="not again"),
+        pytest.param(pushed(3.0, 2.0 * PULL), pytest.approx(0.95, abs=0.05), id="as it was"),
+        pytest.param(
+            pushed(1.2, np.array([-9.0, 0.0, 3.0])), pytest.approx(0.0, abs=0.1), id="otherwise"
+        ),
+    ],
+)
+def test_a_push_may_happen_again_on_another_motion(robot, push_log, again, shrinks):
+    other = simulate(force=again, seconds=6.0, seed=5)
+    found = diagnose(robot, push_log, test_log=other)
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("push", "lower")
+    # What was fitted to the other motion itself is no prediction of it.
+    assert found.test is not None
+    assert found.test.share == shrinks
+
+
+def test_a_push_does_not_excuse_another_cause_on_another_motion(robot, push_log):
+    other = simulate(force=lambda t: PULL, seconds=6.0, seed=5)
+    assert diagnose(robot, push_log, test_log=other).verdict is Verdict.UNKNOWN

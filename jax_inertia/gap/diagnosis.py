@@ -20,12 +20,14 @@ from jax_inertia.gap.doubt import better_than, entangled, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
+from jax_inertia.gap.harm import without_harm
 from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.select import STOP, misfit, propose, remaining
-from jax_inertia.gap.shrink import OtherMotion, rows_of_gap, what_is_left, without_harm
+from jax_inertia.gap.shrink import rows_of_gap, what_is_left
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
@@ -88,7 +90,7 @@ def diagnose(
             stands_out = better_than(first.pool, [], first.noise) is not None
             verdict = Verdict.of_nothing(first.bare, stands_out)
     elif trial is not None and chosen:
-        # A wrong cause may fit one motion; it seldom fits two, and what happened in passing does not happen twice.
+        # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict = second_look(verdict, trial.misfit)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))

@@ -152,6 +152,10 @@ class Family(abc.ABC):
             torque[..., None] * factors[(slice(None), *[None] * (torque.ndim - 1))], columns.row
         )
 
+    def again(self, context: Context, place: Place, shape: Shape, theta: np.ndarray) -> Columns:
+        """Of what happens in passing: columns for the same at its place at another time, as large as it may be."""
+        raise NotImplementedError(f"{self.name} does not happen in passing")
+
     def noisy(self, context: Context) -> bool:
         """Whether the columns carry noise of the sensors that matters (`candidate`).
 

@@ -144,6 +144,13 @@ class Passing(Force):
     def shapes(self, context, place):
         return [(*window, 0.3, 0.0) for window in context.windows]
 
+    def again(self, context, place, shape, theta):
+        columns = self.columns(context, place, shape)
+        # One for each component of the force.
+        units = [np.concatenate([e, theta[3:]]) for e in np.eye(3)]
+        forces = np.stack([self.weights(context, place, unit) for unit in units], axis=1)
+        return Columns(columns.values @ forces)
+
     def around(self, context, place, shape):
         # The chain's low-pass smears a push by a tenth of a second.
         rise, fall, *_ = shape

@@ -1,0 +1,136 @@
+"""The effects of a log, as they are, on another motion of the same robot.
+
+What happened in passing (a push) need not happen again, nor at the same moment, nor as hard. It is expected where the
+other motion shows it: as it was, if it fits there, else at the same place over a stretch that stands out, with the
+force that fits. Only the first is a prediction, and counts as one in how far the gap shrinks.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+
+from jax_inertia.gap import locate
+from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.energies import Shrink
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Shape
+from jax_inertia.gap.motors import with_motors
+from jax_inertia.gap.noise import Whitener, motion_band, whitener
+from jax_inertia.gap.nuisance import Tolerance, nuisances
+from jax_inertia.gap.search import Search
+from jax_inertia.gap.select import STOP
+from jax_inertia.gap.shrink import energies
+from jax_inertia.gap.verdict import Tried
+from jax_inertia.log import Log
+from jax_inertia.robot import Robot
+
+# Of the shape of what happened at another time.
+TRIES = 60
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """The found effects on another motion."""
+
+    shrink: Shrink
+    misfit: Tried
+    grown: float
+    """Missing torque of all rows with the effects, over that without."""
+
+
+class OtherMotion:
+    """A test log, made ready once, to try effects on."""
+
+    def __init__(
+        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
+    ):
+        prepared = prepare(robot, log)
+        log = with_motors(log, robot, search.motors)
+        own, replicas, _ = whitener(prepared, log)
+        context = Context(prepared, motion_band(prepared, own, replicas))
+        # The errors that the first log showed beyond its sensors' are there on this one too.
+        own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
+        doubts = nuisances(context, tolerance, log)
+        self._prepared, self._context = prepared, context
+        first = search.pool.evidence
+        self._evidence = Evidence(prepared, own, doubts, first.scales).pinning(first.pinned)
+        self._floor = self._evidence.noise_energy(replicas)
+        self._known, self._rows, self._replicas = search.known, rows, replicas
+
+    def trial(self, chosen: list[Candidate]) -> Trial:
+        """Missing torque and misfit with and without the effects."""
+        evidence = self._evidence
+        predicted, left, allowed = [], evidence.y, 0.0
+        for c in sorted(chosen, key=lambda c: c.family.passing):
+            torque = self._finished(c)
+            charged = evidence.charged(torque)
+            if c.family.passing:
+                again = self._again(c, charged, left)
+                if again is not charged:
+                    torque, charged = np.zeros_like(torque), again
+            predicted.append(torque)
+            left = left - charged
+            allowed += c.excuses(charged)
+        y = self._prepared.finish_torque(self._prepared.missing)
+        after = y - sum(predicted, np.zeros_like(y))
+        return Trial(
+            shrink=energies(evidence, self._rows, y, after, self._replicas).shrink,
+            misfit=Tried(
+                before=float(evidence.y @ evidence.y),
+                after=float(left @ left),
+                floor=self._floor,
+                allowed=allowed,
+                known=self._known,
+            ),
+            grown=grown(evidence, y, after),
+        )
+
+    def _finished(self, c: Candidate) -> Float[np.ndarray, "R nv"]:
+        return self._prepared.finish_torque(effect_torque(self._context, c))
+
+    def _again(
+        self, c: Candidate, same: Float[np.ndarray, " n"], left: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """What happened in passing, as it most likely happened here: the `same`, another time, or not at all."""
+        most = float(left @ left)
+        noise = max(1.0, most / max(self._floor, 1.0))
+        best, least = np.zeros_like(left), most - STOP * noise
+        for effect in (same, *self._at_other_times(c, left)):
+            rest = float(np.sum((left - effect) ** 2))
+            if rest < least:
+                best, least = effect, rest
+        return best
+
+    def _at_other_times(
+        self, c: Candidate, left: Float[np.ndarray, " n"]
+    ) -> Iterator[Float[np.ndarray, " n"]]:
+        """Over each stretch that stands out, with the force that fits."""
+        context, evidence = self._context, self._evidence
+
+        def fitted(shape: Shape) -> Float[np.ndarray, " n"]:
+            columns = evidence.column(c.family.again(context, c.place, shape, c.theta))
+            return columns @ np.linalg.lstsq(columns, left, rcond=1e-8)[0]
+
+        context.windows = locate.windows(evidence, left, self._floor)
+        for shape in c.family.shapes(context, c.place):
+            found = scipy.optimize.minimize(
+                lambda x: float(np.sum((left - fitted(tuple(x))) ** 2)),
+                shape,
+                method="Nelder-Mead",
+                bounds=c.family.around(context, c.place, shape),
+                options={"maxfev": TRIES},
+            )
+            yield fitted(tuple(found.x))
+
+
+def grown(
+    evidence: Evidence, before: Float[np.ndarray, "R nv"], after: Float[np.ndarray, "R nv"]
+) -> float:
+    """Finished torques' rms over all rows, after over before."""
+    sizes = [float(np.linalg.norm(x[evidence.used])) for x in (after, before)]
+    return sizes[0] / max(sizes[1], 1e-300)
