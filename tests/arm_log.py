@@ -14,11 +14,12 @@ ARM = """
 """
 
 
-def wave(t, seed):
+def wave(t, seed, pace=1.0):
     """A smooth wide motion (position, velocity) of both joints."""
     rng = np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.15, 0.9, (4, 2)), rng.uniform(0, 6.28, (4, 2))
     size = np.array([0.6, 0.9]) * 2 / (1 + 2 * frequency)
+    frequency = pace * frequency
     angle = 2 * np.pi * frequency * t + phase
     q = np.sum(size * np.sin(angle), axis=0)
     return q, np.sum(size * 2 * np.pi * frequency * np.cos(angle), axis=0)
@@ -37,20 +38,21 @@ def simulate(
     force=lambda t: np.zeros(3),
     at=None,
     encoder=lambda q: q,
+    pace=1.0,
 ):
     """A log of the arm, with `torque(t, q, v, u)` acting beside the logged u and `force(t)` on the lower arm.
 
     `at`: the point of it that the force acts on, its centre of mass if None. `encoder` gives what the encoders read
-    where the joints are at q.
+    where the joints are at q; `pace` of the motion.
     """
     model = mujoco.MjModel.from_xml_string(ARM)
     edit(model)
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = wave(0.0, seed)
+    data.qpos[:], data.qvel[:] = wave(0.0, seed, pace)
     rng = np.random.default_rng(seed + 100)
     rows = {"time": [], "qpos": [], "tau": []}
     for _ in range(round(seconds * 500)):
-        target, speed = wave(data.time, seed)
+        target, speed = wave(data.time, seed, pace)
         u = np.array([60.0, 40.0]) * (target - data.qpos) + np.array([6.0, 3.0]) * (
             speed - data.qvel
         )

@@ -50,11 +50,13 @@ def simulate(
     gain=1.0,
     reach=3e-4,
     braking=0.1,
+    creep=np.inf,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
     `motors`: torque noise that the log does not show, of a log that states none; `gain` of all motors; `reach` of the
-    friction's bristles; `braking`: the controller's gain of speed over that of position.
+    friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
+    bristles that straighten while the joints stand [s].
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
@@ -83,6 +85,7 @@ def simulate(
                 u += motors * rng.standard_normal(JOINTS)
         # A bristle's law, not the sign of the velocity that the model's friction is taken for.
         bristle = np.clip(bristle + data.qvel * 0.0005 / reach, -1, 1)
+        bristle *= np.where(np.abs(data.qvel) < 0.01, np.exp(-0.0005 / creep), 1.0)
         data.qfrc_applied[:] = gain * u - friction * bristle
         mujoco.mj_step(model, data)
     return Log(

@@ -192,7 +192,9 @@ def test_torques_of_the_callback_are_the_equation(effect, torque):
 
 
 def test_dry_friction_follows_speed_and_load():
-    slow = joint("stribeck_friction", coulomb=0.5, stiction=0.9, stribeck_velocity=0.1)
+    slow = joint(
+        "stribeck_friction", coulomb=0.5, stiction=0.9, stribeck_velocity=0.1, exponent=2.0
+    )
     assert applied(slow, v=np.zeros(2))[2][1] == pytest.approx(0.1 + 0.4)
     assert applied(slow, v=np.array([0.0, 0.1]))[2][1] == pytest.approx(0.1 + 0.4 * np.exp(-1))
     load = joint("load_friction", coulomb=0.0, load_coefficient=0.1)
@@ -253,7 +255,7 @@ def test_mjx_does_what_c_does():
         joint("torque_saturation", limit=2.5),
         joint("time_delay", delay=0.0035),
         joint("cogging", amplitude=0.3, frequency=8.0, phase=0.2),
-        joint("stribeck_friction", coulomb=0.2, stiction=0.5, stribeck_velocity=0.5),
+        joint("stribeck_friction", coulomb=0.2, stiction=0.5, stribeck_velocity=0.5, exponent=1.0),
         body("drag", coefficient=2.0),
         body(
             "push", force_x=3.0, force_y=0.0, force_z=-2.0, start=0.0, end=0.05, flank=0.5, skew=0.0

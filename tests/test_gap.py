@@ -48,6 +48,20 @@ def test_dry_friction_with_another_law(robot):
     assert found.findings[0].place.name == "shoulder"
 
 
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
+    def torque(t, q, v, u):
+        slow = np.exp(-(np.abs(v[1] / 0.15) ** exponent))
+        return np.array([0.0, -(0.3 + 0.35 * slow) * np.tanh(v[1] / 0.002)])
+
+    # Slow enough for the curve to last longer than the filters.
+    (effect,) = diagnose(robot, simulate(torque, pace=0.2, seconds=12.0)).findings
+    assert (effect.family, effect.place.name) == ("stribeck_friction", "elbow")
+    assert effect.parameters["exponent"].value == exponent
+    assert effect.parameters["stribeck_velocity"].value == pytest.approx(0.15, rel=0.1)
+    assert effect.parameters["stiction"].value == pytest.approx(0.65, rel=0.1)
+
+
 def test_payload_is_found_on_its_body(robot):
     def edit(model):
         # 0.4 kg at (0, 0, -0.3) of the lower arm.

@@ -14,7 +14,7 @@ from jax_inertia.gap.doubt import entangled
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.locate import _closed
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.select import solved
+from jax_inertia.gap.together import solved
 
 PULL = np.array([4.0, 0.0, -7.0])
 TIP = (0.03, 0.0, -0.33)
@@ -105,7 +105,7 @@ def push_log():
     ("again", "shrinks"),
     [
         pytest.param(lambda t: np.zeros(3), None, id="not again"),
-        pytest.param(pushed(3.0, 2.0 * PULL), pytest.approx(0.95, abs=0.05), id="as it was"),
+        pytest.param(pushed(3.0, 2.0 * PULL), pytest.approx(0.95, abs=0.06), id="as it was"),
         pytest.param(
             pushed(1.2, np.array([-9.0, 0.0, 3.0])), pytest.approx(0.0, abs=0.1), id="otherwise"
         ),

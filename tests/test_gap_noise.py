@@ -185,6 +185,18 @@ def test_a_robot_that_stops_with_its_known_friction_has_no_gap(rubbing):
     assert found.verdict is Verdict.NO_GAP
 
 
+def test_bristles_may_straighten_while_joints_stand():
+    """A joint sets off from wherever its friction has come to; without that the misfit is twelve times the noise's."""
+    friction = 4.0 * FRICTION
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(friction)))
+    log = simulate(friction=friction, stops=True, reach=2e-3, creep=0.1)
+    prepared = prepare(robot, log)
+    white, replicas, _ = whitener(prepared, log)
+    context = Context(prepared, motion_band(prepared, white, replicas))
+    evidence = Evidence(prepared, white, nuisances(context, Tolerance(), log))
+    assert evidence.y @ evidence.y < 4.0 * evidence.noise_energy(replicas)
+
+
 def test_standing_still_is_refused_in_one_line(robot):
     log = simulate(seconds=3.0)
     still = np.tile(np.asarray(log.qpos)[:1], (len(log.time), 1))

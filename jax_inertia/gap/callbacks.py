@@ -111,7 +111,8 @@ class Law:
                     wave = xp.sin(values["frequency"] * now.q + values["phase"])
                     tau = tau + here * values["amplitude"] * wave
                 case "stribeck_friction":
-                    slow = xp.exp(-((now.v / values["stribeck_velocity"]) ** 2))
+                    speed = xp.abs(now.v / values["stribeck_velocity"])
+                    slow = xp.exp(-(speed ** values["exponent"]))
                     friction = friction + here * (values["stiction"] - values["coulomb"]) * slow
                 case "load_friction":
                     friction = friction + here * values["load_coefficient"] * xp.abs(now.u)

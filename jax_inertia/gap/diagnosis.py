@@ -25,9 +25,10 @@ from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.propose import STOP, propose
 from jax_inertia.gap.search import Search, find, finder
-from jax_inertia.gap.select import STOP, misfit, propose, remaining
 from jax_inertia.gap.shrink import rows_of_gap, what_is_left
+from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
 from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties

@@ -10,7 +10,8 @@ import numpy as np
 from jax_inertia.gap.candidate import Beside, Candidate
 from jax_inertia.gap.outsiders import Outsider, outsiders
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.select import STOP, misfit, remaining, stacked
+from jax_inertia.gap.propose import STOP
+from jax_inertia.gap.together import misfit, remaining, stacked
 
 # Effects that have nothing to do with each other bring, each alone, what they bring together: in 44 pairs that were
 # found right in two opened sealed sets the sum was 0.85 to 1.37 of it.

@@ -3,8 +3,8 @@
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.other_motion import OtherMotion, Trial, grown
+from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP
 from jax_inertia.gap.shrink import held_out, misfit_held_out, what_is_left
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an

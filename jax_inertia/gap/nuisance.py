@@ -14,6 +14,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia._findings import run_bounds
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
@@ -36,7 +37,7 @@ class Tolerance:
     """Relative to the model's own damping, frictionloss and armature."""
     period: float = 0.08
     """Of the log's period, when within it a held torque acted: half a period, the most it can be, is six of these, and
-    brings just less than a delay has to and costs (`select.STOP`, `Candidate.price`)."""
+    brings just less than a delay has to and costs (`propose.STOP`, `Candidate.price`)."""
     sampled: float = 0.25
     """The same for a torque that a sensor sampled: of the moment, or of the period that followed."""
 
@@ -100,6 +101,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             late = [context.bristle(row, x) for x in PRESLIDING[1:]]
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
             turned = [z - context.side[:, row] for z in (*late, *early)]
+            turned += _departures(context, row)
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
     sampled = log.tau_kind is TorqueKind.SENSOR
     late = (tolerance.sampled if sampled else tolerance.period) / log.rate
@@ -107,6 +109,23 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     bend = np.gradient(slope, context.time, axis=0)
     fixed.append(Columns(np.stack([late * slope, 0.5 * late**2 * bend], axis=2)))
     return Nuisances(fixed, tolerances, named)
+
+
+# Over what displacements bristles straighten, or bend, when a joint sets off [rad].
+STRAIGHTENS = (3e-4, 1.5e-3)
+
+
+def _departures(context: Context, row: int) -> list[Float[np.ndarray, " T"]]:
+    """How bristles that were bent by what held a joint at rest straighten as it sets off, one rest after the other.
+
+    At rest friction is whatever balances, so where it begins from is told by nothing.
+    """
+    path = np.abs(
+        np.diff(context.joint_position[:, row], prepend=context.joint_position[0, row])
+    ).cumsum()
+    departures = [stop for _, stop in run_bounds(context.at_rest[:, row]) if stop < len(path)]
+    moved = [np.where(path >= path[k], path - path[k], np.inf) for k in departures]
+    return [np.exp(-x / reach) for x in moved for reach in STRAIGHTENS]
 
 
 def _bodies(

@@ -22,8 +22,8 @@ from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.motors import with_motors
 from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
+from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.select import STOP
 from jax_inertia.gap.shrink import energies
 from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log

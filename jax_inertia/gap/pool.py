@@ -6,7 +6,6 @@ import functools
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Float
 
 from jax_inertia.gap.block import Beside, Block, Plain
@@ -14,12 +13,8 @@ from jax_inertia.gap.candidate import Candidate, fit
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.refine import refine
 from jax_inertia.gap.span import Split
-
-# How often each number of a shape is refined in its turn, at most: those of a push depend on each other.
-TURNS = 6
-# They have settled when a turn brings less than this share of what the effect explains.
-SETTLED = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,38 +137,16 @@ class Pool:
         return top
 
     def refined(self, candidate: Candidate, residual, chosen, noise) -> Candidate:
-        """The same candidate with its shape between grid points, one number after the other."""
-        family, place = candidate.family, candidate.place
+        """The same candidate with its shape between grid points."""
         if not candidate.shape:
             return candidate
         left = Beside.of(self.evidence, chosen, residual)
         best = self._on_all(candidate, left, noise)
-        for _ in range(TURNS):
-            before = best.aim
-            for axis in range(len(best.shape)):
-                bounds = family.around(self.context, place, best.shape)[axis]
-                if bounds[1] <= bounds[0]:
-                    continue
 
-                def cost(x, axis=axis):
-                    nonlocal best
-                    shape = (*best.shape[:axis], float(x), *best.shape[axis + 1 :])
-                    [block] = self.blocks(family, place, [shape])
-                    fitted = fit(self.context, family, place, block, left)
-                    if fitted is None:
-                        return 0.0
-                    if fitted.aim > best.aim:
-                        more = (fitted.gain - best.gain) / noise
-                        fitted.grid, fitted.score = best.grid, best.score + more
-                        best = fitted
-                    return -fitted.aim
+        def block_of(shape: Shape) -> Block:
+            return self.blocks(best.family, best.place, [shape])[0]
 
-                scipy.optimize.minimize_scalar(
-                    cost, bounds=bounds, method="bounded", options={"maxiter": 10}
-                )
-            if best.aim - before < max(noise, SETTLED * best.aim):
-                break
-        return best
+        return refine(self.context, block_of, best, left, noise)
 
     def _on_all(self, candidate: Candidate, left: Beside, noise: float) -> Candidate:
         """The candidate at the best of all its shapes, those not tried so far included."""
@@ -185,13 +158,13 @@ class Pool:
                 return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
         return candidate
 
-    def freed(self, candidate: Candidate, residual, chosen) -> Candidate | None:
-        """The same cause with more numbers, at the same shape; None where there is no such thing."""
-        family, place = candidate.family.freer, candidate.place
-        if family is None:
-            return None
-        [block] = self.blocks(family, place, [candidate.shape])
-        fitted = fit(self.context, family, place, block, Beside.of(self.evidence, chosen, residual))
+    def at(
+        self, shape: Shape, family: Family, candidate: Candidate, residual, chosen
+    ) -> Candidate | None:
+        """A cause at a candidate's place, by an equation and a shape that may be others than the candidate's."""
+        [block] = self.blocks(family, candidate.place, [shape])
+        left = Beside.of(self.evidence, chosen, residual)
+        fitted = fit(self.context, family, candidate.place, block, left)
         if fitted is not None:
             fitted.grid = candidate.grid
         return fitted

@@ -21,8 +21,10 @@ from jax_inertia.gap.noise import Whitener, at_random, motion_band, stated, whit
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import bent_by, misfit, remaining, row_energy, select, suited
+from jax_inertia.gap.select import row_energy, select
 from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
+from jax_inertia.gap.suited import bent_by, suited
+from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
 

@@ -9,7 +9,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.energies import Energies, Shrink, holding, shares
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.select import solved, stacked
+from jax_inertia.gap.together import solved, stacked
 
 
 def energies(

@@ -57,6 +57,8 @@ class Family(abc.ABC):
     """Misfit, against the noise's, that they must leave more of for that not to be so."""
     freer: ClassVar["Family | None"] = None
     """The same cause with more numbers, tried only where this one leads."""
+    smooth: ClassVar[bool] = False
+    """Whether its torque is smooth in all nonlinear numbers (`refine`)."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
     form_error: ClassVar[float] = 0.01

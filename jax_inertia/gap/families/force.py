@@ -137,7 +137,7 @@ class Passing(Force):
     """A force for a while, f w(t)."""
 
     name, hardest = "push", HARDEST_PUSH
-    passing, form_error = True, 0.1
+    passing, smooth, form_error = True, True, 0.1
 
     # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
     # by how much more it is in the first half: so that each hardly moves the others.

@@ -11,6 +11,10 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
 
 
+# Of Stribeck's curve: Armstrong-Hélouvry's (1991) and Tustin's (1947). Both are in use, what lies between hardly.
+EXPONENTS = (2.0, 1.0)
+
+
 class Joint(Family):
     kind = "joint"
 
@@ -79,17 +83,24 @@ class AsymmetricCoulomb(DryFriction):
 
 
 class StribeckFriction(DryFriction):
-    name, equation = "stribeck_friction", "−(Fc + (Fs − Fc) exp(−(q̇/vs)²)) sign(q̇)"
+    name, equation = "stribeck_friction", "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) sign(q̇)"
     simpler = ("coulomb_friction",)
 
     free_shape = 1
 
     def grid(self, context, place):
-        return ((0.02, 0.035, 0.06, 0.1, 0.17, 0.3), (0.0, 2e-4, 5e-4, 2e-3))
+        return ((0.02, 0.035, 0.06, 0.1, 0.17, 0.3), EXPONENTS, (0.0, 2e-4, 5e-4, 2e-3))
+
+    def first(self, context, place):
+        return [shape for shape in self.shapes(context, place) if shape[1] == EXPONENTS[0]]
+
+    def around(self, context, place, shape):
+        velocity, _, presliding = super().around(context, place, shape)
+        return [velocity, (shape[1], shape[1]), presliding]
 
     def columns(self, context, place, shape):
         s = self.direction(context, place, shape)
-        slow = np.exp(-((context.v[:, place.index] / shape[0]) ** 2))
+        slow = np.exp(-(np.abs(context.v[:, place.index] / shape[0]) ** shape[1]))
         return Columns(-np.stack([s, s * slow], 1), place.index)
 
     def physical(self, context, place, shape, theta):
@@ -100,6 +111,7 @@ class StribeckFriction(DryFriction):
             "coulomb": Parameter(theta[0], "N m"),
             "stiction": Parameter(theta[0] + theta[1], "N m"),
             "stribeck_velocity": Parameter(shape[0], "rad/s"),
+            "exponent": Parameter(shape[1], "1"),
         }
 
 

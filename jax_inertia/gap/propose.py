@@ -1,0 +1,120 @@
+"""Which effect to add to those that are chosen: every candidate at every place, the leading ones refined.
+
+A candidate's score is the drop of the charged misfit J it brings to those already chosen, against the noise the data
+still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
+"""
+
+import numpy as np
+
+from jax_inertia.gap.candidate import Candidate
+from jax_inertia.gap.families.base import Family, Shape
+from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.together import misfit, remaining, stacked
+
+# An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
+STOP = 30.0
+
+
+def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+    """Candidates to add, best first, the leading ones refined; simpler families first where they do as well."""
+    columns, target = stacked(pool, chosen)
+    n = pool.evidence.rows
+    ranked = others(pool, chosen, columns, target)
+    if not ranked:
+        return []
+    before = misfit(pool, chosen)
+
+    def scored(every: list[Candidate]) -> float:
+        """Scores against what the best of them leaves; that."""
+        noise = noise_beside(pool, chosen, max(every, key=lambda c: c.gain), floor)
+        for c in every:
+            c.score = c.gain / noise - c.price(n) - c.surprise
+        every.sort(key=lambda c: -c.score)
+        return noise
+
+    noise = scored(ranked)
+    # Between grid points a candidate gains some; one that is far behind does not catch up.
+    near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
+    lead, freed = _led(pool, near, target, columns, noise)
+    ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
+    if any(f.gain > ranked[0].gain for f in freed):
+        ranked = [*ranked, *freed]
+        scored(ranked)
+    return _parsimonious(ranked, before, floor)
+
+
+# What passes is refined on its own where at the leader's time it explains this share of what the leader does.
+CLOSE = 0.8
+
+
+def _led(
+    pool: Pool, near: list[Candidate], target: np.ndarray, columns: np.ndarray, noise: float
+) -> tuple[list[Candidate], list[Candidate]]:
+    """The leading candidates refined, and the same causes with more numbers.
+
+    What happens in passing happens at one time, whatever it is done to: it is tried at the leader's time too.
+    """
+    lead: list[Candidate] = []
+    times: list[Shape] = []
+
+    def at_best(shapes: list[Shape], family: Family, c: Candidate) -> list[Candidate]:
+        tried = (pool.at(shape, family, c, target, columns) for shape in shapes)
+        return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
+
+    for c in near:
+        passing = c.family.passing
+        start = max([c, *at_best(times if passing else [], c.family, c)], key=lambda x: x.aim)
+        start.score = c.score + (start.gain - c.gain) / noise
+        behind = bool(times) and passing and start.gain < CLOSE * max(x.gain for x in lead)
+        lead.append(start if behind else pool.refined(start, target, columns, noise))
+        if passing:
+            times = [max((x for x in lead if x.family.passing), key=lambda x: x.gain).shape]
+    freed = []
+    for c in lead:
+        if c.family.freer is not None:
+            shapes = [c.shape, *times] if c.family.passing else [c.shape]
+            freed += at_best(shapes, c.family.freer, c)
+    return lead, freed
+
+
+def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[Candidate]:
+    """Move a simpler family ahead of the leader where it explains nearly as much *and* fits nearly as well."""
+    best = ranked[0]
+    for c in ranked[1:]:
+        if c.place != best.place or c.family.name not in best.family.simpler:
+            continue
+        noise = max(1.0, (before - best.gain) / max(floor, 1.0))
+        if (
+            best.gain - c.gain < max(best.family.set_apart * noise, 5e-4 * best.gain)
+            and c.score > STOP
+        ):
+            return [c, *(x for x in ranked if x is not c)]
+    return ranked
+
+
+def others(
+    pool: Pool, chosen: list[Candidate], columns: np.ndarray, target: np.ndarray
+) -> list[Candidate]:
+    """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
+    own = {c.key for c in chosen}
+    return [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+
+
+def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
+    """Variance of one sample of what the best fit leaves, memory included, against the noise's."""
+    noise = max(1.0, (misfit(pool, chosen) - added.gain) / max(floor, 1.0))
+    return noise * _redness(pool, chosen, added) if noise > 1.2 else noise
+
+
+def _redness(pool: Pool, chosen: list[Candidate], added: Candidate) -> float:
+    """How many samples of what is left count as one: (1 + ρ)/(1 − ρ) of its lag-one correlation ρ."""
+    left = pool.evidence.unflatten(remaining(pool, [*chosen, added]))
+    rho = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
+    rho = min(max(rho, 0.0), 0.9)
+    return (1 + rho) / (1 - rho)
+
+
+def faint(pool: Pool, added: Candidate, floor: float) -> bool:
+    """Whether a burst holds no more than a tenth of the noise: spikes, or a reversal of friction, are as much."""
+    worth = added.gain - added.price(pool.evidence.rows)
+    return added.family.passing and bool(worth < STOP + 0.1 * floor)
