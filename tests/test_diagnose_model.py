@@ -197,8 +197,15 @@ def test_dry_friction_follows_speed_and_load():
     )
     assert applied(slow, v=np.zeros(2))[2][1] == pytest.approx(0.1 + 0.4)
     assert applied(slow, v=np.array([0.0, 0.1]))[2][1] == pytest.approx(0.1 + 0.4 * np.exp(-1))
-    load = joint("load_friction", coulomb=0.0, load_coefficient=0.1)
+    load = joint("load_friction", coulomb=0.0, load_coefficient=0.1, of_motor=1.0)
     assert applied(load)[2][1] == pytest.approx(0.1 + 0.1 * 4.0)
+
+
+@pytest.mark.parametrize("v", [-0.5, 0.5])
+def test_what_loads_a_link_is_what_friction_leaves_of_its_motors_torque(v):
+    load = joint("load_friction", coulomb=0.0, load_coefficient=0.1, of_motor=0.0)
+    friction = applied(load, v=np.array([0.0, v]))[2][1]
+    assert friction == pytest.approx(0.1 + 0.1 * abs(4.0 - friction * np.sign(v)))
 
 
 def test_forces_on_a_body():

@@ -62,6 +62,20 @@ def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
     assert effect.parameters["stiction"].value == pytest.approx(0.65, rel=0.1)
 
 
+@pytest.mark.parametrize("of_motor", [0.0, 1.0])
+def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor):
+    def torque(t, q, v, u):
+        # f = F + μ|u| of the motor's torque u, and of the link's, u − f s: with the motion, or against it.
+        s, mu = np.tanh(v[0] / 0.002), 0.0 if of_motor else 0.15 * np.sign(u[0] * v[0])
+        return np.array([-(0.2 + 0.15 * abs(u[0])) / (1.0 + mu) * s, 0.0])
+
+    (effect,) = diagnose(robot, simulate(torque)).findings
+    assert (effect.family, effect.place.name) == ("load_friction", "shoulder")
+    assert effect.parameters["of_motor"].value == of_motor
+    assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.03)
+    assert effect.parameters["coulomb"].value == pytest.approx(0.2, rel=0.1)
+
+
 def test_payload_is_found_on_its_body(robot):
     def edit(model):
         # 0.4 kg at (0, 0, -0.3) of the lower arm.

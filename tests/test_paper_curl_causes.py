@@ -22,7 +22,12 @@ from jax_inertia.robots import CORNERS
 HOIST = Effect(
     "constant_force", "body", "torso_link", {"force_x": 3.0, "force_y": -2.0, "force_z": 40.0}
 )
-RUB = Effect("load_friction", "joint", "left_elbow_y", {"coulomb": 0.5, "load_coefficient": 0.1})
+RUB = Effect(
+    "load_friction",
+    "joint",
+    "left_elbow_y",
+    {"coulomb": 0.5, "load_coefficient": 0.1, "of_motor": 1.0},
+)
 STIFF = Effect("viscous_friction", "joint", "spine_y", {"damping": 0.2})
 LOAD = Effect(
     "payload", "body", curl.FOREARM, {"mass": 5.0, "com_x": 0.0, "com_y": 0.0, "com_z": -0.3}

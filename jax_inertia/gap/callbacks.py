@@ -115,7 +115,11 @@ class Law:
                     slow = xp.exp(-(speed ** values["exponent"]))
                     friction = friction + here * (values["stiction"] - values["coulomb"]) * slow
                 case "load_friction":
-                    friction = friction + here * values["load_coefficient"] * xp.abs(now.u)
+                    mu = values["load_coefficient"]
+                    # What the link gets is the motor's less the friction itself.
+                    driven = 0.0 if values["of_motor"] else mu * xp.sign(now.u * now.v)
+                    loaded = (friction + mu * xp.abs(now.u)) / (1.0 + driven)
+                    friction = xp.where(here, loaded, friction)
                 case "constant_force":
                     wrench = wrench + here[:, None] * self._applied(xp, now, effect, index)
                 case "push":

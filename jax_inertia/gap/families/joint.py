@@ -115,14 +115,28 @@ class StribeckFriction(DryFriction):
         }
 
 
+# Whose torque loads the teeth: what the link needs, or what its motor gives, that is friction too.
+LOADS = (0.0, 1.0)
+
+
 class LoadFriction(DryFriction):
-    name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇)"
+    name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇), τ of the link or of its motor"
     simpler = ("coulomb_friction",)
+
+    def grid(self, context, place):
+        return (LOADS, *super().grid(context, place))
+
+    def first(self, context, place):
+        return [shape for shape in self.shapes(context, place) if shape[0] == LOADS[0]]
+
+    def around(self, context, place, shape):
+        _, presliding = super().around(context, place, shape)
+        return [(shape[0], shape[0]), presliding]
 
     def columns(self, context, place, shape):
         s = self.direction(context, place, shape)
-        load = np.abs(context.inverse[:, place.index])
-        return Columns(-np.stack([s, s * load], 1), place.index)
+        torque = context.tau if shape[0] else context.inverse
+        return Columns(-np.stack([s, s * np.abs(torque[:, place.index])], 1), place.index)
 
     def physical(self, context, place, shape, theta):
         own = context.frictionloss[place.index]
@@ -132,6 +146,7 @@ class LoadFriction(DryFriction):
         return {
             "coulomb": Parameter(theta[0], "N m"),
             "load_coefficient": Parameter(theta[1], "1"),
+            "of_motor": Parameter(shape[0], "1"),
         }
 
 
