@@ -35,7 +35,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     noise = scored(ranked)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
-    lead, freed = _led(pool, near, target, columns, noise)
+    lead, freed = _led(pool, near, target, columns, noise, floor)
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
         ranked = [*ranked, *freed]
@@ -48,7 +48,12 @@ CLOSE = 0.8
 
 
 def _led(
-    pool: Pool, near: list[Candidate], target: np.ndarray, columns: np.ndarray, noise: float
+    pool: Pool,
+    near: list[Candidate],
+    target: np.ndarray,
+    columns: np.ndarray,
+    noise: float,
+    floor: float,
 ) -> tuple[list[Candidate], list[Candidate]]:
     """The leading candidates refined, and the same causes with more numbers.
 
@@ -71,7 +76,8 @@ def _led(
             times = [max((x for x in lead if x.family.passing), key=lambda x: x.gain).shape]
     freed = []
     for c in lead:
-        if c.family.freer is not None:
+        # More numbers make no event of what is none.
+        if c.family.freer is not None and not faint(pool, c, floor):
             shapes = [c.shape, *times] if c.family.passing else [c.shape]
             freed += at_best(shapes, c.family.freer, c)
     return lead, freed
