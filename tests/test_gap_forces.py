@@ -1,6 +1,7 @@
 """Forces on bodies: at their centre of mass or any other point; logs by MuJoCo C."""
 
 import re
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,9 +11,10 @@ from arm_log import ARM, simulate
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.doubt import entangled
+from jax_inertia.gap.doubt import better_than, entangled
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.locate import _closed
+from jax_inertia.gap.locate import _closed, windows
+from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import solved
 
@@ -125,3 +127,36 @@ def test_a_push_may_happen_again_on_another_motion(robot, push_log, again, shrin
 def test_a_push_does_not_excuse_another_cause_on_another_motion(robot, push_log):
     other = simulate(force=lambda t: PULL, seconds=6.0, seed=5)
     assert diagnose(robot, push_log, test_log=other).verdict is Verdict.UNKNOWN
+
+
+def residual(rows: int, loud: float, seed: int) -> tuple[Evidence, np.ndarray]:
+    """Whitened noise on some rows for 15 s at 50 Hz, `loud` times as energetic from 4 to 6 s."""
+    evidence = object.__new__(Evidence)
+    time = np.arange(750) / 50.0
+    evidence.prepared = SimpleNamespace(time=time, kept=np.arange(len(time)))
+    evidence.used = np.ones((len(time), rows), bool)
+    size = np.where((time > 4.0) & (time < 6.0), np.sqrt(loud), 1.0)
+    noise = np.random.default_rng(seed).standard_normal((len(time), rows))
+    return evidence, (size[:, None] * noise).ravel()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_not_much_louder_stands_out_of_many_rows(seed):
+    evidence, y = residual(18, 3.0, seed)
+    # The noise is taken for a third louder than it is.
+    found = windows(evidence, y, 1.35 * y.size)
+    assert any(window == pytest.approx((4.0, 6.0), abs=0.2) for window in found)
+    for rows in (2, 7, 18):
+        evidence, y = residual(rows, 1.0, seed)
+        assert windows(evidence, y, float(y.size)) == ()
+
+
+def test_what_errors_of_the_feets_sensors_come_to_does_not_speak_alone(monkeypatch):
+    pool, _ = beside(np.array([30.0, 0.0]))
+    pool.evidence.used = np.ones((2, 1), bool)
+    pull = np.array([[1.0], [0.0]])
+    held, floating = Outsider("gravity", pull, pull), Outsider("gravity", pull, pull[:, :0])
+    monkeypatch.setattr("jax_inertia.gap.doubt.outsiders", lambda pool: [held])
+    assert better_than(pool, [], 900.0) == ([], held)
+    monkeypatch.setattr("jax_inertia.gap.doubt.outsiders", lambda pool: [floating])
+    assert better_than(pool, [], 900.0) is None

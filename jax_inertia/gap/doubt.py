@@ -39,6 +39,8 @@ def better_than(
             allowed = min(allowed, max(now - noise, 0.0))
         for o in others:
             columns = o.columns if replaced else o.beyond
+            if not columns.shape[1]:
+                continue
             free = rest.free(columns)
             left = np.linalg.lstsq(free, rest.target, rcond=None)
             after = float(np.sum((rest.target - free @ left[0]) ** 2))

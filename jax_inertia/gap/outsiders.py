@@ -44,7 +44,12 @@ def outsiders(pool: Pool) -> list[Outsider]:
         charged = pool.evidence.column(columns)
         if (basis := _basis(charged)).shape[1]:
             out.append(Outsider(name, basis, basis))
-    if not pool.context.robot.has_free_base:
+    held = not pool.context.robot.has_free_base
+    pull = _basis(pool.evidence.column(_weights(pool.context)))
+    # Where no base holds the robot, errors of its feet's sensors and of its whole mass come to the same.
+    name = "another gravity (a force on every body by its mass)"
+    out.append(Outsider(name, pull, pull if held else pull[:, :0]))
+    if held:
         # A lateness that stays is a delay, and one within a period a tolerance: the clock's own is what drifts.
         late, drifting = np.hsplit(pool.evidence.column(Columns(_clocks(pool.context))), 2)
         both, own = _basis(np.hstack([late, drifting])), _basis(late)
@@ -66,8 +71,6 @@ def _every(context: Context) -> Iterator[tuple[str, Columns]]:
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
-    weights = np.einsum("b,tbjc->tjc", context.pi[:, 0], context.force_rows)
-    yield "another gravity (a force on every body by its mass)", Columns(weights)
     if context.robot.has_free_base:
         # What the base's own sensors do to these columns is not told apart from what they explain.
         return
@@ -87,6 +90,11 @@ def _waves(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
     """Legendre's polynomials over the range of x, the constant apart: smooth, since they are differentiated twice."""
     place = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
     return np.polynomial.legendre.legvander(place, WARPS)[:, 1:]
+
+
+def _weights(context: Context) -> Columns:
+    """A unit acceleration of all bodies along each axis of the world."""
+    return Columns(np.einsum("b,tbjc->tjc", context.pi[:, 0], context.force_rows))
 
 
 def _clocks(context: Context) -> Float[np.ndarray, "T nv 2"]:
