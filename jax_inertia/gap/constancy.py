@@ -82,7 +82,7 @@ def _variations(pool: Pool, c: Candidate) -> Iterator[tuple[str, float, Float[np
         waves = _harmonics(context, *c.shape[:2])
         free = np.einsum("tjc,tk->tjkc", rows, waves).reshape(*rows.shape[:2], -1)
         yield "time", TURNS_ABOUT, pool.evidence.column(Columns(free))
-    elif family.steady:
+    else:
         for along, factors in _factors(context, c):
             columns = family.varying(context, c.place, c.shape, c.theta, factors)
             yield along, CHANGES, pool.evidence.column(columns)
@@ -90,12 +90,19 @@ def _variations(pool: Pool, c: Candidate) -> Iterator[tuple[str, float, Float[np
 
 def _factors(context: Context, c: Candidate) -> Iterator[tuple[str, Float[np.ndarray, "T k"]]]:
     """Functions of what an effect's size may change with."""
-    yield "time", _legendre(context.time, 3)
+    changes = c.family.changes
+    if "time" in changes:
+        yield "time", _legendre(context.time, 3)
     if c.place.kind == "joint":
         row, name = c.place.index, c.place.name
-        yield f"{name}'s position", _legendre(context.joint_position[:, row], 3)
-        yield f"{name}'s load", _legendre(np.abs(context.inverse[:, row]), 2)
-        yield f"{name}'s speed", _legendre(np.abs(context.v[:, row]), 2)
+        signals = {
+            "position": (context.joint_position[:, row], 3),
+            "load": (np.abs(context.inverse[:, row]), 2),
+            "speed": (np.abs(context.v[:, row]), 2),
+        }
+        for of, (x, degree) in signals.items():
+            if of in changes:
+                yield f"{name}'s {of}", _legendre(x, degree)
 
 
 def _legendre(x: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "T k"]:

@@ -71,8 +71,8 @@ class Family(abc.ABC):
     """Families that name the same have the same columns at a place, and differ in their weights."""
     bends: ClassVar[tuple[str, ...]] = ()
     """Kinds of numbers at its place that the effect changes beyond its equation: they may be off as well."""
-    steady: ClassVar[bool] = True
-    """Whether its size is the same throughout, so that one that changes speaks against it (`constancy`)."""
+    changes: ClassVar[tuple[str, ...]] = ("time", "position", "load", "speed")
+    """With what the size of another cause that resembles this one may change; its own does not (`constancy`)."""
     rigid: ClassVar[bool] = False
     """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None

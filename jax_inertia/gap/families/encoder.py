@@ -41,6 +41,8 @@ class Encoder(Family):
     kind = "joint"
     motor_side = False
     """Whether the rotor turns with what the encoder saw, so that its inertia felt no error."""
+    # What an encoder misreads does not depend on a load: what does is a joint that yields.
+    changes = ("time", "position", "speed")
 
     @abc.abstractmethod
     def path(self, context, place, shape) -> np.ndarray:
@@ -87,7 +89,7 @@ class TwoMass(Encoder):
 
     motor_side, whole = True, 0.2
     # Teeth rattle, resonances decay: not as computed.
-    steady = False
+    changes = ()
 
     def noisy(self, context):
         return True
