@@ -107,6 +107,8 @@ class Beside:
     """Of the chosen columns, orthonormal."""
     target: Float[np.ndarray, " n"]
     """What they cannot reach."""
+    noise: float = 1.0
+    """Misfit of one sample that counts as noise: what is known of numbers before any data weighs that much more."""
 
     @functools.cached_property
     def _twice(self) -> Float[np.ndarray, "n c"]:
@@ -119,10 +121,11 @@ class Beside:
         evidence: Evidence,
         columns: Float[np.ndarray, "n s"],
         target: Float[np.ndarray, " n"],
+        noise: float = 1.0,
     ) -> "Beside":
         """Beside chosen columns, of a target in the charged metric."""
         basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
-        return cls(evidence, basis, target - basis @ (basis.T @ target))
+        return cls(evidence, basis, target - basis @ (basis.T @ target), noise)
 
     def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What the chosen cannot reach of other columns."""

@@ -141,7 +141,7 @@ def fit(
         if theta is None:
             return None
     else:
-        theta = _manifold(context, family, place, gram, cross)
+        theta = _manifold(context, family, place, gram, cross, left.noise)
         if theta is None:
             return None
         tangent = _tangent(lambda t: family.weights(context, place, t), theta)
@@ -166,9 +166,16 @@ def _as_large_as_it_must_be(error: float, gram: np.ndarray, cross: np.ndarray) -
     return bool(abs(cross[0] / gram[0, 0] - 1.0) <= error + 3.0 / np.sqrt(gram[0, 0]))
 
 
-def _manifold(context: Context, family: Family, place: Place, gram: np.ndarray, cross: np.ndarray):
-    """min over θ of wᵀ G w − 2 cᵀ w + |T θ|², w = weights(θ), T its tightness, by damped Gauss–Newton steps."""
-    prior = family.tightness() ** 2
+def _manifold(
+    context: Context,
+    family: Family,
+    place: Place,
+    gram: np.ndarray,
+    cross: np.ndarray,
+    noise: float,
+) -> np.ndarray | None:
+    """min over θ of wᵀ G w − 2 cᵀ w + s² |T θ|², w = weights(θ), T its tightness, by damped Gauss–Newton steps."""
+    prior = noise * family.tightness() ** 2
 
     def change(t):
         return family.weights(context, place, t)

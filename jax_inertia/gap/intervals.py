@@ -41,14 +41,16 @@ def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dic
     residual = pool.evidence.y - sum(c.effect for c in chosen)
     # An effect that stands for a number of the model is as uncertain as that number.
     inexact = pool.evidence.unpinned().recharging(pool.evidence)
-    covariance = _noise(np.concatenate([inexact(a), _before_data(chosen, blocks)]))
+    noise = max(1.0, inflation)
+    before = np.sqrt(noise) * _before_data(chosen, blocks)
+    covariance = _noise(np.concatenate([inexact(a), before]))
     spread = _jackknife(pool, a, residual)
     out, start = [], 0
     for c, block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])
         start = part.stop
         erring = c.excuses(c.effect) / pool.evidence.slow_modes
-        own = covariance[part, part] * (max(1.0, inflation) + erring)
+        own = covariance[part, part] * (noise + erring)
         out.append(_reported(pool, c, own, spread[part, part]))
     return out
 

@@ -40,6 +40,11 @@ class Whitener(eqx.Module):
     """Standard deviation of y's noise, before whitening [N m]."""
     stages: tuple[Stage, ...]
 
+    @property
+    def of_misses(self) -> bool:
+        """Whether what the model misses a robot by is part of the noise."""
+        return len(self.stages) > 1
+
     def over(self, used: Bool[np.ndarray, "R nv"]) -> "Whitening":
         """For torques of which only what is `used` counts."""
         return Whitening(self, used)

@@ -140,7 +140,7 @@ class Pool:
         """The same candidate with its shape between grid points."""
         if not candidate.shape:
             return candidate
-        left = Beside.of(self.evidence, chosen, residual)
+        left = Beside.of(self.evidence, chosen, residual, noise)
         best = self._on_all(candidate, left, noise)
 
         def block_of(shape: Shape) -> Block:
@@ -159,22 +159,22 @@ class Pool:
         return candidate
 
     def at(
-        self, shape: Shape, family: Family, candidate: Candidate, residual, chosen
+        self, shape: Shape, family: Family, candidate: Candidate, residual, chosen, noise
     ) -> Candidate | None:
         """A cause at a candidate's place, by an equation and a shape that may be others than the candidate's."""
         [block] = self.blocks(family, candidate.place, [shape])
-        left = Beside.of(self.evidence, chosen, residual)
+        left = Beside.of(self.evidence, chosen, residual, noise)
         fitted = fit(self.context, family, candidate.place, block, left)
         if fitted is not None:
             fitted.grid = candidate.grid
         return fitted
 
-    def fit_again(self, candidate: Candidate, residual, chosen) -> Candidate | None:
+    def fit_again(self, candidate: Candidate, residual, chosen, noise) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
-        left = Beside.of(self.evidence, chosen, residual)
+        left = Beside.of(self.evidence, chosen, residual, noise)
         [block] = self.blocks(candidate.family, candidate.place, [candidate.shape])
         fitted = fit(self.context, candidate.family, candidate.place, block, left)
         if fitted is None:
             return None
         fitted.grid, fitted.score = candidate.grid, candidate.score
-        return self.refined(fitted, residual, chosen, 1.0)
+        return self.refined(fitted, residual, chosen, noise)

@@ -10,6 +10,7 @@ from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.families.base import Family, Shape
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import misfit, remaining, stacked
+from jax_inertia.gap.verdict import DOUBT
 
 # An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
 STOP = 30.0
@@ -36,6 +37,10 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
     lead, freed = _led(pool, near, target, columns, noise, floor)
+    # Six free numbers draw some of anything: they are a cause where little else is left, and noise is what it seems.
+    if pool.evidence.whitener.of_misses:
+        freed = []
+    freed = [f for f in freed if before - f.gain - floor < max(0.2 * floor, DOUBT**2 * before)]
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
         ranked = [*ranked, *freed]
@@ -63,7 +68,7 @@ def _led(
     times: list[Shape] = []
 
     def at_best(shapes: list[Shape], family: Family, c: Candidate) -> list[Candidate]:
-        tried = (pool.at(shape, family, c, target, columns) for shape in shapes)
+        tried = (pool.at(shape, family, c, target, columns, noise) for shape in shapes)
         return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
 
     for c in near:

@@ -89,7 +89,8 @@ def _together(
         rest = left.target - left.free(fitted.effect[:, None])[:, 0]
         if fitted.family.size is None:
             return rest
-        return np.concatenate([rest, fitted.family.tightness() * fitted.theta])
+        prior = np.sqrt(left.noise) * fitted.family.tightness()
+        return np.concatenate([rest, prior * fitted.theta])
 
     # Numbers from one to two: the step of a difference is relative.
     start = np.clip(1.0 + (np.array(candidate.shape) - low) / (high - low), 1.0, 2.0)

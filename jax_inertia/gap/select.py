@@ -27,7 +27,7 @@ def select(
             ranking = step
         if not step or step[0].score < _toll(chosen, floor) or faint(pool, step[0], floor):
             break
-        trial = settle(pool, [*chosen, step[0]])
+        trial = settle(pool, [*chosen, step[0]], floor)
         if len(trial) > 1:
             trial = swap(pool, prune(pool, trial, floor), floor)
             # Significance is not materiality: beside a large effect, the error of its own equation is significant.
@@ -86,14 +86,15 @@ def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
 SETTLED = 1e-4
 
 
-def settle(pool: Pool, chosen: list[Candidate]) -> list[Candidate]:
+def settle(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
     """Refit all numbers together: each in turn against what the others leave, then all θ at once."""
     for _ in range(3 if len(chosen) > 1 else 1):
         before = misfit(pool, chosen)
+        noise = max(1.0, before / max(floor, 1.0))
         for i, c in enumerate(chosen):
             others = [x for k, x in enumerate(chosen) if k != i]
             columns, target = stacked(pool, others)
-            refit = pool.fit_again(c, target, columns)
+            refit = pool.fit_again(c, target, columns, noise)
             if refit is not None:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
         columns, target = stacked(pool, chosen)
@@ -123,7 +124,7 @@ def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
         weakest = int(np.argmin(worth))
         if worth[weakest] >= STOP:
             break
-        chosen = settle(pool, [x for k, x in enumerate(chosen) if k != weakest])
+        chosen = settle(pool, [x for k, x in enumerate(chosen) if k != weakest], floor)
     return chosen
 
 
@@ -136,7 +137,7 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
             options = propose(pool, others, floor)
             if not options or options[0].same_as(chosen[i]):
                 continue
-            trial = settle(pool, [*others[:i], options[0], *others[i:]])
+            trial = settle(pool, [*others[:i], options[0], *others[i:]], floor)
             # Beside the others, the same cause at its place may do with fewer numbers.
             same = options[0].key == chosen[i].key
             fewer = same and options[0].family.freer is chosen[i].family

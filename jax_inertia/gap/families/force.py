@@ -49,7 +49,10 @@ class AtAPoint(Force):
         f = free[:3]
         r = free[3:].reshape(3, 3) @ f / (f @ f)
         origin = -_centre(context, place)
-        return [np.concatenate([f, x]) for x in (np.zeros(3), origin, _within(r))]
+        return [
+            np.concatenate([f, x])
+            for x in (np.zeros(3), origin, _within(r, _extent(context, place)))
+        ]
 
     def tightness(self):
         # Along a joint's axis a point may lie anywhere: there the force acts alike, on the links at either side too.
@@ -57,7 +60,7 @@ class AtAPoint(Force):
 
     def physical(self, context, place, shape, theta):
         return super().physical(context, place, shape, theta[:3]) and bool(
-            np.linalg.norm(theta[3:]) < LONGEST
+            np.linalg.norm(theta[3:]) < _extent(context, place)
         )
 
     def parameters(self, context, place, shape, theta):
@@ -68,15 +71,25 @@ class AtAPoint(Force):
         }
 
 
-# From a body's centre of mass to where something pulls at it [m].
-LONGEST = 1.0
-# How far from there it mostly does.
+# How far from a body's centre of mass something mostly pulls at it [m].
 REACH = 0.1
+# Of a body's radius of gyration: a rod ends at 1.7 of them, and a grip or a hook reaches beyond [m].
+ENDS, BEYOND = 3.0, 0.1
 
 
-def _within(r: np.ndarray) -> np.ndarray:
+def _extent(context: Context, place: Place) -> float:
+    """How far from its centre of mass a body may be pulled at [m]."""
+    pi, c = context.pi[place.index], _centre(context, place)
+    if pi[0] <= 0:
+        return BEYOND
+    # Σ moments = 2 ∫ r² dm, about the body's frame.
+    about_centre = 0.5 * (pi[4] + pi[7] + pi[9]) / pi[0] - float(c @ c)
+    return ENDS * float(np.sqrt(max(about_centre, 0.0))) + BEYOND
+
+
+def _within(r: np.ndarray, most: float) -> np.ndarray:
     """r, no longer than half of what is allowed."""
-    return r * min(1.0, 0.5 * LONGEST / max(float(np.linalg.norm(r)), 1e-9))
+    return r * min(1.0, 0.5 * most / max(float(np.linalg.norm(r)), 1e-9))
 
 
 def _centre(context: Context, place: Place) -> np.ndarray:
