@@ -115,15 +115,12 @@ class Pool:
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out
 
-    def best(
-        self, residual: Float[np.ndarray, " n"], chosen: Float[np.ndarray, "n s"], noise: float
-    ) -> list[Candidate]:
-        """Every candidate fitted to a residual beside the chosen columns, best score first."""
-        left = Beside.of(self.evidence, chosen, residual)
-        every = (self._best_of(e, left, noise) for e in self.entries)
+    def best(self, left: Beside) -> list[Candidate]:
+        """Every candidate fitted to what is left, best score first."""
+        every = (self._best_of(e, left) for e in self.entries)
         return sorted((c for c in every if c is not None), key=lambda c: -c.score)
 
-    def _best_of(self, entry: Entry, left: Beside, noise: float) -> Candidate | None:
+    def _best_of(self, entry: Entry, left: Beside) -> Candidate | None:
         fits = [
             fit(self.context, entry.family, entry.place, b, left, coarse=bool(entry.rest))
             for b in entry.blocks
@@ -133,48 +130,44 @@ class Pool:
             # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
             windows = max(2, round((self.context.time[-1] / 0.1) ** 2))
             top.grid = windows if entry.family.passing else entry.count
-            top.score = top.gain / noise - top.price(self.evidence.rows)
+            top.score = top.gain / left.noise - top.price(self.evidence.rows)
         return top
 
-    def refined(self, candidate: Candidate, residual, chosen, noise) -> Candidate:
+    def refined(self, candidate: Candidate, left: Beside) -> Candidate:
         """The same candidate with its shape between grid points."""
         if not candidate.shape:
             return candidate
-        left = Beside.of(self.evidence, chosen, residual, noise)
-        best = self._on_all(candidate, left, noise)
+        best = self._on_all(candidate, left)
 
         def block_of(shape: Shape) -> Block:
             return self.blocks(best.family, best.place, [shape])[0]
 
-        return refine(self.context, block_of, best, left, noise)
+        return refine(self.context, block_of, best, left)
 
-    def _on_all(self, candidate: Candidate, left: Beside, noise: float) -> Candidate:
+    def _on_all(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate at the best of all its shapes, those not tried so far included."""
         for entry in self.entries:
             if (entry.family, entry.place) == (candidate.family, candidate.place) and entry.rest:
                 entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
                 entry.rest = []
-                found = self._best_of(entry, left, noise)
+                found = self._best_of(entry, left)
                 return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
         return candidate
 
     def at(
-        self, shape: Shape, family: Family, candidate: Candidate, residual, chosen, noise
+        self, shape: Shape, family: Family, candidate: Candidate, left: Beside
     ) -> Candidate | None:
         """A cause at a candidate's place, by an equation and a shape that may be others than the candidate's."""
         [block] = self.blocks(family, candidate.place, [shape])
-        left = Beside.of(self.evidence, chosen, residual, noise)
         fitted = fit(self.context, family, candidate.place, block, left)
         if fitted is not None:
             fitted.grid = candidate.grid
         return fitted
 
-    def fit_again(self, candidate: Candidate, residual, chosen, noise) -> Candidate | None:
+    def fit_again(self, candidate: Candidate, left: Beside) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
-        left = Beside.of(self.evidence, chosen, residual, noise)
-        [block] = self.blocks(candidate.family, candidate.place, [candidate.shape])
-        fitted = fit(self.context, candidate.family, candidate.place, block, left)
+        fitted = self.at(candidate.shape, candidate.family, candidate, left)
         if fitted is None:
             return None
-        fitted.grid, fitted.score = candidate.grid, candidate.score
-        return self.refined(fitted, residual, chosen, noise)
+        fitted.score = candidate.score
+        return self.refined(fitted, left)

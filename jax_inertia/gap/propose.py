@@ -4,8 +4,11 @@ A candidate's score is the drop of the charged misfit J it brings to those alrea
 still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.families.base import Family, Shape
 from jax_inertia.gap.pool import Pool
@@ -36,10 +39,10 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     noise = scored(ranked)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
-    lead, freed = _led(pool, near, target, columns, noise, floor)
-    # Six free numbers draw some of anything: they are a cause where little else is left, and noise is what it seems.
-    if pool.evidence.whitener.of_misses:
-        freed = []
+    left = Beside.of(pool.evidence, columns, target, noise)
+    lead = _led(pool, near, left)
+    freed = _freed(pool, lead, left, floor)
+    # Six free numbers draw some of anything: they are a cause where little else is left.
     freed = [f for f in freed if before - f.gain - floor < max(0.2 * floor, DOUBT**2 * before)]
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
@@ -52,40 +55,46 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
 CLOSE = 0.8
 
 
-def _led(
-    pool: Pool,
-    near: list[Candidate],
-    target: np.ndarray,
-    columns: np.ndarray,
-    noise: float,
-    floor: float,
-) -> tuple[list[Candidate], list[Candidate]]:
-    """The leading candidates refined, and the same causes with more numbers.
+def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
+    """The leading candidates refined.
 
     What happens in passing happens at one time, whatever it is done to: it is tried at the leader's time too.
     """
     lead: list[Candidate] = []
-    times: list[Shape] = []
-
-    def at_best(shapes: list[Shape], family: Family, c: Candidate) -> list[Candidate]:
-        tried = (pool.at(shape, family, c, target, columns, noise) for shape in shapes)
-        return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
-
     for c in near:
-        passing = c.family.passing
-        start = max([c, *at_best(times if passing else [], c.family, c)], key=lambda x: x.aim)
-        start.score = c.score + (start.gain - c.gain) / noise
-        behind = bool(times) and passing and start.gain < CLOSE * max(x.gain for x in lead)
-        lead.append(start if behind else pool.refined(start, target, columns, noise))
-        if passing:
-            times = [max((x for x in lead if x.family.passing), key=lambda x: x.gain).shape]
-    freed = []
+        times = _times(lead) if c.family.passing else []
+        start = max([c, *_best_at(pool, times, c.family, c, left)], key=lambda x: x.aim)
+        start.score = c.score + (start.gain - c.gain) / left.noise
+        behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
+        lead.append(start if behind else pool.refined(start, left))
+    return lead
+
+
+def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> list[Candidate]:
+    """The causes of the leading candidates with more numbers; none where noise is not what it seems."""
+    if pool.evidence.whitener.of_misses:
+        return []
+    out = []
     for c in lead:
         # More numbers make no event of what is none.
         if c.family.freer is not None and not faint(pool, c, floor):
-            shapes = [c.shape, *times] if c.family.passing else [c.shape]
-            freed += at_best(shapes, c.family.freer, c)
-    return lead, freed
+            shapes = {c.shape, *(_times(lead) if c.family.passing else ())}
+            out += _best_at(pool, shapes, c.family.freer, c, left)
+    return out
+
+
+def _times(lead: list[Candidate]) -> list[Shape]:
+    """When the best of what passes does; none where nothing does."""
+    passing = [x for x in lead if x.family.passing]
+    return [max(passing, key=lambda x: x.gain).shape] if passing else []
+
+
+def _best_at(
+    pool: Pool, shapes: Iterable[Shape], family: Family, c: Candidate, left: Beside
+) -> list[Candidate]:
+    """A cause at a candidate's place at the best of some shapes; none where it fits at no one."""
+    tried = (pool.at(shape, family, c, left) for shape in shapes)
+    return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
 
 
 def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[Candidate]:
@@ -108,7 +117,7 @@ def others(
 ) -> list[Candidate]:
     """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
     own = {c.key for c in chosen}
-    return [c for c in pool.best(target, columns, 1.0) if c.key not in own]
+    return [c for c in pool.best(Beside.of(pool.evidence, columns, target)) if c.key not in own]
 
 
 def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:

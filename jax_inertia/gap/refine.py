@@ -2,7 +2,7 @@
 
 Where the torque bends with them (a dead zone, a presliding displacement) one number after the other is searched; where
 it is smooth, all together by least squares with θ solved for at each step (variable projection; Golub and Pereyra
-1973), which takes a tenth of the columns.
+1973), which takes a quarter of the columns.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,6 @@ def refine(
     block_of: Callable[[Shape], Block],
     candidate: Candidate,
     left: Beside,
-    noise: float,
 ) -> Candidate:
     """The same candidate with its shape where it explains most."""
     best = candidate
@@ -37,7 +36,10 @@ def refine(
         nonlocal best
         fitted = fit(context, family, place, block_of(shape), left)
         if fitted is not None and fitted.aim > best.aim:
-            fitted.grid, fitted.score = best.grid, best.score + (fitted.gain - best.gain) / noise
+            fitted.grid, fitted.score = (
+                best.grid,
+                best.score + (fitted.gain - best.gain) / left.noise,
+            )
             best = fitted
         return fitted
 
@@ -48,7 +50,7 @@ def refine(
         else:
             for axis in range(len(best.shape)):
                 _along(tried, axis, best.shape, family.around(context, place, best.shape))
-        if best.aim - before < max(noise, SETTLED * best.aim):
+        if best.aim - before < max(left.noise, SETTLED * best.aim):
             break
     return best
 

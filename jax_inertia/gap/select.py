@@ -3,6 +3,7 @@
 import numpy as np
 
 from jax_inertia.gap import locate
+from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP, faint, propose
@@ -93,8 +94,8 @@ def settle(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]
         noise = max(1.0, before / max(floor, 1.0))
         for i, c in enumerate(chosen):
             others = [x for k, x in enumerate(chosen) if k != i]
-            columns, target = stacked(pool, others)
-            refit = pool.fit_again(c, target, columns, noise)
+            left = Beside.of(pool.evidence, *stacked(pool, others), noise)
+            refit = pool.fit_again(c, left)
             if refit is not None:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
         columns, target = stacked(pool, chosen)

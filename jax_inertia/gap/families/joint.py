@@ -1,6 +1,7 @@
 """Effects at a joint's own axis: friction, springs, rotor inertia."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -82,21 +83,30 @@ class AsymmetricCoulomb(DryFriction):
         }
 
 
-class StribeckFriction(DryFriction):
+class OfTwoLaws(DryFriction):
+    """Dry friction by either of two laws: searched by the first, and by the other too where that leads."""
+
+    law: ClassVar[int]
+    """Which of the nonlinear numbers tells them apart."""
+
+    def first(self, context, place):
+        usual = self.grid(context, place)[self.law][0]
+        return [shape for shape in self.shapes(context, place) if shape[self.law] == usual]
+
+    def around(self, context, place, shape):
+        bounds = super().around(context, place, shape)
+        bounds[self.law] = (shape[self.law], shape[self.law])
+        return bounds
+
+
+class StribeckFriction(OfTwoLaws):
     name, equation = "stribeck_friction", "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) sign(q̇)"
     simpler = ("coulomb_friction",)
 
-    free_shape = 1
+    free_shape, law = 1, 1
 
     def grid(self, context, place):
         return ((0.02, 0.035, 0.06, 0.1, 0.17, 0.3), EXPONENTS, (0.0, 2e-4, 5e-4, 2e-3))
-
-    def first(self, context, place):
-        return [shape for shape in self.shapes(context, place) if shape[1] == EXPONENTS[0]]
-
-    def around(self, context, place, shape):
-        velocity, _, presliding = super().around(context, place, shape)
-        return [velocity, (shape[1], shape[1]), presliding]
 
     def columns(self, context, place, shape):
         s = self.direction(context, place, shape)
@@ -119,19 +129,12 @@ class StribeckFriction(DryFriction):
 LOADS = (0.0, 1.0)
 
 
-class LoadFriction(DryFriction):
+class LoadFriction(OfTwoLaws):
     name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇), τ of the link or of its motor"
-    simpler = ("coulomb_friction",)
+    simpler, law = ("coulomb_friction",), 0
 
     def grid(self, context, place):
         return (LOADS, *super().grid(context, place))
-
-    def first(self, context, place):
-        return [shape for shape in self.shapes(context, place) if shape[0] == LOADS[0]]
-
-    def around(self, context, place, shape):
-        _, presliding = super().around(context, place, shape)
-        return [(shape[0], shape[0]), presliding]
 
     def columns(self, context, place, shape):
         s = self.direction(context, place, shape)
