@@ -38,11 +38,24 @@ class Plain:
         """X in the motion's own band."""
         return self.evidence.slow(self.columns)
 
-    def charged_gram(self, added: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
-        """XᵀMX, where M^{1/2} adds this within the tolerances' span."""
-        inside = self.split.inside
-        both = inside + added
-        return self.gram + both.T @ both - inside.T @ inside
+
+@dataclasses.dataclass(frozen=True)
+class Carried:
+    """The sensors' noise w that columns carry, by its products: they are all that a fit needs, and small."""
+
+    gram: Float[np.ndarray, "k k"]
+    """wᵀw, before the tolerances charge it."""
+    cross: Float[np.ndarray, "k 1"]
+    """wᵀn, with the noise n of y."""
+    inside: Float[np.ndarray, "s k"]
+    """w in the tolerances' span."""
+    of_y: Float[np.ndarray, "s 1"]
+    """n there."""
+
+    @classmethod
+    def of(cls, w: Split, n: Split) -> "Carried":
+        """Of both noises."""
+        return cls(w.columns.T @ w.columns, w.columns.T @ n.columns, w.inside, n.inside)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,10 +65,8 @@ class Block:
     evidence: Evidence
     shape: Shape
     plain: Plain
-    noise: Plain | None = None
+    noise: Carried | None = None
     """What the echo's noise adds to the columns, where they carry it."""
-    of_y: Float[np.ndarray, " n"] | None = None
-    """What it does to y, charged twice: for products with columns that are not charged at all."""
 
     @property
     def count(self) -> int:
@@ -74,7 +85,8 @@ class Block:
     @functools.cached_property
     def gram(self) -> Float[np.ndarray, "k k"]:
         """AᵀA."""
-        return self.plain.charged_gram(self._added)
+        inside = self.plain.split.inside
+        return self.evidence.charged_product(self.plain.gram, inside, inside)
 
     @functools.cached_property
     def slow(self) -> Float[np.ndarray, "m k"]:
@@ -86,12 +98,16 @@ class Block:
         """wᵀw."""
         if self.noise is None:
             return 0.0
-        return self.noise.charged_gram(self.evidence.added(self.noise.split.inside))
+        w = self.noise
+        return self.evidence.charged_product(w.gram, w.inside, w.inside)
 
     @functools.cached_property
     def noise_cross(self) -> Float[np.ndarray, " k"] | float:
         """wᵀn."""
-        return 0.0 if self.noise is None else self.noise.columns.T @ self.of_y
+        if self.noise is None:
+            return 0.0
+        w = self.noise
+        return self.evidence.charged_product(w.cross, w.inside, w.of_y)[:, 0]
 
 
 # Columns of which the chosen effects leave less than this share of the energy are theirs.

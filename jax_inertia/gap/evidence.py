@@ -122,6 +122,15 @@ class Evidence:
         """What M^{1/2} adds to columns with these coordinates in the tolerances' span, A in `span`."""
         return self._charging @ inside - inside
 
+    def charged_product(
+        self,
+        product: Float[np.ndarray, "k l"],
+        left: Float[np.ndarray, "s k"],
+        right: Float[np.ndarray, "s l"],
+    ) -> Float[np.ndarray, "k l"]:
+        """XᵀMY of columns with this product XᵀY and these coordinates in the tolerances' span."""
+        return product + (self._charging @ left).T @ (self._charging @ right) - left.T @ right
+
     @property
     def basis(self) -> Float[np.ndarray, "n s"]:
         """Of the tolerances' span, orthonormal."""
@@ -185,7 +194,11 @@ class Evidence:
         for batch in _batches(shapes):
             wide = np.concatenate([c.values for c in batch], axis=-1)
             charged = self._charge_fixed(self._whiten(Columns(wide, batch[0].row)))
-            yield from self._own.split(charged).parts([c.values.shape[-1] for c in batch])
+            yield from self.split(charged).parts([c.values.shape[-1] for c in batch])
+
+    def split(self, x: Float[np.ndarray, "n k"]) -> Split:
+        """Columns that the fixed nuisances have charged, and what of them lies in the tolerances' span."""
+        return self._own.split(x)
 
     def charged(self, y: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " n"]:
         """A finished torque on all rows, in the charged metric."""

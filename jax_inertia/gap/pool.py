@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.block import Beside, Block, Plain
+from jax_inertia.gap.block import Beside, Block, Carried, Plain
 from jax_inertia.gap.candidate import Candidate, fit
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
@@ -90,28 +90,24 @@ class Pool:
         if not family.noisy(self.context):
             return [Block(self.evidence, s, plain(x)) for s, x in zip(shapes, own, strict=True)]
         return [
-            Block(self.evidence, s, plain(x), plain(again.minus(x)), self._of_y)
+            Block(self.evidence, s, plain(x), Carried.of(again.minus(x), self._of_y))
             for s, x, again in zip(shapes, own, columns(self.echo.context), strict=True)
         ]
 
     @functools.cached_property
-    def _of_y(self) -> Float[np.ndarray, " n"]:
-        """What the echo's noise does to y, charged twice."""
-        twice = self.evidence.charge_own(self.evidence.charge_own(self.echo.noise[:, None]))
-        return twice[:, 0]
+    def _of_y(self) -> Split:
+        """What the echo's noise does to y."""
+        return self.evidence.split(self.echo.noise[:, None])
 
     def charged_as(self, evidence: Evidence) -> "Pool":
         """The same candidates where the model's tolerances are larger, smaller or fewer."""
         out = copy.copy(self)
         out.evidence = evidence
-        out.__dict__.pop("_of_y", None)
-
-        def moved(b: Block) -> Block:
-            of_y = None if b.noise is None else out._of_y
-            return Block(evidence, b.shape, b.plain, b.noise, of_y)
-
         every = {id(e.blocks): e.blocks for e in self.entries}
-        now = {key: [moved(b) for b in group] for key, group in every.items()}
+        now = {
+            key: [Block(evidence, b.shape, b.plain, b.noise) for b in group]
+            for key, group in every.items()
+        }
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out
 
