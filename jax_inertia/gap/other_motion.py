@@ -97,13 +97,20 @@ class OtherMotion:
         self, c: Candidate, same: Float[np.ndarray, " n"], left: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """What happened in passing, as it most likely happened here: the `same`, another time, or not at all."""
+
+        def rest(effect: Float[np.ndarray, " n"]) -> float:
+            return float(np.sum((left - effect) ** 2))
+
         most = float(left @ left)
-        noise = max(1.0, most / max(self._floor, 1.0))
-        best, least = np.zeros_like(left), most - STOP * noise
-        for effect in (same, *self._at_other_times(c, left)):
-            rest = float(np.sum((left - effect) ** 2))
-            if rest < least:
-                best, least = effect, rest
+        price = STOP * max(1.0, most / max(self._floor, 1.0))
+        best, least = np.zeros_like(left), most - price
+        if rest(same) < least:
+            # What was foretold stands, unless another has to be paid for and is better still.
+            best, least = same, rest(same) - price
+        if least > self._floor:
+            for effect in self._at_other_times(c, left):
+                if rest(effect) < least:
+                    best, least = effect, rest(effect)
         return best
 
     def _at_other_times(

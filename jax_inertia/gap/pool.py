@@ -44,31 +44,39 @@ class Pool:
     def __init__(self, context: Context, evidence: Evidence, library: list[Family], echo: Echo):
         self.context, self.evidence, self.echo = context, evidence, echo
         self.library = library
-        self.entries: list[Entry] = []
-        for family in library:
-            self._enter(family)
+
+    @functools.cached_property
+    def entries(self) -> list[Entry]:
+        """Every family at every place where it does something."""
+        return self._entered([], self.library)
+
+    def forget(self) -> None:
+        """Let go of the columns, gigabytes for a humanoid; they are computed again if they are asked for."""
+        self.__dict__.pop("entries", None)
 
     def look_again(self, windows: tuple[tuple[float, float], ...]) -> None:
         """Offer what happens in passing (pushes) over other stretches of time."""
         if windows == self.context.windows:
             return
         self.context.windows = windows
-        self.entries = [e for e in self.entries if not e.family.passing]
-        for family in self.library:
-            if family.passing:
-                self._enter(family)
+        lasting = [e for e in self.entries if not e.family.passing]
+        self.entries = self._entered(lasting, [f for f in self.library if f.passing])
 
-    def _enter(self, family: Family) -> None:
-        for place in family.places(self.context):
-            shapes = list(family.shapes(self.context, place))
-            first = set(family.first(self.context, place))
-            rest = [s for s in shapes if s not in first]
-            alike = [e for e in self.entries if family.alike and e.family.alike == family.alike]
-            blocks = next((e.blocks for e in alike if e.place == place), None)
-            if blocks is None:
-                blocks = self._sound(family, place, [s for s in shapes if s in first])
-            if blocks:
-                self.entries.append(Entry(family, place, blocks, rest, len(shapes)))
+    def _entered(self, entries: list[Entry], families: list[Family]) -> list[Entry]:
+        """Entries, and those of more families."""
+        out = list(entries)
+        for family in families:
+            for place in family.places(self.context):
+                shapes = list(family.shapes(self.context, place))
+                first = set(family.first(self.context, place))
+                rest = [s for s in shapes if s not in first]
+                alike = [e for e in out if family.alike and e.family.alike == family.alike]
+                blocks = next((e.blocks for e in alike if e.place == place), None)
+                if blocks is None:
+                    blocks = self._sound(family, place, [s for s in shapes if s in first])
+                if blocks:
+                    out.append(Entry(family, place, blocks, rest, len(shapes)))
+        return out
 
     def _sound(self, family: Family, place: Place, shapes: list[Shape]) -> list[Block]:
         """Blocks of the shapes that do something."""

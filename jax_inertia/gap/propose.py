@@ -123,12 +123,18 @@ def others(
 def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
     """Variance of one sample of what the best fit leaves, memory included, against the noise's."""
     noise = max(1.0, (misfit(pool, chosen) - added.gain) / max(floor, 1.0))
-    return noise * _redness(pool, chosen, added) if noise > 1.2 else noise
+    return noise * _redness(pool, [*chosen, added]) if noise > 1.2 else noise
 
 
-def _redness(pool: Pool, chosen: list[Candidate], added: Candidate) -> float:
+def noise_of(pool: Pool, chosen: list[Candidate], floor: float) -> float:
+    """The same of what effects leave that are fitted together."""
+    noise = max(1.0, misfit(pool, chosen) / max(floor, 1.0))
+    return noise * _redness(pool, chosen) if noise > 1.2 else noise
+
+
+def _redness(pool: Pool, chosen: list[Candidate]) -> float:
     """How many samples of what is left count as one: (1 + ρ)/(1 − ρ) of its lag-one correlation ρ."""
-    left = pool.evidence.unflatten(remaining(pool, [*chosen, added]))
+    left = pool.evidence.unflatten(remaining(pool, chosen))
     rho = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
     rho = min(max(rho, 0.0), 0.9)
     return (1 + rho) / (1 - rho)

@@ -232,6 +232,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     evidence, prepared = first.pool.evidence, finder.context.prepared
     # Charged twice: what is left once the nuisances, too, are at their best.
     left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
+    first.pool.forget()
     second = finder.search(finder.white.then(left, evidence.used), noise=float(evidence.rows))
     if not second.chosen:
         return first, first

@@ -6,7 +6,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.propose import STOP, faint, propose
+from jax_inertia.gap.propose import STOP, faint, noise_of, propose
 from jax_inertia.gap.together import misfit, remaining, solved, stacked
 
 
@@ -26,7 +26,17 @@ def select(
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        if not step or step[0].score < _toll(chosen, floor) or faint(pool, step[0], floor):
+        if not step or faint(pool, step[0], floor):
+            break
+        if step[0].score < _toll(chosen, floor):
+            if (
+                not chosen
+                and max_effects > 1
+                and (both := _hidden_by_each_other(pool, step[0], floor))
+            ):
+                chosen = both
+                misfits += [misfit(pool, both[:1]), misfit(pool, both)]
+                continue
             break
         trial = settle(pool, [*chosen, step[0]], floor)
         if len(trial) > 1:
@@ -37,6 +47,22 @@ def select(
         chosen = trial
         misfits.append(misfit(pool, chosen))
     return chosen, ranking, misfits
+
+
+def _hidden_by_each_other(pool: Pool, first: Candidate, floor: float) -> list[Candidate]:
+    """The first and the best beside it, where either alone takes the other for noise; none where they are no better."""
+    chosen = settle(pool, [first], floor)
+    step = propose(pool, chosen, floor)
+    if not step or faint(pool, step[0], floor):
+        return []
+    trial = swap(pool, settle(pool, [*chosen, step[0]], floor), floor)
+    noise = noise_of(pool, trial, floor)
+    worth = [
+        material(pool, [x for x in trial if x is not c], trial) / noise
+        - c.price(pool.evidence.rows)
+        for c in trial
+    ]
+    return trial if min(worth) >= STOP else []
 
 
 def _windows(pool: Pool, chosen: list[Candidate], floor: float) -> tuple[tuple[float, float], ...]:
