@@ -20,6 +20,9 @@ Coupling = tuple[float, float, float]
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
 
+# MuJoCo's defaults for friction loss: impedance of a constraint that is not violated, and the damping 2/(0.95 · 0.02 s).
+IMPEDANCE, CREEP_RATE = 0.9, 2.0 / (0.95 * 0.02)
+
 
 class Context:
     """Cached quantities of one prepared log; arrays have time first, on the fast grid.
@@ -181,6 +184,23 @@ class Context:
                 self.joint_position[:, row], float(np.sign(self.v[0, row])), reach
             )
         return self._bristles[row, reach]
+
+    def creeping(self, row: int, level: float) -> np.ndarray:
+        """Friction direction of a joint by MuJoCo's soft constraint at its defaults, in [−1, 1] (T,).
+
+        With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ,
+        until it comes to the `level` of the friction [N m] (MuJoCo, Computation: friction loss): beside little inertia
+        a joint creeps for centiradians a second.
+        """
+        slide = self.v[:, row] + self.a[:, row] / CREEP_RATE
+        whole = level * self._mobility[row] * (1.0 - IMPEDANCE) / IMPEDANCE / CREEP_RATE
+        return np.clip(slide / max(whole, 1e-9), -1.0, 1.0)
+
+    @functools.cached_property
+    def _mobility(self) -> np.ndarray:
+        """[M⁻¹]ⱼⱼ of each row, in the middle of the motion."""
+        middle = self.q[len(self.q) // 2]
+        return np.diagonal(np.linalg.inv(dynamics.mass_matrix(self.robot, jnp.asarray(middle))))
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
         """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
