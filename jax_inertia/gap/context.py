@@ -14,7 +14,7 @@ from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.dry import direction
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
-from jax_inertia.robot import HINGE, SLIDE
+from jax_inertia.robot import BALL, FREE, HINGE, SLIDE
 
 Coupling = tuple[float, float, float]
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
@@ -198,9 +198,17 @@ class Context:
 
     @functools.cached_property
     def _mobility(self) -> np.ndarray:
-        """[M⁻¹]ⱼⱼ of each row, in the middle of the motion."""
-        middle = self.q[len(self.q) // 2]
-        return np.diagonal(np.linalg.inv(dynamics.mass_matrix(self.robot, jnp.asarray(middle))))
+        """[M⁻¹]ⱼⱼ of each row with every joint at its reference, as MuJoCo takes it whatever the motion."""
+        q = np.zeros(self.q.shape[1])
+        nodes = self.robot.topology
+        for kind, at, reference in zip(
+            nodes.kind, nodes.qpos_adr, np.asarray(self.robot.joint_reference), strict=True
+        ):
+            if kind in (HINGE, SLIDE):
+                q[at] = reference
+            elif kind in (FREE, BALL):
+                q[at + 3 * (kind == FREE)] = 1.0
+        return np.diagonal(np.linalg.inv(dynamics.mass_matrix(self.robot, jnp.asarray(q))))
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
         """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
