@@ -144,7 +144,7 @@ class Finder:
             enough = max(2, len(chosen) / 2)
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
                 verdict = Verdict.PARTLY
-            verdict = with_strain(verdict, strains, misfits[0] - misfits[-1])
+            verdict = with_strain(verdict, strains, misfits[0] - misfits[-1], allowed)
             in_doubt = _in_doubt(pool, chosen, rival, changing)
             verdict = doubted(verdict, in_doubt)
         return Search(

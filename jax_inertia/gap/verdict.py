@@ -59,12 +59,17 @@ def doubted(verdict: Verdict, share: float) -> Verdict:
     return Verdict.UNKNOWN if share > DOUBT**2 else Verdict.PARTLY
 
 
-def with_strain(verdict: Verdict, strains: list[Strained], explained: float) -> Verdict:
+def with_strain(
+    verdict: Verdict, strains: list[Strained], explained: float, allowed: float
+) -> Verdict:
     """The verdict where numbers of the model have to be further off than their tolerances for the effects to do.
 
-    `explained`: the misfit that the effects took.
+    `explained`: the misfit that the effects took. `allowed`: what errors of their equations may leave, and numbers of
+    the model take instead.
     """
     granted = sum(x.energy for x in strains)
+    if granted <= allowed:
+        return verdict
     return doubted(verdict, granted / max(granted + explained, 1e-300))
 
 
