@@ -95,7 +95,10 @@ def test_an_explanation_that_leans_on_a_bent_model_is_doubted(energy, verdict):
     strains = [Strained(0, "mass of arm", 6.0, 0.5, energy)] if energy else []
     assert with_strain(Verdict.EXPLAINED, strains, explained=1000.0, allowed=0.0) is verdict
     assert with_strain(Verdict.UNKNOWN, strains, explained=1000.0, allowed=0.0) is Verdict.UNKNOWN
-    assert with_strain(Verdict.EXPLAINED, strains, explained=1000.0, allowed=100.0) is Verdict.EXPLAINED
+    assert (
+        with_strain(Verdict.EXPLAINED, strains, explained=1000.0, allowed=100.0)
+        is Verdict.EXPLAINED
+    )
 
 
 def test_what_the_models_own_errors_have_in_the_missing_torque(robot):

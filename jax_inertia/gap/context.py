@@ -20,7 +20,7 @@ Coupling = tuple[float, float, float]
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
 
-# MuJoCo's defaults for friction loss: impedance of a constraint that is not violated, and the damping 2/(0.95 · 0.02 s).
+# MuJoCo's defaults for friction loss: impedance of a constraint not violated, and the damping 2/(0.95 · 0.02 s).
 IMPEDANCE, CREEP_RATE = 0.9, 2.0 / (0.95 * 0.02)
 
 
