@@ -22,6 +22,8 @@ TURNS_OVER = 3e-4
 
 # MuJoCo's defaults for friction loss: impedance of a constraint not violated, and the damping 2/(0.95 · 0.02 s).
 IMPEDANCE, CREEP_RATE = 0.9, 2.0 / (0.95 * 0.02)
+# Above this [Hz] accelerations are the encoders' noise more than what a joint creeps by.
+CREEP_BAND = 40.0
 
 
 class Context:
@@ -192,7 +194,7 @@ class Context:
         until it comes to the `level` of the friction [N m] (MuJoCo, Computation: friction loss): beside little inertia
         a joint creeps for centiradians a second.
         """
-        slide = self.v[:, row] + self.a[:, row] / CREEP_RATE
+        slide = self.v[:, row] + self.below(CREEP_BAND, self.a[:, row]) / CREEP_RATE
         whole = level * self._mobility[row] * (1.0 - IMPEDANCE) / IMPEDANCE / CREEP_RATE
         return np.clip(slide / max(whole, 1e-9), -1.0, 1.0)
 

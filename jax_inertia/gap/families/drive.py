@@ -40,6 +40,10 @@ class TorqueSaturation(Family):
     name, equation, kind = "torque_saturation", "τ = clip(τ_logged, ±L)", "joint"
     form_error, whole = 0.03, 0.25
 
+    def noisy(self, context):
+        # Cutting off its own noise takes from the noise in y.
+        return True
+
     def grid(self, context, place):
         # A loop that fights a limit may ask for many times what it gets.
         top = np.percentile(np.abs(context.tau[:, place.index]), 99.8)
