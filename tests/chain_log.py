@@ -51,15 +51,17 @@ def simulate(
     reach=3e-4,
     braking=0.1,
     creep=np.inf,
+    soft=0.0,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
     `motors`: torque noise that the log does not show, of a log that states none; `gain` of all motors; `reach` of the
     friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
-    bristles that straighten while the joints stand [s].
+    bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint.
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
+    model.dof_frictionloss[:] = soft
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = wave(0.0, seed)
     rng = np.random.default_rng(seed + 50)

@@ -1,6 +1,7 @@
 """Friction that turns round over a displacement: a chain with bristles in MuJoCo C."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from chain_log import FRICTION, JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
-from jax_inertia.gap import diagnose
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.rollout import rollouts
@@ -42,3 +44,31 @@ def test_the_displacement_is_found_and_rollouts_stay_at_their_floor(robot, reach
 def test_without_friction_nothing_turns():
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(0.0 * FRICTION)))
     assert not diagnose(robot, simulate(seconds=4.0)).trace.turning.any()
+
+
+def test_a_joint_creeps_as_mujoco_s_soft_constraint_lets_it():
+    friction = 3.0 * FRICTION
+    model = mujoco.MjModel.from_xml_string(chain_xml(friction))
+    data, rows = mujoco.MjData(model), []
+    for k in range(4000):
+        pull = np.sin(2 * np.pi * np.arange(1, JOINTS + 1) * 0.4 * k * model.opt.timestep)
+        data.qfrc_applied[:] = data.qfrc_bias + 1.3 * friction * pull
+        mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        rows.append(np.array([data.qpos, data.qvel, data.qacc, data.qfrc_constraint / friction]))
+    q, v, a, held = np.stack(rows, axis=1)
+    motion = SimpleNamespace(robot=load_model(model), q=q, v=v, a=a)
+    motion.prepared = SimpleNamespace(rate=1.0 / model.opt.timestep)
+    context = Context.__new__(Context)
+    vars(context).update(vars(motion))
+    for row in range(JOINTS):
+        creeps = np.abs(held[:, row]) < 0.95
+        assert creeps.sum() > 200
+        error = context.creeping(row, friction[row]) + held[:, row]
+        assert np.median(np.abs(error[creeps])) < 0.03
+
+
+def test_a_model_whose_own_friction_creeps_has_no_gap():
+    friction = 3.0 * FRICTION
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(friction)))
+    assert diagnose(robot, simulate(soft=friction, stops=True)).verdict is Verdict.NO_GAP
