@@ -10,7 +10,10 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 # Presliding displacements on the grid [rad]; zero is the sharp sign.
 PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
-
+# Levels at which friction may creep as MuJoCo's does (`Context.creeping`), of the joint's peak torque.
+CREEPING = (1.0, 0.3, 0.1, 0.03)
+# Of its own, that level is so close.
+ITS_OWN = 2.0
 
 # Of Stribeck's curve: Armstrong-Hélouvry's (1991) and Tustin's (1947). Both are in use, what lies between hardly.
 EXPONENTS = (2.0, 1.0)
@@ -21,7 +24,10 @@ class Joint(Family):
 
 
 class DryFriction(Joint):
-    """Friction whose direction turns over a presliding displacement, the last of its nonlinear numbers."""
+    """Friction whose direction turns over a presliding displacement [rad], the last of its nonlinear numbers.
+
+    Below zero that number is a level [N m]: friction that creeps as MuJoCo's does where all of it is as large.
+    """
 
     def grid(self, context: Context, place: Place) -> tuple[Sequence[float] | np.ndarray, ...]:
         return (PRESLIDING,)
@@ -31,9 +37,27 @@ class DryFriction(Joint):
 
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
-        if shape[-1] <= 0:
+        if shape[-1] < 0:
+            return context.creeping(place.index, -float(shape[-1]))
+        if shape[-1] == 0:
             return context.side[:, place.index]
         return context.bristle(place.index, float(shape[-1]))
+
+
+class LevelFriction(DryFriction):
+    """Dry friction of one level each way, which may creep as MuJoCo's does."""
+
+    def grid(self, context, place):
+        return ((*(-x * context.peak[place.index] for x in CREEPING), *PRESLIDING),)
+
+    def around(self, context, place, shape):
+        (low, high), kinds = super().around(context, place, shape)[0], shape[-1] < 0
+        return [(low, min(high, 0.0)) if kinds else (max(low, 0.0), high)]
+
+    def creeps_alike(self, context: Context, place: Place, shape, friction: float) -> bool:
+        """Whether the level that it creeps by is that of the friction found, the model's own beside it."""
+        level = friction + context.frictionloss[place.index]
+        return shape[-1] >= 0 or level / ITS_OWN < -shape[-1] < level * ITS_OWN
 
 
 class ViscousFriction(Joint):
@@ -50,20 +74,21 @@ class ViscousFriction(Joint):
         return {"damping": Parameter(theta[0], "N m s/rad")}
 
 
-class CoulombFriction(DryFriction):
+class CoulombFriction(LevelFriction):
     name, equation = "coulomb_friction", "−F sign(q̇)"
 
     def columns(self, context, place, shape):
         return Columns(-self.direction(context, place, shape)[:, None], place.index)
 
     def physical(self, context, place, shape, theta):
-        return theta[0] + context.frictionloss[place.index] >= -1e-9
+        own = context.frictionloss[place.index]
+        return theta[0] + own >= -1e-9 and self.creeps_alike(context, place, shape, theta[0])
 
     def parameters(self, context, place, shape, theta):
         return {"coulomb": Parameter(theta[0], "N m")}
 
 
-class AsymmetricCoulomb(DryFriction):
+class AsymmetricCoulomb(LevelFriction):
     name, equation = "asymmetric_coulomb", "−F⁺ (q̇ > 0), +F⁻ (q̇ < 0)"
     simpler = ("coulomb_friction", "torque_bias")
     # From a friction a constant torque sets it apart, and from that a friction: errors of neither equation look so.
@@ -74,7 +99,8 @@ class AsymmetricCoulomb(DryFriction):
         return Columns(-np.stack([np.maximum(s, 0), np.minimum(s, 0)], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        return min(theta) + context.frictionloss[place.index] >= -1e-9
+        own, middle = context.frictionloss[place.index], float(np.mean(theta))
+        return min(theta) + own >= -1e-9 and self.creeps_alike(context, place, shape, middle)
 
     def parameters(self, context, place, shape, theta):
         return {
