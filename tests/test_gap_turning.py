@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from chain_log import FRICTION, JOINTS, chain_xml, simulate
+from chain_log import DAMPING, FRICTION, JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
@@ -14,6 +14,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.rollout import rollouts
+from jax_inertia.gap.turning import CREEPS
 
 NOMINAL = chain_xml(FRICTION)
 
@@ -39,6 +40,36 @@ def test_the_displacement_is_found_and_rollouts_stay_at_their_floor(robot, reach
     assert stumbling is not None
     assert rolled.after < 1.3 * rolled.floor
     assert rolled.after < 0.8 * stumbling.after
+
+
+def test_rollouts_of_a_robot_that_creeps_let_it_creep():
+    friction = 3.0 * FRICTION
+    nominal = mujoco.MjSpec.from_string(chain_xml(friction))
+    robot = load_model(nominal.compile())
+    log = simulate(soft=friction, damping=DAMPING * np.array([1.0, 1.0, 3.0, 1.0, 1.0]), stops=True)
+    found = diagnose(robot, log)
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("viscous_friction", "axis3")
+    assert np.all(found.trace.turning == CREEPS)
+    sharp = dataclasses.replace(found.trace, turning=np.zeros(JOINTS))
+    correction = corrected(nominal.copy(), effects_of(found))
+    rolled, stumbling = (rollouts(nominal, correction, robot, log, t) for t in (found.trace, sharp))
+    assert rolled is not None
+    assert stumbling is not None
+    assert rolled.after < 1.2 * rolled.floor
+    assert rolled.after < 0.8 * stumbling.after
+
+
+@pytest.mark.parametrize("joint", [3, 4])
+def test_friction_that_creeps_is_friction(joint):
+    """A robot that is MuJoCo with friction loss, its model without."""
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(0.0 * FRICTION)))
+    soft = np.where(np.arange(JOINTS) == joint, 0.5, 0.0)
+    found = diagnose(robot, simulate(soft=soft, stops=True))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("coulomb_friction", f"axis{joint + 1}")
+    assert effect.parameters["coulomb"].value == pytest.approx(0.5, rel=0.02)
 
 
 def test_without_friction_nothing_turns():

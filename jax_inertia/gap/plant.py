@@ -14,6 +14,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import DAMPING_RATIO, DEFLECTION
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.trace import Trace
+from jax_inertia.gap.turning import CREEPS
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.mjcf import ModelWarning, compile_spec
 from jax_inertia.robot import Robot
@@ -65,7 +66,7 @@ class Recording:
 
     def bent(self, k: int, turning: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " r"]:
         """How far bristles are bent at a sample, −1 to 1, of the rows that have any."""
-        bends = np.flatnonzero(turning).tolist()
+        bends = np.flatnonzero(turning > 0).tolist()
         paths = [self._context.bristle(row, float(turning[row])) for row in bends]
         return np.array([z[k] for z in paths])
 
@@ -119,7 +120,9 @@ class Plant:
                 self.scale[self.names.index(e.name)] = 1.0 + e.values["scale"]
         # Dry friction as MuJoCo has it by default holds some hundredths of a radian a second back: real friction turns
         # within a fraction of a milliradian, and each reversal would cost a milliradian at the horizon.
-        model.dof_solref[:], model.dof_solimp[:, :2] = (2.0 * step, 1.0), 0.999
+        sharp = np.ones(model.nv, bool)
+        sharp[self.rows[turning == CREEPS]] = False
+        model.dof_solref[sharp], model.dof_solimp[sharp, :2] = (2.0 * step, 1.0), 0.999
         self.friction = model.dof_frictionloss.copy()
         # Bristles too stiff for the step to follow are as good as sharp.
         stiff = self.friction[self.rows] * step**2 > STIFFEST * turning * self._inertia()

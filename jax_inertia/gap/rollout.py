@@ -3,7 +3,7 @@
 From states of the log, driven by the logged torque and nothing else, the nominal model (before), the corrected one
 (after), and the corrected one against itself from states and torques with the sensors' noise once more, and with the
 torque that the nominal model's own errors most likely have along the way (floor). In all of them dry friction turns
-round as the log shows (`turning`): by bristles, or as sharply as the step allows, whatever `solreffriction` says.
+round as the log shows (`turning`): by bristles, as sharply as the step allows, or by the model's own soft constraint.
 """
 
 import dataclasses

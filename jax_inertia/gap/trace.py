@@ -43,7 +43,7 @@ class Trace:
     motors: Float[np.ndarray, " nv"]
     """Of that in torque, what no sensor shows: a motor misses its command at random [N m]."""
     turning: Float[np.ndarray, " nv"]
-    """Over which displacement each joint's dry friction turns round after a reversal [rad] (`turning`)."""
+    """Over which displacement each joint's dry friction turns round after a reversal [rad], or `turning.CREEPS`."""
     excused: Float[np.ndarray, "R nv"]
     """What the nominal model's own errors most likely have in y, beside all findings [N m]."""
     erring: Float[np.ndarray, "R nv"]

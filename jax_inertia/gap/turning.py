@@ -1,4 +1,4 @@
-"""Over which displacement a joint's dry friction turns round after a reversal, by what the log shows.
+"""How a joint's dry friction turns round after a reversal, by what the log shows: over a displacement, or creeping.
 
 Bristles bend before they slip (presliding; Dahl 1968): a friction F that turns over 0.3 mrad instead of at once lets a
 wrist go some milliradians further within a quarter of a second. No model states that displacement, and no effect stands
@@ -11,17 +11,19 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.families.joint import DryFriction
+from jax_inertia.gap.families.joint import DryFriction, turned_round
 from jax_inertia.gap.pool import Pool
 
 REACHES = (0.0, *np.geomspace(4e-5, 3e-3, 10).tolist())
 """[rad]; zero: at once."""
+CREEPS = -1.0
+"""In place of a displacement: as MuJoCo's soft constraint at its defaults (`Context.creeping`)."""
 
 
 def turning(
     pool: Pool, chosen: Sequence[Candidate]
 ) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, "R nv"]]:
-    """(displacement of each row [rad], missing torque once the model's own friction turns over it).
+    """(displacement of each row [rad] or `CREEPS`, missing torque once the model's own friction turns over it).
 
     The second is of the finished missing torque beside the effects, friction among them turning alike.
     """
@@ -39,16 +41,23 @@ def turning(
         found = rubbing.get(row, [])
         if own <= 0 and not found:
             continue
+        level = max(own + sum(_level(c) for c in found), 1e-9)
+        ways = (*REACHES, -level)
         tried = []
-        for reach in REACHES:
-            z = context.bristle(row, reach) if reach else context.side[:, row]
+        for reach in ways:
+            z = turned_round(context, row, reach)
             rubbed = own * (context.side[:, row] - z)
             for c in found:
                 rubbed = rubbed + _torque(pool, c, reach)
             tried.append(left[:, row] - prepared.finish_torque(rubbed, row))
         best = int(np.argmin([np.sum(x[used[:, row]] ** 2) for x in tried]))
-        reaches[row], left[:, row] = REACHES[best], tried[best]
+        reaches[row], left[:, row] = ways[best] if ways[best] >= 0 else CREEPS, tried[best]
     return reaches, left
+
+
+def _level(c: Candidate) -> float:
+    """Of a found friction, about [N m]: each way's mean, or the constant part."""
+    return float(np.mean(c.theta)) if c.family.name == "asymmetric_coulomb" else float(c.theta[0])
 
 
 def _torque(pool: Pool, c: Candidate, reach: float) -> Float[np.ndarray, " T"]:

@@ -23,6 +23,13 @@ class Joint(Family):
     kind = "joint"
 
 
+def turned_round(context: Context, row: int, over: float) -> np.ndarray:
+    """z in [−1, 1] of friction that turns round over a displacement [rad]; below zero, creeping at a level [N m]."""
+    if over < 0:
+        return context.creeping(row, -over)
+    return context.bristle(row, over) if over else context.side[:, row]
+
+
 class DryFriction(Joint):
     """Friction whose direction turns over a presliding displacement [rad], the last of its nonlinear numbers.
 
@@ -37,18 +44,14 @@ class DryFriction(Joint):
 
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
-        if shape[-1] < 0:
-            return context.creeping(place.index, -float(shape[-1]))
-        if shape[-1] == 0:
-            return context.side[:, place.index]
-        return context.bristle(place.index, float(shape[-1]))
+        return turned_round(context, place.index, float(shape[-1]))
 
 
 class LevelFriction(DryFriction):
     """Dry friction of one level each way, which may creep as MuJoCo's does."""
 
     def grid(self, context, place):
-        return ((*(-x * context.peak[place.index] for x in CREEPING), *PRESLIDING),)
+        return ((*(-x * float(context.peak[place.index]) for x in CREEPING), *PRESLIDING),)
 
     def around(self, context, place, shape):
         (low, high), kinds = super().around(context, place, shape)[0], shape[-1] < 0
@@ -57,7 +60,7 @@ class LevelFriction(DryFriction):
     def creeps_alike(self, context: Context, place: Place, shape, friction: float) -> bool:
         """Whether the level that it creeps by is that of the friction found, the model's own beside it."""
         level = friction + context.frictionloss[place.index]
-        return shape[-1] >= 0 or level / ITS_OWN < -shape[-1] < level * ITS_OWN
+        return bool(shape[-1] >= 0 or level / ITS_OWN < -shape[-1] < level * ITS_OWN)
 
 
 class ViscousFriction(Joint):
