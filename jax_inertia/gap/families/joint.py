@@ -58,9 +58,11 @@ class LevelFriction(DryFriction):
         return [(low, min(high, 0.0)) if kinds else (max(low, 0.0), high)]
 
     def creeps_alike(self, context: Context, place: Place, shape, friction: float) -> bool:
-        """Whether the level that it creeps by is that of the friction found, the model's own beside it."""
-        level = friction + context.frictionloss[place.index]
-        return bool(shape[-1] >= 0 or level / ITS_OWN < -shape[-1] < level * ITS_OWN)
+        """Whether the level that it creeps by is that of the friction found; beside the model's own it does not."""
+        if shape[-1] >= 0:
+            return True
+        alone = context.frictionloss[place.index] == 0.0
+        return bool(alone and friction / ITS_OWN < -shape[-1] < friction * ITS_OWN)
 
 
 class ViscousFriction(Joint):
