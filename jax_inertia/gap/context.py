@@ -22,6 +22,8 @@ TURNS_OVER = 3e-4
 
 # MuJoCo's defaults for friction loss: impedance of a constraint not violated, and the damping 2/(0.95 · 0.02 s).
 IMPEDANCE, CREEP_RATE = 0.9, 2.0 / (0.95 * 0.02)
+# Above this [Hz] accelerations may be the encoders' noise more than what a joint creeps by.
+CREEP_BAND = 40.0
 
 
 class Context:
@@ -185,17 +187,21 @@ class Context:
             )
         return self._bristles[row, reach]
 
-    def creeping(self, row: int, level: float, band: float = 40.0) -> np.ndarray:
+    def creeping(self, row: int, level: float, *, fast: bool = False) -> np.ndarray:
         """Friction direction of a joint by MuJoCo's soft constraint at its defaults, in [−1, 1] (T,).
 
         With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ,
         until it comes to the `level` of the friction [N m] (MuJoCo, Computation: friction loss): beside little inertia
-        a joint creeps for centiradians a second. Above `band` [Hz] accelerations are left out: they may be noise.
+        a joint creeps for centiradians a second. `fast`: with accelerations above `CREEP_BAND` too.
         """
-        a = self.a[:, row] if np.isinf(band) else self.below(band, self.a[:, row])
-        slide = self.v[:, row] + a / CREEP_RATE
+        a = self.a if fast else self._slow_acceleration
+        slide = self.v[:, row] + a[:, row] / CREEP_RATE
         whole = level * self._mobility[row] * (1.0 - IMPEDANCE) / IMPEDANCE / CREEP_RATE
         return np.clip(slide / max(whole, 1e-9), -1.0, 1.0)
+
+    @functools.cached_property
+    def _slow_acceleration(self) -> np.ndarray:
+        return self.below(CREEP_BAND, self.a)
 
     @functools.cached_property
     def _mobility(self) -> np.ndarray:

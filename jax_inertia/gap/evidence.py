@@ -81,6 +81,7 @@ class Evidence:
     def _take(self, scales: dict[str, float], pinned: frozenset[int]) -> None:
         self.scales, self.pinned = scales, pinned
         self._charging = self._own.charging(self.per_column())
+        self._change = self._charging.T @ self._charging - np.eye(len(self._charging))
         self.y = self.charge(self.raw)[:, 0]
 
     def per_column(self) -> Float[np.ndarray, " k"]:
@@ -129,7 +130,7 @@ class Evidence:
         right: Float[np.ndarray, "s l"],
     ) -> Float[np.ndarray, "k l"]:
         """XᵀMY of columns with this product XᵀY and these coordinates in the tolerances' span."""
-        return product + (self._charging @ left).T @ (self._charging @ right) - left.T @ right
+        return product + left.T @ (self._change @ right)
 
     @property
     def basis(self) -> Float[np.ndarray, "n s"]:

@@ -100,7 +100,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
         if (friction := float(robot.frictionloss[row])) > 0:
             late = [context.bristle(row, x) for x in PRESLIDING[1:]]
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
-            creeping = [context.creeping(row, friction, band) for band in (40.0, np.inf)]
+            creeping = [context.creeping(row, friction, fast=fast) for fast in (False, True)]
             turned = [z - context.side[:, row] for z in (*late, *early, *creeping)]
             turned += _departures(context, row)
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))

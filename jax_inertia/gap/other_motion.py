@@ -104,13 +104,13 @@ class OtherMotion:
         most = float(left @ left)
         price = STOP * max(1.0, most / max(self._floor, 1.0))
         best, least = np.zeros_like(left), most - price
-        if rest(same) < least:
+        if (left_over := rest(same)) < least:
             # What was foretold stands, unless another has to be paid for and is better still.
-            best, least = same, rest(same) - price
+            best, least = same, left_over - price
         if least > self._floor:
             for effect in self._at_other_times(c, left):
-                if rest(effect) < least:
-                    best, least = effect, rest(effect)
+                if (left_over := rest(effect)) < least:
+                    best, least = effect, left_over
         return best
 
     def _at_other_times(

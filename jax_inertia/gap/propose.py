@@ -122,13 +122,16 @@ def others(
 
 def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
     """Variance of one sample of what the best fit leaves, memory included, against the noise's."""
-    noise = max(1.0, (misfit(pool, chosen) - added.gain) / max(floor, 1.0))
-    return noise * _redness(pool, [*chosen, added]) if noise > 1.2 else noise
+    return _noise(pool, [*chosen, added], misfit(pool, chosen) - added.gain, floor)
 
 
 def noise_of(pool: Pool, chosen: list[Candidate], floor: float) -> float:
     """The same of what effects leave that are fitted together."""
-    noise = max(1.0, misfit(pool, chosen) / max(floor, 1.0))
+    return _noise(pool, chosen, misfit(pool, chosen), floor)
+
+
+def _noise(pool: Pool, chosen: list[Candidate], left: float, floor: float) -> float:
+    noise = max(1.0, left / max(floor, 1.0))
     return noise * _redness(pool, chosen) if noise > 1.2 else noise
 
 

@@ -29,15 +29,12 @@ def select(
         if not step or faint(pool, step[0], floor):
             break
         if step[0].score < _toll(chosen, floor):
-            if (
-                not chosen
-                and max_effects > 1
-                and (both := _hidden_by_each_other(pool, step[0], floor))
-            ):
-                chosen = both
-                misfits += [misfit(pool, both[:1]), misfit(pool, both)]
-                continue
-            break
+            both = [] if chosen or max_effects < 2 else _hidden_by_each_other(pool, step[0], floor)
+            if not both:
+                break
+            chosen = both
+            misfits += [misfit(pool, both[:1]), misfit(pool, both)]
+            continue
         trial = settle(pool, [*chosen, step[0]], floor)
         if len(trial) > 1:
             trial = swap(pool, prune(pool, trial, floor), floor)
@@ -57,11 +54,8 @@ def _hidden_by_each_other(pool: Pool, first: Candidate, floor: float) -> list[Ca
         return []
     trial = swap(pool, settle(pool, [*chosen, step[0]], floor), floor)
     noise = noise_of(pool, trial, floor)
-    worth = [
-        material(pool, [x for x in trial if x is not c], trial) / noise
-        - c.price(pool.evidence.rows)
-        for c in trial
-    ]
+    prices = [c.price(pool.evidence.rows) for c in trial]
+    worth = [x / noise - p for x, p in zip(_brought(pool, trial), prices, strict=True)]
     return trial if min(worth) >= STOP else []
 
 
@@ -104,6 +98,12 @@ def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float
     return float(np.sum(np.maximum(before - after - allowed, 0.0)))
 
 
+def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
+    """What each effect brings materially beside the others."""
+    rests = ([x for x in chosen if x is not c] for c in chosen)
+    return [material(pool, rest, chosen) for rest in rests]
+
+
 def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
     """Energy of an effect on each row, in units of the row's noise."""
     return np.mean(effect_torque(pool.context, c) ** 2, axis=0) / pool.evidence.whitener.sigma**2
@@ -143,11 +143,8 @@ def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
     while len(chosen) > 1:
         full = misfit(pool, chosen)
         noise = max(1.0, full / max(floor, 1.0))
-        worth = []
-        for i, c in enumerate(chosen):
-            rest = [x for k, x in enumerate(chosen) if k != i]
-            price = c.size * np.log(pool.evidence.rows)
-            worth.append(material(pool, rest, chosen) / noise - price)
+        prices = [c.size * np.log(pool.evidence.rows) for c in chosen]
+        worth = [x / noise - p for x, p in zip(_brought(pool, chosen), prices, strict=True)]
         weakest = int(np.argmin(worth))
         if worth[weakest] >= STOP:
             break

@@ -30,9 +30,11 @@ def turning(
     context, prepared, used = pool.context, pool.context.prepared, pool.evidence.used
     left = prepared.finish_torque(prepared.missing)
     rubbing: dict[int, list[Candidate]] = {}
+    level = context.frictionloss.copy()
     for c in chosen:
         if isinstance(c.family, DryFriction):
             rubbing.setdefault(c.place.index, []).append(c)
+            level[c.place.index] += c.family.level(c.theta)
         else:
             left = left - prepared.finish_torque(effect_torque(context, c))
     reaches = np.zeros(context.robot.nv)
@@ -41,8 +43,7 @@ def turning(
         found = rubbing.get(row, [])
         if own <= 0 and not found:
             continue
-        level = max(own + sum(_level(c) for c in found), 1e-9)
-        ways = (*REACHES, -level)
+        ways = (*REACHES, -max(float(level[row]), 1e-9))
         tried = []
         for reach in ways:
             z = turned_round(context, row, reach)
@@ -53,11 +54,6 @@ def turning(
         best = int(np.argmin([np.sum(x[used[:, row]] ** 2) for x in tried]))
         reaches[row], left[:, row] = ways[best] if ways[best] >= 0 else CREEPS, tried[best]
     return reaches, left
-
-
-def _level(c: Candidate) -> float:
-    """Of a found friction, about [N m]: each way's mean, or the constant part."""
-    return float(np.mean(c.theta)) if c.family.name == "asymmetric_coulomb" else float(c.theta[0])
 
 
 def _torque(pool: Pool, c: Candidate, reach: float) -> Float[np.ndarray, " T"]:

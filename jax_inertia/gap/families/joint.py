@@ -46,6 +46,10 @@ class DryFriction(Joint):
         """z in [−1, 1] that multiplies the level (T,)."""
         return turned_round(context, place.index, float(shape[-1]))
 
+    def level(self, theta: np.ndarray) -> float:
+        """How large it is, about [N m]."""
+        return float(theta[0])
+
 
 class LevelFriction(DryFriction):
     """Dry friction of one level each way, which may creep as MuJoCo's does."""
@@ -54,15 +58,15 @@ class LevelFriction(DryFriction):
         return ((*(-x * float(context.peak[place.index]) for x in CREEPING), *PRESLIDING),)
 
     def around(self, context, place, shape):
-        (low, high), kinds = super().around(context, place, shape)[0], shape[-1] < 0
-        return [(low, min(high, 0.0)) if kinds else (max(low, 0.0), high)]
+        [(low, high)] = super().around(context, place, shape)
+        return [(low, min(high, 0.0)) if shape[-1] < 0 else (max(low, 0.0), high)]
 
-    def creeps_alike(self, context: Context, place: Place, shape, friction: float) -> bool:
+    def creeps_alike(self, context: Context, place: Place, shape, theta: np.ndarray) -> bool:
         """Whether the level that it creeps by is that of the friction found; beside the model's own it does not."""
         if shape[-1] >= 0:
             return True
-        alone = context.frictionloss[place.index] == 0.0
-        return bool(alone and friction / ITS_OWN < -shape[-1] < friction * ITS_OWN)
+        alone, level = context.frictionloss[place.index] == 0.0, self.level(theta)
+        return bool(alone and level / ITS_OWN < -shape[-1] < level * ITS_OWN)
 
 
 class ViscousFriction(Joint):
@@ -87,7 +91,7 @@ class CoulombFriction(LevelFriction):
 
     def physical(self, context, place, shape, theta):
         own = context.frictionloss[place.index]
-        return theta[0] + own >= -1e-9 and self.creeps_alike(context, place, shape, theta[0])
+        return theta[0] + own >= -1e-9 and self.creeps_alike(context, place, shape, theta)
 
     def parameters(self, context, place, shape, theta):
         return {"coulomb": Parameter(theta[0], "N m")}
@@ -104,8 +108,11 @@ class AsymmetricCoulomb(LevelFriction):
         return Columns(-np.stack([np.maximum(s, 0), np.minimum(s, 0)], 1), place.index)
 
     def physical(self, context, place, shape, theta):
-        own, middle = context.frictionloss[place.index], float(np.mean(theta))
-        return min(theta) + own >= -1e-9 and self.creeps_alike(context, place, shape, middle)
+        own = context.frictionloss[place.index]
+        return min(theta) + own >= -1e-9 and self.creeps_alike(context, place, shape, theta)
+
+    def level(self, theta):
+        return float(np.mean(theta))
 
     def parameters(self, context, place, shape, theta):
         return {
