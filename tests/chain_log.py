@@ -52,12 +52,14 @@ def simulate(
     braking=0.1,
     creep=np.inf,
     soft=0.0,
+    encoder=QPOS,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
     `motors`: torque noise that the log does not show, of a log that states none; `gain` of all motors; `reach` of the
     friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
-    bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint.
+    bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint;
+    `encoder`: noise of the positions logged [rad].
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
@@ -79,7 +81,7 @@ def simulate(
             u = GAINS * (target - data.qpos) + braking * GAINS * (speed - data.qvel)
             u += data.qfrc_bias
             time.append(data.time)
-            qpos.append(data.qpos + QPOS * rng.standard_normal(JOINTS))
+            qpos.append(data.qpos + encoder * rng.standard_normal(JOINTS))
             if motors is None:
                 tau.append(u + TAU * rng.standard_normal(JOINTS))
             else:
@@ -96,6 +98,6 @@ def simulate(
         qpos=np.array(qpos),
         tau=np.array(tau),
         tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(JOINTS, QPOS) if motors is None else None,
+        sigma_qpos=np.full(JOINTS, encoder) if motors is None else None,
         sigma_tau=TAU if motors is None else None,
     )

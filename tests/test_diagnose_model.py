@@ -11,7 +11,8 @@ from mujoco import mjx
 
 import jax_inertia as ji
 from jax_inertia.gap.callbacks import HANDLED, Callback, callback, law, mjx_callback
-from jax_inertia.gap.correct import DEFLECTION, corrected
+from jax_inertia.gap.correct import corrected
+from jax_inertia.gap.edits import DEFLECTION
 from jax_inertia.gap.effect import Effect, effects_in
 
 ARM = """
@@ -313,7 +314,7 @@ def test_mjx_does_what_c_does():
 
 
 def test_every_family_of_the_contract_has_a_way_into_a_simulation():
-    from jax_inertia.gap.correct import _EDITS
+    from jax_inertia.gap.edits import EDITS
 
     contract = [
         "viscous_friction",
@@ -342,9 +343,9 @@ def test_every_family_of_the_contract_has_a_way_into_a_simulation():
         "push",
         "drag",
     ]
-    assert set(contract) - set(_EDITS) - HANDLED == set()
+    assert set(contract) - set(EDITS) - HANDLED == set()
     # What a contact sensor reads is no matter of the model.
-    assert "contact_force_scale" not in set(_EDITS) | HANDLED
+    assert "contact_force_scale" not in set(EDITS) | HANDLED
 
 
 def test_a_report_gives_its_effects_back():

@@ -12,6 +12,7 @@ from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.block import Beside, Block, Plain
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
+from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Columns
@@ -319,6 +320,21 @@ def test_at_rest_is_slow_for_long():
     rest = at_rest(v, 250.0)
     assert rest[110:190, 0].all()
     assert not rest[:, 1:].any()
+
+
+def test_a_joint_that_creeps_by_its_own_friction_is_at_rest():
+    """Held by half its friction in MuJoCo C it creeps at half the speed that `softness` tells."""
+    friction = np.full(JOINTS, 1.0)
+    model = mujoco.MjModel.from_xml_string(chain_xml(friction))
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        data.qfrc_applied[:] = data.qfrc_bias + 0.5 * friction
+        mujoco.mj_step(model, data)
+    creeping = friction * softness(load_model(model))
+    np.testing.assert_allclose(data.qvel, 0.5 * creeping, rtol=0.1)
+    v = np.tile(data.qvel, (200, 1))
+    assert not at_rest(v, 250.0)[:, -1].any()
+    assert at_rest(v, 250.0, creeping)[10:-10].all()
 
 
 def test_repeated_and_struck_samples_are_replaced_and_the_rest_is_left():

@@ -22,6 +22,7 @@ from scipy import ndimage, signal
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.gap.chunks import over_samples
+from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.log import Log, TorqueKind
@@ -131,7 +132,8 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
     slow = below(settings.after, v, rate)
-    rest = at_rest(slow, rate) & robot.topology.dof_scalar
+    creeping = np.asarray(robot.frictionloss) * softness(robot)
+    rest = at_rest(slow, rate, creeping) & robot.topology.dof_scalar
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)

@@ -11,17 +11,16 @@ from scipy import signal
 from jax_inertia import dynamics
 from jax_inertia.gap.chain import Prepared, below, needed_torque, without_friction
 from jax_inertia.gap.chunks import over_samples
+from jax_inertia.gap.creep import DAMPING, softness
 from jax_inertia.gap.dry import direction
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
-from jax_inertia.robot import BALL, FREE, HINGE, SLIDE
+from jax_inertia.robot import HINGE, SLIDE
 
 Coupling = tuple[float, float, float]
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
 
-# MuJoCo's defaults for friction loss: impedance of a constraint not violated, and the damping 2/(0.95 · 0.02 s).
-IMPEDANCE, CREEP_RATE = 0.9, 2.0 / (0.95 * 0.02)
 # Above this [Hz] accelerations may be the encoders' noise more than what a joint creeps by.
 CREEP_BAND = 40.0
 
@@ -53,6 +52,7 @@ class Context:
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
         self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
         self._bristles: dict[tuple[int, float], np.ndarray] = {}
+        self._slides: dict[float, np.ndarray] = {}
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
@@ -187,35 +187,24 @@ class Context:
             )
         return self._bristles[row, reach]
 
-    def creeping(self, row: int, level: float, *, fast: bool = False) -> np.ndarray:
-        """Friction direction of a joint by MuJoCo's soft constraint at its defaults, in [−1, 1] (T,).
+    def creeping(self, row: int, level: float, band: float = CREEP_BAND) -> np.ndarray:
+        """Friction direction of a joint that creeps by a `level` of friction [N m], in [−1, 1] (T,), see `creep`.
 
-        With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ,
-        until it comes to the `level` of the friction [N m] (MuJoCo, Computation: friction loss): beside little inertia
-        a joint creeps for centiradians a second. `fast`: with accelerations above `CREEP_BAND` too.
+        `band`: up to which frequency [Hz] the logged motion is believed.
         """
-        a = self.a if fast else self._slow_acceleration
-        slide = self.v[:, row] + a[:, row] / CREEP_RATE
-        whole = level * self._mobility[row] * (1.0 - IMPEDANCE) / IMPEDANCE / CREEP_RATE
-        return np.clip(slide / max(whole, 1e-9), -1.0, 1.0)
+        whole = max(level * self._softness[row], 1e-9)
+        return np.clip(self._sliding(band)[:, row] / whole, -1.0, 1.0)
+
+    def _sliding(self, band: float) -> np.ndarray:
+        """q̇ + q̈/b of the soft constraint, below a frequency [Hz] (T, nv)."""
+        if band not in self._slides:
+            slide = self.v + self.a / DAMPING
+            self._slides[band] = slide if band == np.inf else self.below(band, slide)
+        return self._slides[band]
 
     @functools.cached_property
-    def _slow_acceleration(self) -> np.ndarray:
-        return self.below(CREEP_BAND, self.a)
-
-    @functools.cached_property
-    def _mobility(self) -> np.ndarray:
-        """[M⁻¹]ⱼⱼ of each row with every joint at its reference, as MuJoCo takes it whatever the motion."""
-        q = np.zeros(self.q.shape[1])
-        nodes = self.robot.topology
-        for kind, at, reference in zip(
-            nodes.kind, nodes.qpos_adr, np.asarray(self.robot.joint_reference), strict=True
-        ):
-            if kind in (HINGE, SLIDE):
-                q[at] = reference
-            elif kind in (FREE, BALL):
-                q[at + 3 * (kind == FREE)] = 1.0
-        return np.diagonal(np.linalg.inv(dynamics.mass_matrix(self.robot, jnp.asarray(q))))
+    def _softness(self) -> np.ndarray:
+        return softness(self.robot)
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
         """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""

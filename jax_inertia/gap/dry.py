@@ -12,6 +12,9 @@ from scipy import signal
 SIGN_VELOCITY = 0.003
 # Slower than this [rad/s] for longer than this [s] is standing still.
 STILL, DWELL = 0.012, 0.04
+# A joint whose model creeps by its own friction stands still where it is no faster than this many times that speed; but
+# not where it is faster than this [rad/s]: beside a link that weighs nothing a model creeps for radians a second.
+CREEPING, FASTEST = 1.3, 0.06
 
 
 def sign(v: Float[np.ndarray, "T *n"]) -> Float[np.ndarray, "T *n"]:
@@ -19,9 +22,11 @@ def sign(v: Float[np.ndarray, "T *n"]) -> Float[np.ndarray, "T *n"]:
     return np.tanh(v / SIGN_VELOCITY)
 
 
-def at_rest(v: Float[np.ndarray, "T n"], rate: float) -> Bool[np.ndarray, "T n"]:
-    """Where a joint stands still, in velocities at `rate` [Hz]."""
-    still = np.abs(v) < STILL
+def at_rest(
+    v: Float[np.ndarray, "T n"], rate: float, creeping: Float[np.ndarray, " n"] | float = 0.0
+) -> Bool[np.ndarray, "T n"]:
+    """Where a joint stands still, in velocities at `rate` [Hz]; `creeping`: how fast its friction lets it creep."""
+    still = np.abs(v) < np.clip(CREEPING * np.asarray(creeping), STILL, FASTEST)
     width = max(1, round(DWELL * rate))
     # Erode, then dilate: stretches shorter than the width disappear.
     kernel = np.ones((width, 1))

@@ -100,7 +100,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
         if (friction := float(robot.frictionloss[row])) > 0:
             late = [context.bristle(row, x) for x in PRESLIDING[1:]]
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
-            creeping = [context.creeping(row, friction, fast=fast) for fast in (False, True)]
+            creeping = [context.creeping(row, friction, band) for band in CREEP_BANDS]
             turned = [z - context.side[:, row] for z in (*late, *early, *creeping)]
             turned += _departures(context, row)
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
@@ -112,6 +112,8 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     return Nuisances(fixed, tolerances, named)
 
 
+# Up to which frequency a joint that creeps shows by its motion how [Hz]: above, that may be the encoders' noise.
+CREEP_BANDS = (np.inf, 40.0, 20.0, 10.0)
 # Over what displacements bristles straighten, or bend, when a joint sets off [rad].
 STRAIGHTENS = (3e-4, 1.5e-3)
 

@@ -117,7 +117,9 @@ def others(
 ) -> list[Candidate]:
     """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
     own = {c.key for c in chosen}
-    return [c for c in pool.best(Beside.of(pool.evidence, columns, target)) if c.key not in own]
+    laws = {(c.family.law_of, c.place) for c in chosen if c.family.law_of}
+    every = pool.best(Beside.of(pool.evidence, columns, target))
+    return [c for c in every if c.key not in own and (c.family.law_of, c.place) not in laws]
 
 
 def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:

@@ -78,7 +78,7 @@ class EncoderScale(Encoder):
         return context.joint_position[:, place.index]
 
     def physical(self, context, place, shape, theta):
-        return abs(theta[0]) < 0.1
+        return abs(theta[0]) < 0.05
 
     def parameters(self, context, place, shape, theta):
         return {"scale": Parameter(theta[0] / (1 - theta[0]), "1")}

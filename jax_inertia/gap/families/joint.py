@@ -41,6 +41,7 @@ class DryFriction(Joint):
 
     free_shape = 0
     form_error = 0.1
+    law_of = "dry friction"
 
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""

@@ -1,0 +1,302 @@
+"""What each effect changes in a MuJoCo spec: (spec, compiled spec, effect) → (whether attributes say it all, a remark).
+
+A constant torque b is a spring of stiffness ε wound to b/ε. A coupling between motor and link is a second hinge.
+"""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia.gap.effect import Effect
+from jax_inertia.mjcf import body_pi, set_inertials
+
+SOFT = 1e-6
+"""Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
+DEFLECTION = "_deflection"
+"""Added to a joint's name for the hinge between motor and link."""
+DAMPING_RATIO = 0.06
+"""Of a coupling between motor and link, of the link alone: a log says little of it."""
+
+
+def _joint(spec: MjSpec, effect: Effect):
+    joint = spec.joint(effect.name)
+    if joint is None:
+        names = ", ".join(j.name for j in spec.joints)
+        raise ValueError(f"the model has no joint {effect.name!r}; it has: {names}")
+    return joint
+
+
+def _angle(spec: MjSpec, joint, value: float) -> float:
+    """Radians in the spec's own unit of angle."""
+    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    return float(np.rad2deg(value)) if spec.compiler.degree and hinge else value
+
+
+def _radians(spec: MjSpec, joint, value: float) -> float:
+    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    return float(np.deg2rad(value)) if spec.compiler.degree and hinge else value
+
+
+def _set_first(vector, value: float) -> np.ndarray:
+    """A polynomial's linear coefficient set, its others kept."""
+    out = np.array(vector, float)
+    out[0] = value
+    return out
+
+
+def _damping(spec, model, effect: Effect) -> tuple[bool, str]:
+    joint = _joint(spec, effect)
+    joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values["damping"])
+    return True, ""
+
+
+def _drift(spec, model, effect: Effect) -> tuple[bool, str]:
+    joint = _joint(spec, effect)
+    joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values["damping_final"])
+    return False, ""
+
+
+def _coulomb(spec, model, effect: Effect) -> tuple[bool, str]:
+    joint = _joint(spec, effect)
+    joint.frictionloss = max(joint.frictionloss + effect.values["coulomb"], 0.0)
+    return True, ""
+
+
+def _dry_law(spec, model, effect: Effect) -> tuple[bool, str]:
+    """The constant part; the callback writes `dof_frictionloss` at each step."""
+    _coulomb(spec, model, effect)
+    return False, ""
+
+
+def _asymmetric(spec, model, effect: Effect) -> tuple[bool, str]:
+    """F⁺ and F⁻ are their mean as friction, and half their difference as a constant torque."""
+    plus, minus = effect.values["positive"], effect.values["negative"]
+    joint = _joint(spec, effect)
+    joint.frictionloss = max(joint.frictionloss + 0.5 * (plus + minus), 0.0)
+    _wind(spec, joint, 0.0, 0.0, -0.5 * (plus - minus))
+    return True, ""
+
+
+def _armature(spec, model, effect: Effect) -> tuple[bool, str]:
+    joint = _joint(spec, effect)
+    joint.armature = max(joint.armature + effect.values["armature"], 0.0)
+    return True, ""
+
+
+def _spring(spec, model, effect: Effect) -> tuple[bool, str]:
+    values = effect.values
+    _wind(spec, _joint(spec, effect), values["stiffness"], values["rest_angle"], 0.0)
+    return True, ""
+
+
+def _bias(spec, model, effect: Effect) -> tuple[bool, str]:
+    _wind(spec, _joint(spec, effect), 0.0, 0.0, effect.values["bias"])
+    return True, ""
+
+
+def _wind(spec, joint, stiffness: float, rest: float, torque: float) -> None:
+    """Add −k (q − rest) + torque to a joint's spring."""
+    own = float(joint.stiffness[0])
+    total = own + stiffness
+    moment = own * _radians(spec, joint, joint.springref) + stiffness * rest + torque
+    if abs(total) < SOFT:
+        total = SOFT
+    joint.stiffness = _set_first(joint.stiffness, total)
+    joint.springref = _angle(spec, joint, moment / total)
+
+
+def _encoder_offset(spec, model, effect: Effect) -> tuple[bool, str]:
+    """q_logged = q + o: the position that the model calls its reference moves by o, and so do spring and range."""
+    joint = _joint(spec, effect)
+    offset = _angle(spec, joint, effect.values["offset"])
+    joint.ref += offset
+    joint.springref += offset
+    joint.range = np.asarray(joint.range) + offset
+    return True, ""
+
+
+def _encoder_scale(spec, model, effect: Effect) -> tuple[bool, str]:
+    return False, (
+        f"joint {effect.name!r}: positions of corrected.xml are the real ones, "
+        f"q = q_logged / {1 + effect.values['scale']:.6g}"
+    )
+
+
+def _tilt(spec, model, effect: Effect) -> tuple[bool, str]:
+    turn = np.array([effect.values["tilt_x"], effect.values["tilt_y"], 0.0])
+    angle = float(np.linalg.norm(turn))
+    if angle > 0:
+        quat, gravity = np.zeros(4), np.zeros(3)
+        mujoco.mju_axisAngle2Quat(quat, turn / angle, angle)
+        mujoco.mju_rotVecQuat(gravity, np.asarray(spec.option.gravity), quat)
+        spec.option.gravity = gravity
+    return True, ""
+
+
+def _inertial(change: Callable[[np.ndarray, Effect], np.ndarray]):
+    def edit(spec, model, effect: Effect) -> tuple[bool, str]:
+        names = [body.name for body in spec.bodies]
+        if effect.name not in names:
+            raise ValueError(f"the model has no body {effect.name!r}; it has: {', '.join(names)}")
+        pi = body_pi(model, model.body(effect.name).id)
+        set_inertials(spec, {effect.name: change(pi, effect)})
+        return True, ""
+
+    return edit
+
+
+def _about_origin(m: float, c: np.ndarray, central: np.ndarray) -> np.ndarray:
+    """π from mass, centre and the six moments about it."""
+    shift = m * (c @ c * np.eye(3) - np.outer(c, c))
+    return np.concatenate([[m], m * c, central + shift[np.triu_indices(3)]])
+
+
+def _parts(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and the six moments about it."""
+    m = float(pi[0])
+    c = pi[1:4] / max(m, 1e-12)
+    return m, c, pi[4:] - _about_origin(m, c, np.zeros(6))[4:]
+
+
+def _payload(pi: np.ndarray, effect: Effect) -> np.ndarray:
+    c = np.array([effect.values[f"com_{k}"] for k in "xyz"])
+    m = effect.values["mass"]
+    # MuJoCo has no body without rotational inertia; a point on a massless one gets that of a 2 mm ball.
+    own = np.zeros(6) if pi[0] > 0 else 1e-6 * m * np.array([1.0, 0, 0, 1.0, 0, 1.0])
+    return pi + _about_origin(m, c, own)
+
+
+def _com_shift(pi: np.ndarray, effect: Effect) -> np.ndarray:
+    m, c, central = _parts(pi)
+    return _about_origin(m, c + [effect.values[f"com_shift_{k}"] for k in "xyz"], central)
+
+
+def _link_inertia(pi: np.ndarray, effect: Effect) -> np.ndarray:
+    m, c, central = _parts(pi)
+    return _about_origin(m, c, effect.values["inertia_scale"] * central)
+
+
+def _gain(spec, model, effect: Effect) -> tuple[bool, str]:
+    for actuator in _actuators(spec, effect):
+        gain = effect.values["gain"]
+        actuator.gainprm = np.asarray(actuator.gainprm) * gain
+        actuator.biasprm = np.asarray(actuator.biasprm) * gain
+        actuator.forcerange = np.asarray(actuator.forcerange) * gain
+    return False, ""
+
+
+def _saturation(spec, model, effect: Effect) -> tuple[bool, str]:
+    joint = _joint(spec, effect)
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.actfrcrange = np.array([-1.0, 1.0]) * effect.values["limit"]
+    return False, ""
+
+
+def _delay(spec, model, effect: Effect) -> tuple[bool, str]:
+    delay = effect.values["delay"]
+    for actuator in _actuators(spec, effect):
+        actuator.delay = delay
+        actuator.nsample = max(2, int(np.ceil(delay / model.opt.timestep)) + 1)
+    return False, ""
+
+
+def _actuators(spec: MjSpec, effect: Effect) -> list:
+    """Actuators on the effect's joint, or on every joint."""
+    on_joint = [a for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    return [a for a in on_joint if effect.kind == "global" or a.target == effect.name]
+
+
+def _elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
+    stiffness = effect.values["stiffness"]
+    hinge, link = _between(spec, model, effect)
+    if hinge is None:
+        return False, _CROWDED.format(effect.name)
+    hinge.stiffness = _set_first(hinge.stiffness, stiffness)
+    hinge.damping = _set_first(hinge.damping, 2 * DAMPING_RATIO * np.sqrt(stiffness * link))
+    return True, _TWO.format(effect.name)
+
+
+def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
+    """The dead zone as a range whose limit is a spring.
+
+    With a direct `solref` and an impedance d → 0, MuJoCo's limit is a₁ = a₀ − K' r − B' ṙ, a spring of K' over the
+    inverse inertia A that the limit meets (Computation, *Constraint model*).
+    """
+    stiffness, half = effect.values["stiffness"], 0.5 * effect.values["dead_zone"]
+    hinge, link = _between(spec, model, effect)
+    if hinge is None:
+        return False, _CROWDED.format(effect.name)
+    whole = spec.compile()
+    inverse = whole.dof_invweight0[whole.joint(hinge.name).dofadr[0]]
+    hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    hinge.range = np.array([-1.0, 1.0]) * _angle(spec, hinge, half)
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
+    hinge.solref_limit = [-stiffness * inverse, -damping * inverse]
+    hinge.solimp_limit = [1e-4, 1e-4, 1e-3, 0.5, 2]
+    return True, _TWO.format(effect.name)
+
+
+_TWO = (
+    "joint {0!r} is its motor's side, where the encoder is; {0}"
+    + DEFLECTION
+    + " is between motor and link, at zero "
+    "where nothing is transmitted"
+)
+_CROWDED = (
+    "joint {0!r} is followed by another on the same body: its coupling is not in corrected.xml"
+)
+
+
+def _between(spec: MjSpec, model: MjModel, effect: Effect):
+    """A second hinge in line with the joint, and the link's inertia about it; (None, 0) where there is no room."""
+    joint = _joint(spec, effect)
+    body = joint.parent
+    if body.joints[-1].name != joint.name:
+        return None, 0.0
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    dof = model.joint(effect.name).dofadr[0]
+    data.qvel[:], data.qacc[:] = 0.0, 0.0
+    still, moved = np.zeros(model.nv), np.zeros(model.nv)
+    mujoco.mj_rne(model, data, 1, still)
+    data.qacc[dof] = 1.0
+    mujoco.mj_rne(model, data, 1, moved)
+    # mj_rne knows no armature: this is the link alone.
+    link = max(float(moved[dof] - still[dof]), 1e-6)
+    if joint.armature <= 0:
+        # A motor without inertia behind a spring has no equation of motion.
+        joint.armature = 0.05 * link
+    hinge = body.add_joint(
+        name=f"{effect.name}{DEFLECTION}", type=joint.type, axis=joint.axis, pos=joint.pos
+    )
+    # What its default class may give to other joints.
+    hinge.armature, hinge.frictionloss, hinge.ref, hinge.springref = 0.0, 0.0, 0.0, 0.0
+    hinge.damping, hinge.stiffness = np.zeros(3), np.zeros(3)
+    hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    return hinge, link
+
+
+EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {
+    "viscous_friction": _damping,
+    "friction_drift": _drift,
+    "coulomb_friction": _coulomb,
+    "stribeck_friction": _dry_law,
+    "load_friction": _dry_law,
+    "asymmetric_coulomb": _asymmetric,
+    "armature": _armature,
+    "joint_spring": _spring,
+    "torque_bias": _bias,
+    "torque_gain": _gain,
+    "torque_saturation": _saturation,
+    "time_delay": _delay,
+    "encoder_offset": _encoder_offset,
+    "encoder_scale": _encoder_scale,
+    "gravity_tilt": _tilt,
+    "payload": _inertial(_payload),
+    "com_shift": _inertial(_com_shift),
+    "link_inertia": _inertial(_link_inertia),
+    "joint_elasticity": _elasticity,
+    "backlash": _backlash,
+}
