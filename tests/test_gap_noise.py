@@ -27,7 +27,7 @@ from jax_inertia.gap.noise import (
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
-from jax_inertia.gap.strain import Strained, strained
+from jax_inertia.gap.strain import Left, Strained, strained
 from jax_inertia.gap.verdict import with_strain
 from jax_inertia.log import Log, TorqueKind
 
@@ -80,9 +80,9 @@ def learned(robot, log):
 
 def test_a_number_of_the_model_beyond_its_tolerance_is_named(robot):
     _, right = learned(robot, simulate())
-    assert not strained(right, right.y)
+    assert not strained(Left(right, right.y))
     _, off = learned(robot, simulate(DAMPING * np.array([1.0, 1.0, 1.3, 1.0, 1.0])))
-    first, *_ = strained(off, off.y)
+    first, *_ = strained(Left(off, off.y))
     assert first.name == "damping of axis3"
     assert abs(first.off - 0.3 / Tolerance().damping) < 4.0 * first.error
     assert first.error < 0.5

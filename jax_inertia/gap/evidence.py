@@ -39,11 +39,12 @@ class Evidence:
         whitener: Whitener,
         nuisances: Nuisances,
         scales: dict[str, float] | None = None,
+        used: Bool[np.ndarray, "R nv"] | None = None,
     ):
         self.prepared = prepared
         self.whitener = whitener
         self._nuisances = nuisances
-        self.used = used(prepared)
+        self.used = moving(prepared) if used is None else used
         self._whitening = whitener.over(self.used)
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
         self._fixed = Span(self._side_by_side(nuisances.fixed))
@@ -259,11 +260,11 @@ def _batches(items: Iterable[T]) -> Iterator[list[T]]:
 CARRIED = 2
 
 
-def used(prepared: Prepared) -> Bool[np.ndarray, "R nv"]:
+def moving(prepared: Prepared) -> Bool[np.ndarray, "R nv"]:
     """Samples that count, (R, nv): measured, of a joint that moves, and so are those that the autoregression leans on.
 
     Friction at rest is whatever balances, so a joint that stands tells nothing.
     """
     rest = prepared.rest[prepared.kept] * 1.0
-    moving = ndimage.maximum_filter1d(rest, 2 * CARRIED + 1, axis=0) == 0
-    return with_all_before(prepared.valid & moving)
+    far = ndimage.maximum_filter1d(rest, 2 * CARRIED + 1, axis=0) == 0
+    return with_all_before(prepared.valid & far)

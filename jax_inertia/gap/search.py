@@ -6,6 +6,7 @@ compete against the errors that are really there, and neither is bent to fit the
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, crowded, inconstant
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, entangled
-from jax_inertia.gap.evidence import Evidence, used
+from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import hidden_noise, with_motors
 from jax_inertia.gap.noise import Whitener, at_random, motion_band, stated, whitener
@@ -22,7 +23,7 @@ from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import row_energy, select
-from jax_inertia.gap.strain import Strained, Strangeness, strained, strangeness
+from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.suited import bent_by, suited
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
@@ -128,8 +129,13 @@ class Finder:
         known = stated(self.log) or (
             misfits[-1] < LOUDER * floor and self._at_random(pool.evidence, left)
         )
-        strains = [s for s in strained(pool.evidence, left, alone) if s.name not in bent_by(chosen)]
-        own = strained(pool.evidence, pool.evidence.y) if chosen else strains
+        strains = [
+            s
+            for s in strained(Left(pool.evidence, left), alone, self._noisier(pool, chosen))
+            if s.name not in bent_by(chosen)
+        ]
+        bare_left = Left(pool.evidence, pool.evidence.y)
+        own = strained(bare_left, (), self._noisier(pool, [])) if chosen else strains
         bare = strangeness(pool.evidence, self.replicas, floor, known, own)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
@@ -151,6 +157,22 @@ class Finder:
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.motors,
             against, verdict, rival, changing, in_doubt, bare, strains,
         )  # fmt: skip
+
+    def _noisier(self, pool: Pool, chosen: list[Candidate]) -> Callable[[], Left] | None:
+        """What effects leave of the log with its noise added again, where columns are as noisy as what is missing."""
+        if not self.context.robot.has_free_base:
+            return None
+
+        def left() -> Left:
+            own = pool.evidence
+            context = pool.echo.context
+            columns = nuisances(context, self.tolerance, self.log)
+            evidence = Evidence(self.again, own.whitener, columns, own.scales, own.used)
+            evidence = evidence.pinning(own.pinned)
+            torque = self.again.missing - sum(effect_torque(context, c) for c in chosen)
+            return Left(evidence, evidence.charged(self.again.finish_torque(torque)))
+
+        return left
 
     def _at_random(self, evidence: Evidence, left: np.ndarray) -> bool:
         """Whether what effects leave looks like noise."""
@@ -196,7 +218,7 @@ def finder(
     max_effects: int,
 ) -> Finder:
     """Prepare a search. Raises ValueError for a log in which nothing moves."""
-    if (count := int(used(prepared).sum())) < LEAST:
+    if (count := int(moving(prepared).sum())) < LEAST:
         raise ValueError(
             f"{count} samples are of joints that move, at least {LEAST} are needed: friction at rest is whatever "
             "balances, so a robot that stands still tells nothing"
