@@ -37,8 +37,10 @@ def check_structure(fields: Mapping) -> None:
     name, times = Counter(names).most_common(1)[0]
     if times > 1:
         raise LogError(f"joint_names holds {name!r} {times} times; each joint has one column")
-    if (fields.get("contact_wrench") is None) != (not bodies):
-        raise LogError("contact_wrench and contact_bodies come together; one is missing or empty")
+    if fields.get("contact_wrench") is not None and not bodies:
+        raise LogError(
+            "contact_wrench comes without contact_bodies; name the body of each of its C"
+        )
     sizes = {"T": np.shape(fields["time"])[:1], "n": (len(names),), "C": (len(bodies),)}
     for name, spec in SHAPES.items():
         if (value := fields.get(name)) is None:

@@ -40,9 +40,10 @@ class Log(eqx.Module):
     """One log of T samples and n joints, every joint column in the order of `joint_names`.
 
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
-    moment about the frame origin of the body named in `contact_bodies`. `sigma_*` are standard
-    deviations of one sample. Raises `LogError` where shapes or names do not fit together; values
-    are not looked at, so that it may be traced.
+    moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
+    touch something, and nobody measured how. `sigma_*` are standard deviations of one sample.
+    Raises `LogError` where shapes or names do not fit together; values are not looked at, so that
+    it may be traced.
 
     >>> import numpy as np
     >>> from jax_inertia import Log

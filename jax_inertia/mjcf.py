@@ -15,6 +15,7 @@ import numpy as np
 from jax_inertia._model_text import ModelError
 from jax_inertia._mujoco_types import MjModel
 from jax_inertia._spec import compile_spec, load_spec, model_path, set_inertials
+from jax_inertia._surface import surface_of
 from jax_inertia._urdf import is_urdf, write_urdf
 from jax_inertia._urdf_repair import ModelWarning
 from jax_inertia.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
@@ -166,6 +167,7 @@ def _to_robot(model: MjModel) -> Robot:
         joint_dofadr=tuple(int(i) for i in model.jnt_dofadr),
         nq=model.nq,
         nv=model.nv,
+        surface=surface_of(model, bodies),
         **{name: jnp.asarray(value) for name, value in stacked.items()},
     )
 

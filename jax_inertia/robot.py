@@ -127,6 +127,17 @@ class Topology:
         return tuple(rounds)
 
 
+class Surface(eqx.Module):
+    """Balls that reach as far as the colliding geoms of a robot's bodies, in body frames."""
+
+    body: tuple[int, ...] = eqx.field(static=True)
+    """Whose each ball is (index among the robot's bodies)."""
+    point: Float[Array, "p 3"]
+    """m."""
+    radius: Float[Array, " p"]
+    """m."""
+
+
 class Robot(eqx.Module):
     """A rigid-body model in JAX arrays: bodies in MuJoCo's order, without the world and what is fixed to it.
 
@@ -164,6 +175,7 @@ class Robot(eqx.Module):
     stiffness: Float[Array, " nv"]
     spring_reference: Float[Array, " nv"]
     gravity: Float[Array, "3"]
+    surface: Surface
 
     @property
     def nb(self) -> int:

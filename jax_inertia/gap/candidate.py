@@ -152,7 +152,10 @@ def fit(
     # noise explains of the noise in y. Whatever that noise excuses, an effect has to bring something.
     gain = float(2 * w @ plain - w @ raw @ w)
     if block.noise is not None:
-        by_noise = float(2 * w @ block.noise_cross - w @ block.noise_gram @ w)
+        # An echo's noise is not among the nuisances, the log's own is (a torque's slope): of the columns it is no more
+        # than all there is.
+        own = min(w @ block.noise_gram @ w, w @ raw @ w)
+        by_noise = float(2 * w @ block.noise_cross - own)
         gain = min(gain, gain - NOISE_ERROR * by_noise)
     if min(aim, gain) <= 0 or not family.physical(context, place, block.shape, theta):
         return None

@@ -25,6 +25,7 @@ from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
+from jax_inertia.gap.support import BASE, Support, supported
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import Motion, generalised
 from jax_inertia.robot import Robot
@@ -62,6 +63,8 @@ class Prepared(eqx.Module):
     """1 where a row stands on measurements, 0 where it leans on what was bridged."""
     settings: Settings = eqx.field(static=True)
     rate: float = eqx.field(static=True)
+    support: Support | None = None
+    """Forces of the ground that are not measured."""
 
     @property
     def time(self) -> Float[np.ndarray, "T"]:
@@ -78,15 +81,25 @@ class Prepared(eqx.Module):
 
     def finish_torque(
         self, x: Float[np.ndarray, "T *c"], row: int | None = None
-    ) -> Float[np.ndarray, "R *c"]:
+    ) -> Float[np.ndarray, "R *d"]:
         """`finish` of torques on all rows (T, nv, ...), or of one row (T, ...): what was not measured weighs nothing.
 
-        Missing torque and effects lose the same moments before the same filter, so a gap in the log leaks into neither.
+        Missing torque and effects lose the same moments before the same filter, so a gap in the log leaks into neither;
+        and what forces of the ground that are not measured might explain. A row that those reach comes back on all.
         """
+        if self.support is not None and (row is None or self.spreads(row)):
+            if row is not None:
+                x, alone = np.zeros((len(x), self.robot.nv, *x.shape[1:])), x
+                x[:, row] = alone
+            x, row = np.einsum("tij,tj...->ti...", self.support.seen, x), None
         if self.measured.all():
             return self.finish(x)
         weight = self.measured if row is None else self.measured[:, row]
         return self.finish(x * weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)))
+
+    def spreads(self, row: int) -> bool:
+        """Whether a torque on a row is seen on others: of a leg that stands on forces that are not measured."""
+        return self.support is not None and bool(row < BASE or self.support.used_up[row])
 
     @property
     def kept(self) -> np.ndarray:
@@ -137,13 +150,34 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)
+    support = None
+    if robot.has_free_base and data.contact_wrench is None:
+        q = np.asarray(observation.motion.q)
+        support = supported(robot, q, tau, inverse - tau, data.contact_bodies)
+    if support is not None:
+        motion = dataclasses.replace(
+            observation.motion, wrench=support.wrench, contact_bodies=support.bodies
+        )
+        observation = dataclasses.replace(observation, motion=motion)
+        inverse = needed_torques(without_friction(robot), observation) + dry
     # The first low-pass carries what was bridged about a period of its cut-off outwards.
     reach = 2 * round(rate / cutoff) + 1
     ok = np.asarray(observation.motion.valid)
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
+    if support is not None:
+        measured = _standing(measured, support.used_up)
     if observation.motion.wrench is not None:
         measured = measured * ~_struck(observation.motion, robot, rate)[:, None]
-    return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate)
+    return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate, support)
+
+
+def _standing(
+    measured: Float[np.ndarray, "T nv"], used_up: Bool[np.ndarray, " nv"]
+) -> Float[np.ndarray, "T nv"]:
+    """The base's rows stand on the legs' measurements too, once the legs carry it."""
+    out = np.where(used_up, 0.0, measured)
+    out[:, :BASE] *= measured[:, used_up].min(axis=1, initial=1.0)[:, None]
+    return out
 
 
 # Contact forces that change by this many weights of the robot a second are a blow: a step that is set down has tens, a

@@ -14,7 +14,7 @@ import numpy as np
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.constancy import crowded
 from jax_inertia.gap.doubt import better_than, entangled, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
@@ -111,7 +111,7 @@ def diagnose(
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=(*log.notes, *_unstated(search)),
+        notes=(*log.notes, *_unmeasured(prepared), *_unstated(search)),
         doubts=tuple(_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
@@ -192,6 +192,16 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         *beyond,
         f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
         "not in the library",
+    ]
+
+
+def _unmeasured(prepared: Prepared) -> list[str]:
+    """What a log without contact wrenches can tell."""
+    if prepared.support is None:
+        return []
+    return [
+        f"no contact wrench is measured: forces at {', '.join(prepared.support.bodies)} are taken from their legs' own "
+        "torques, so that an effect is seen by what it does to the base's balance alone"
     ]
 
 

@@ -245,8 +245,9 @@ class Evidence:
         row = columns.row
         finished = self.prepared.finish_torque(columns.values, row)
         whitening = self._whitening
-        white = whitening(finished) if row is None else whitening.one_row(finished, row)
-        return white[self.used]
+        if row is None or self.prepared.spreads(row):
+            return whitening(finished)[self.used]
+        return whitening.one_row(finished, row)[self.used]
 
 
 def _batches(items: Iterable[T]) -> Iterator[list[T]]:

@@ -55,11 +55,10 @@ def hidden_noise(
     for _ in range(DRAWS):
         noisy = dataclasses.replace(log, tau=tau + unit * rng.standard_normal(tau.shape))
         torque = prepare(robot, noisy, prepared.settings).tau - prepared.tau
-        finished = prepared.finish_torque(torque)
         for k, row in enumerate(rows):
-            alone = np.zeros_like(finished)
-            alone[:, row] = finished[:, row]
-            gain[:, k] += energy(evidence.charged(alone)) / DRAWS
+            alone = np.zeros_like(torque)
+            alone[:, row] = torque[:, row]
+            gain[:, k] += energy(evidence.charged(prepared.finish_torque(alone))) / DRAWS
     sensors = np.mean([energy(evidence.charged(x)) for x in replicas], axis=0)
     there = energy(left)
     seen = there > 0

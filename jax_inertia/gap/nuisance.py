@@ -104,6 +104,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             turned = [z - context.side[:, row] for z in (*late, *early, *creeping)]
             turned += _departures(context, row)
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
+    fixed += _holding(context)
     sampled = log.tau_kind is TorqueKind.SENSOR
     late = (tolerance.sampled if sampled else tolerance.period) / log.rate
     slope = np.gradient(context.tau, context.time, axis=0)
@@ -129,6 +130,27 @@ def _departures(context: Context, row: int) -> list[Float[np.ndarray, " T"]]:
     departures = [stop for _, stop in run_bounds(context.at_rest[:, row]) if stop < len(path)]
     moved = [np.where(path >= path[k], path - path[k], np.inf) for k in departures]
     return [np.exp(-x / reach) for x in moved for reach in STRAIGHTENS]
+
+
+# Friction at rest under a foot may change within this time [s], or as fast as this many numbers in all can tell.
+CHANGES, MOST = 0.05, 400
+
+
+def _holding(context: Context) -> list[Columns]:
+    """Whatever friction balances in legs at rest, where their torques tell what the ground gives: hats in time."""
+    support = context.prepared.support
+    if support is None:
+        return []
+    held = context.at_rest * (support.used_up & (context.frictionloss > 0))
+    total = float(held.sum()) / context.prepared.rate
+    every = max(CHANGES, total / MOST)
+    nodes = np.arange(0.0, context.time[-1] + every, every)
+    out = []
+    for row in np.flatnonzero(held.any(axis=0)):
+        hats = np.maximum(1.0 - np.abs(context.time[:, None] - nodes) / every, 0.0)
+        hats = (hats * held[:, [row]])[:, (hats * held[:, [row]]).any(axis=0)]
+        out.append(Columns(float(context.frictionloss[row]) * hats, int(row)))
+    return out
 
 
 def _bodies(

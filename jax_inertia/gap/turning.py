@@ -45,14 +45,15 @@ def turning(
             continue
         ways = (*REACHES, -max(float(level[row]), 1e-9))
         tried = []
+        seen = slice(None) if prepared.spreads(row) else row
         for reach in ways:
             z = turned_round(context, row, reach)
             rubbed = own * (context.side[:, row] - z)
             for c in found:
                 rubbed = rubbed + _torque(pool, c, reach)
-            tried.append(left[:, row] - prepared.finish_torque(rubbed, row))
-        best = int(np.argmin([np.sum(x[used[:, row]] ** 2) for x in tried]))
-        reaches[row], left[:, row] = ways[best] if ways[best] >= 0 else CREEPS, tried[best]
+            tried.append(left[:, seen] - prepared.finish_torque(rubbed, row))
+        best = int(np.argmin([np.sum(x[used[:, seen]] ** 2) for x in tried]))
+        reaches[row], left[:, seen] = ways[best] if ways[best] >= 0 else CREEPS, tried[best]
     return reaches, left
 
 

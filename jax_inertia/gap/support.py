@@ -1,0 +1,168 @@
+"""The ground under a floating base whose log has no contact wrenches.
+
+A foot that touches may press as it will: of the missing torque r only what no force at the feet explains says anything
+of the model. With Jacobians J of all feet and weights W that trust the legs' torques more than the base's acceleration,
+
+    λ = (J W Jᵀ)⁻¹ J W r,    r − Jᵀ λ = (1 − Jᵀ (J W Jᵀ)⁻¹ J W) r
+
+λ is the ground's force as the legs' motors show it, and on the rows of the base stays what it does not account for. The
+legs' own rows are used up. A foot is free to press all the time: nobody says when it swings.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jax_inertia import dynamics
+from jax_inertia.gap.chunks import over_samples
+from jax_inertia.log import LogError
+from jax_inertia.robot import Robot
+
+BASE = 6
+"""Rows of a free joint."""
+# A point is at the ground that is so near to it [m] for this share of the log.
+NEAR, OFTEN = 0.02, 0.05
+# A robot that nothing carries needs less than this share of its weight.
+CARRIED = 0.3
+# A sole that is smaller than this [m] presses at one point.
+SOLE = 0.04
+# Trust in what the base needs against what the legs' motors give, each in units of its own size.
+TRUST = 1e-2
+
+
+@dataclasses.dataclass(frozen=True)
+class Foot:
+    """Where a body meets the ground: at a point that a ball rolls over, or with a whole sole."""
+
+    body: int
+    point: tuple[float, float, float]
+    """Of a ball, its centre in the body's frame [m]."""
+    radius: float
+    flat: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Support:
+    """Forces of the ground that are not measured."""
+
+    bodies: tuple[str, ...]
+    wrench: Float[np.ndarray, "T C 6"]
+    """As the legs' motors show them."""
+    seen: Float[np.ndarray, "T nv nv"]
+    """What is left of a torque on all rows that no force at the feet explains."""
+    used_up: Bool[np.ndarray, " nv"]
+    """Rows of the legs."""
+
+
+def feet_of(robot: Robot, q: Float[np.ndarray, "T nq"], bodies: Sequence[str] = ()) -> list[Foot]:
+    """The feet among a robot's bodies (all, or those that are named), by where their lowest points are in a motion.
+
+    Raises LogError for a named body that the model gives no shape to touch with.
+    """
+    surface = robot.surface
+    owner, points, radius = (np.asarray(x) for x in (surface.body, surface.point, surface.radius))
+    named = [robot.body_index(name) for name in bodies]
+    for name, index in zip(bodies, named, strict=True):
+        if index not in owner:
+            raise LogError(
+                f"contact body {name!r} has no contact_wrench, and no colliding geom in the model: where it touches "
+                "is not known; log the wrench or give it a geom"
+            )
+    if not len(owner):
+        return []
+    rotation, position = _poses(robot, q[:: max(1, len(q) // 500)])
+    height = np.einsum("tpj,pj->tp", rotation[:, owner, 2], points) + position[:, owner, 2] - radius
+    candidates = np.isin(owner, named) if named else np.ones(len(owner), bool)
+    ground = np.median(height[:, candidates].min(axis=1))
+    feet = []
+    for body in sorted(set(owner[candidates].tolist())):
+        own = np.flatnonzero(owner == body)
+        low = height[:, own].min(axis=1, keepdims=True)
+        below = low - ground < NEAR if not named else np.ones_like(low, bool)
+        at = own[((height[:, own] - low < NEAR) & below).mean(axis=0) > OFTEN]
+        if len(at):
+            extent = np.ptp(points[at], axis=0).max()
+            centre = tuple(points[at].mean(axis=0).tolist())
+            feet.append(Foot(body, centre, float(radius[at].mean()), bool(extent > SOLE)))
+    return feet
+
+
+def supported(
+    robot: Robot,
+    q: Float[np.ndarray, "T nq"],
+    tau: Float[np.ndarray, "T nv"],
+    missing: Float[np.ndarray, "T nv"],
+    bodies: Sequence[str] = (),
+) -> Support | None:
+    """What holds a floating base up, where the missing torque lacks all forces of the ground; None where nothing does.
+
+    `bodies`: those that may touch; without them, all that come near the lowest points of the motion of a robot that
+    does not fly. Raises LogError where forces at the feet could explain every torque.
+    """
+    gravity = np.asarray(robot.gravity)
+    weight = float(jnp.sum(robot.pi[:, 0])) * float(np.linalg.norm(gravity))
+    # The linear rows of a free joint are forces in world axes.
+    carried = -missing[:, :3].mean(axis=0) @ gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+    if (not bodies and carried < CARRIED * weight) or not weight:
+        return None
+    feet = feet_of(robot, q, bodies)
+    if not feet:
+        return None
+    names = tuple(robot.body_names[f.body] for f in feet)
+    ways, rows = _rows(robot, q, feet)
+    used_up = np.abs(rows).max(axis=(0, 1)) > 1e-9
+    used_up[:BASE] = False
+    if rows.shape[1] >= BASE + used_up.sum():
+        raise LogError(
+            f"no contact_wrench: forces and moments at {', '.join(names)} could explain every torque of their legs and "
+            "of the base; log the wrenches, or give contact_bodies that touch"
+        )
+    size = np.maximum(np.percentile(np.abs(tau), 99.5, axis=0), 1e-3)
+    size[:BASE] = np.array([1, 1, 1, 0.3, 0.3, 0.3]) * weight / TRUST
+    weighted = rows / size**2
+    gram = weighted @ rows.transpose(0, 2, 1)
+    solved = np.linalg.solve(gram, weighted)
+    seen = np.eye(robot.nv) - rows.transpose(0, 2, 1) @ solved
+    seen[:, used_up] = 0.0
+    force = np.einsum("tmj,tj->tm", solved, missing)
+    wrench = np.einsum("tm,tmcw->tcw", force, ways)
+    return Support(names, wrench, seen, used_up)
+
+
+def _rows(
+    robot: Robot, q: Float[np.ndarray, "T nq"], feet: list[Foot]
+) -> tuple[Float[np.ndarray, "T m C 6"], Float[np.ndarray, "T m nv"]]:
+    """The unit wrenches that the ground may give, and the torque of each."""
+    rotation, _ = _poses(robot, q)
+    ways = []
+    for k, foot in enumerate(feet):
+        arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
+        for axis in np.eye(6)[: 6 if foot.flat else 3]:
+            way = np.zeros((len(q), len(feet), 6))
+            way[:, k] = axis
+            if not foot.flat:
+                way[:, k, 3:] = np.cross(arm, axis[:3])
+            ways.append(way)
+    stacked = np.stack(ways, axis=1)
+    return stacked, _torques((robot, tuple(f.body for f in feet)), (q, stacked))
+
+
+@over_samples
+def _both(robot, q):
+    return dynamics.body_poses(robot, q)
+
+
+def _poses(robot: Robot, q: Float[np.ndarray, "T nq"]) -> tuple[np.ndarray, np.ndarray]:
+    """World rotation (T, nb, 3, 3) and position (T, nb, 3) of every body."""
+    return _both(robot, np.asarray(q))
+
+
+@over_samples
+def _torques(shared, x):
+    robot, bodies = shared
+    q, ways = x
+    return jax.vmap(lambda w: dynamics.contact_torque(robot, q, w, bodies))(ways)

@@ -1,0 +1,105 @@
+"""A legged robot whose contact wrenches nobody measured, walked by the development generator in MuJoCo C."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "gap"))
+
+import effects as fx
+import spec as sp
+from strata import STRATA
+
+from jax_inertia import load_model, read_log
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.chain import prepare
+from jax_inertia.log import Log, LogError
+
+FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+
+
+def walked(kind: str, *effects: fx.Effect, folder: Path) -> Log:
+    """Six seconds with quiet sensors, the wrenches still there."""
+    spec = sp.draw_spec(STRATA["legged"], 5, 0)
+    spec = dataclasses.replace(
+        spec, wrong=False, loud=False, rate=500, duration=6.0, kinds=(kind, kind)
+    )
+    spec.options |= {"shuffle": False, "sigma": True, "tau_kind": "current"}
+    log = sp.simulate(spec, list(effects), 0, spec.duration)
+    spec.noise = sp.draw_noise(spec, np.abs(log["tau"]).max(axis=0))
+    file = folder / "log.npz"
+    log = sp.simulate(spec, list(effects), 0, spec.duration)
+    np.savez(file, **sp.to_contract(spec, log, spec.duration))
+    return read_log(file)
+
+
+def unmeasured(log: Log, bodies: tuple[str, ...] = ()) -> Log:
+    return dataclasses.replace(log, contact_wrench=None, contact_bodies=bodies)
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return sp.draw_spec(STRATA["legged"], 5, 0)
+
+
+@pytest.fixture(scope="module")
+def robot(spec):
+    return load_model(mujoco.MjModel.from_xml_string(spec.robot.xml))
+
+
+@pytest.fixture(scope="module")
+def trotted(tmp_path_factory):
+    return walked("trot", folder=tmp_path_factory.mktemp("trot"))
+
+
+@pytest.mark.parametrize("named", [(), FEET])
+def test_what_the_ground_gives_is_what_the_legs_show(robot, trotted, named):
+    found = prepare(robot, unmeasured(trotted, named)).support
+    assert sorted(found.bodies) == sorted(FEET)
+    measured = prepare(robot, trotted)
+    order = [measured.observation.motion.contact_bodies.index(name) for name in found.bodies]
+    force = np.asarray(measured.observation.motion.wrench)[:, order, :3]
+    weight = 9.81 * float(robot.pi[:, 0].sum())
+    keep = measured.measured[:, 0] > 0
+    error = (found.wrench[:, :, :3] - force)[keep]
+    assert force[..., 2].max() > 0.4 * weight
+    assert np.sqrt(np.mean(error**2)) < 0.01 * weight
+
+
+def test_nothing_is_missing_where_no_wrench_is_measured(robot, trotted):
+    found = diagnose(robot, unmeasured(trotted))
+    assert found.verdict is Verdict.NO_GAP
+    assert any("no contact wrench is measured" in note for note in found.notes)
+
+
+def test_a_weak_knee_is_named_by_what_it_does_to_the_base(robot, tmp_path):
+    gain = fx.TorqueGain("joint", "FL_knee", {"gain": 0.88})
+    found = diagnose(robot, unmeasured(walked("trot", gain, folder=tmp_path)))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("torque_gain", "FL_knee")
+    assert effect.parameters["gain"].value == pytest.approx(0.88, abs=0.01)
+
+
+def test_a_robot_that_flies_has_no_feet(robot):
+    time = np.arange(400) / 200.0
+    log = Log(
+        time=time,
+        joint_names=robot.joint_names[1:],
+        qpos=0.1 * np.sin(3 * time)[:, None] * np.ones(12),
+        tau=np.zeros((400, 12)),
+        base_pos=np.stack([0 * time, 0 * time, 9 - 4.905 * (time - 1) ** 2], axis=1),
+        base_quat=np.tile([1.0, 0, 0, 0], (400, 1)),
+    )
+    assert prepare(robot, log).support is None
+
+
+def test_a_contact_without_shape_is_refused(robot, trotted):
+    with pytest.raises(LogError, match=r"'trunk' has no contact_wrench, and no colliding geom"):
+        prepare(robot, unmeasured(trotted, ("trunk",)))
