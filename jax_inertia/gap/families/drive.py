@@ -5,6 +5,7 @@ import abc
 import numpy as np
 from scipy import signal
 
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 
@@ -17,10 +18,17 @@ class TorqueGain(Family):
         return Columns(context.inverse[:, place.index, None], place.index)
 
     def physical(self, context, place, shape, theta):
-        return abs(1.0 / (1.0 - theta[0]) - 1.0) < 0.4 if theta[0] < 0.6 else False
+        return theta[0] < 0.6 and abs(self._gain(context, place, theta) - 1.0) < 0.4
 
     def parameters(self, context, place, shape, theta):
-        return {"gain": Parameter(1.0 / (1.0 - theta[0]), "1")}
+        return {"gain": Parameter(self._gain(context, place, theta), "1")}
+
+    def _gain(self, context: Context, place: Place, theta: np.ndarray) -> float:
+        support = context.prepared.support
+        if support is not None and support.used_up[place.index]:
+            # Of a leg by whose logged torque the ground's force is taken, that torque is all that it seems to need.
+            return 1.0 + theta[0]
+        return 1.0 / (1.0 - theta[0])
 
 
 class TorqueBias(Family):
