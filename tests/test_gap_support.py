@@ -25,10 +25,10 @@ FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
 
 
 def walked(kind: str, *effects: fx.Effect, folder: Path) -> Log:
-    """Six seconds with quiet sensors, the wrenches still there."""
+    """Four seconds with quiet sensors, the wrenches still there."""
     spec = sp.draw_spec(STRATA["legged"], 5, 0)
     spec = dataclasses.replace(
-        spec, wrong=False, loud=False, rate=500, duration=6.0, kinds=(kind, kind)
+        spec, wrong=False, loud=False, rate=500, duration=4.0, kinds=(kind, kind)
     )
     spec.options |= {"shuffle": False, "sigma": True, "tau_kind": "current"}
     log = sp.simulate(spec, list(effects), 0, spec.duration)

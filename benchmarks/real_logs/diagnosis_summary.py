@@ -10,7 +10,7 @@ from diagnosis_cases import Case, Files
 import jax_inertia as ji
 from jax_inertia._diagnose_run import Inputs, Result
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.evidence import used
+from jax_inertia.gap.evidence import moving
 from jax_inertia.log import read_log
 from jax_inertia.robot import Robot
 
@@ -124,7 +124,7 @@ def published_left(case: Case, files: Files, robot: Robot) -> list[tuple[np.ndar
         prepared = prepare(robot, log if case.gains is None else log.with_torque_gains(case.gains))
         v, a = np.asarray(prepared.observation.motion.v), np.asarray(prepared.observation.a)
         left = prepared.finish(prepared.missing + case.law(v, a))
-        out.append((left, used(prepared)))
+        out.append((left, moving(prepared)))
     return out
 
 

@@ -16,6 +16,9 @@ from jax_inertia.gap.families.base import Family, Place, Shape
 from jax_inertia.gap.refine import refine
 from jax_inertia.gap.span import Split
 
+# A grid point that explains this share of what the best does may lie on the flank of a higher peak.
+NEARLY = 0.5
+
 
 @dataclasses.dataclass(frozen=True)
 class Echo:
@@ -138,15 +141,41 @@ class Pool:
         return top
 
     def refined(self, candidate: Candidate, left: Beside) -> Candidate:
-        """The same candidate with its shape between grid points."""
+        """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
         if not candidate.shape:
             return candidate
         best = self._on_all(candidate, left)
+        found = [self._between(c, left) for c in (best, *self._other_peaks(best, left))]
+        return max(found, key=lambda c: c.aim)
+
+    def _between(self, candidate: Candidate, left: Beside) -> Candidate:
+        """The candidate with its shape between the grid points about it."""
 
         def block_of(shape: Shape) -> Block:
-            return self.blocks(best.family, best.place, [shape])[0]
+            return self.blocks(candidate.family, candidate.place, [shape])[0]
 
-        return refine(self.context, block_of, best, left)
+        return refine(self.context, block_of, candidate, left)
+
+    def _other_peaks(self, best: Candidate, left: Beside) -> list[Candidate]:
+        """The best grid points that do not lie about the best or each other, for families with more than one peak."""
+        if best.family.peaks == 1:
+            return []
+        entry = next(e for e in self.entries if (e.family, e.place) == (best.family, best.place))
+        tried = (fit(self.context, entry.family, entry.place, b, left) for b in entry.blocks)
+        ranked = sorted((f for f in tried if f is not None), key=lambda c: -c.aim)
+        taken = [best]
+        for c in ranked:
+            if len(taken) == best.family.peaks or c.aim < NEARLY * best.aim:
+                break
+            if not any(self._about(c.shape, t) for t in taken):
+                c.grid, c.score = best.grid, best.score + (c.gain - best.gain) / left.noise
+                taken.append(c)
+        return taken[1:]
+
+    def _about(self, shape: Shape, other: Candidate) -> bool:
+        """Whether a shape lies where another's is refined."""
+        bounds = other.family.around(self.context, other.place, other.shape)
+        return all(low <= x <= high for x, (low, high) in zip(shape, bounds, strict=True))
 
     def _on_all(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate at the best of all its shapes, those not tried so far included."""
@@ -174,4 +203,4 @@ class Pool:
         if fitted is None:
             return None
         fitted.score = candidate.score
-        return self.refined(fitted, left)
+        return self._between(self._on_all(fitted, left), left) if fitted.shape else fitted

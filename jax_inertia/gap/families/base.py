@@ -59,6 +59,8 @@ class Family(abc.ABC):
     """The same cause with more numbers, tried only where this one leads."""
     smooth: ClassVar[bool] = False
     """Whether its torque is smooth in all nonlinear numbers (`refine`)."""
+    peaks: ClassVar[int] = 1
+    """How many peaks its grid may show, of which the highest grid point need not be on the highest."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
     form_error: ClassVar[float] = 0.01

@@ -144,7 +144,7 @@ class Backlash(TwoMass):
 
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    free_shape, form_error = 2, 0.5
+    free_shape, form_error, peaks = 2, 0.5, 3
 
     def grid(self, context, place):
         # From a precision gear's half a minute of arc.
