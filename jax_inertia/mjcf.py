@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from jax_inertia._geometry import rotation_of, surface_of
 from jax_inertia._model_text import ModelError
 from jax_inertia._mujoco_types import MjModel
 from jax_inertia._spec import compile_spec, load_spec, model_path, set_inertials
-from jax_inertia._surface import surface_of
 from jax_inertia._urdf import is_urdf, write_urdf
 from jax_inertia._urdf_repair import ModelWarning
 from jax_inertia.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
@@ -81,9 +81,7 @@ def body_pi(model: MjModel, body: int) -> np.ndarray:
     array([ 1.  ,  0.  ,  0.  , -0.5 ,  0.27,  0.  ,  0.  ,  0.27,  0.  ,
             0.01])
     """
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
-    r = rotation.reshape(3, 3)
+    r = rotation_of(model.body_iquat[body])
     m, c = model.body_mass[body], model.body_ipos[body]
     i = r @ np.diag(model.body_inertia[body]) @ r.T + m * (c @ c * np.eye(3) - np.outer(c, c))
     return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
@@ -112,7 +110,7 @@ def _to_robot(model: MjModel) -> Robot:
 
     for b in range(1, model.nbody):
         up = model.body_parentid[b]
-        rotation, position = _matrix(model.body_quat[b]), model.body_pos[b].copy()
+        rotation, position = rotation_of(model.body_quat[b]), model.body_pos[b].copy()
         if up in fixed:
             base_r, base_p = fixed[up]
             rotation, position = base_r @ rotation, base_p + base_r @ position
@@ -222,9 +220,3 @@ def _left_out(model: MjModel) -> Iterator[str]:
         yield f"body {model.body(b).name!r}: gravity compensation is left out"
     if model.opt.density or model.opt.viscosity:
         yield "fluid forces (option density, viscosity) are left out"
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    out = np.zeros(9)
-    mujoco.mju_quat2Mat(out, quat / np.linalg.norm(quat))
-    return out.reshape(3, 3)

@@ -12,7 +12,7 @@ LAYERS: dict[str, str] = {
     "maths": "_batch_last _readable _vectors spatial inertia charts kalman least_squares",
     "logs": """_npz _names _files _torque_unit _contract readers log log_chunks _findings signals motion differences
         _check_channels _check_consistency preflight""",
-    "robot": "_mujoco_types robot _surface _model_text _urdf_repair _descriptions _spec _urdf mjcf robots",
+    "robot": "_mujoco_types robot _geometry _model_text _urdf_repair _descriptions _spec _urdf mjcf robots",
     "dynamics": "kinematics _rows _passes dynamics wrench_axes",
     "estimation and simulation": """measurement fused estimate batch _batch_rows _batch_solve consistency
         handover logfilter priors identifiability motion_limits suggest_motion stream statefile

@@ -159,7 +159,7 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
             observation.motion, wrench=support.wrench, contact_bodies=support.bodies
         )
         observation = dataclasses.replace(observation, motion=motion)
-        inverse = needed_torques(without_friction(robot), observation) + dry
+        inverse = inverse - support.torque
     # The first low-pass carries what was bridged about a period of its cut-off outwards.
     reach = 2 * round(rate / cutoff) + 1
     ok = np.asarray(observation.motion.valid)

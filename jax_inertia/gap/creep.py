@@ -5,9 +5,10 @@ comes to the level of the friction (MuJoCo, Computation: friction loss). So besi
 simulator holds goes on for centiradians a second.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jax_inertia import dynamics
 from jax_inertia.robot import BALL, FREE, HINGE, SLIDE, Robot
@@ -27,5 +28,10 @@ def softness(robot: Robot) -> Float[np.ndarray, " nv"]:
             q[at] = reference
         elif kind in (FREE, BALL):
             q[at + 3 * (kind == FREE)] = 1.0
-    mobility = np.diagonal(np.linalg.inv(dynamics.mass_matrix(robot, jnp.asarray(q))))
-    return mobility * (1.0 - IMPEDANCE) / IMPEDANCE / DAMPING
+    return np.asarray(_mobility(robot, jnp.asarray(q))) * (1.0 - IMPEDANCE) / IMPEDANCE / DAMPING
+
+
+@eqx.filter_jit
+def _mobility(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, " nv"]:
+    """[M⁻¹]ⱼⱼ."""
+    return jnp.diagonal(jnp.linalg.inv(dynamics.mass_matrix(robot, q)))

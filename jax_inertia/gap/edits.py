@@ -28,15 +28,10 @@ def _joint(spec: MjSpec, effect: Effect):
     return joint
 
 
-def _angle(spec: MjSpec, joint, value: float) -> float:
-    """Radians in the spec's own unit of angle."""
+def _unit(spec: MjSpec, joint) -> float:
+    """Radians in the unit of a joint's positions in the spec; 1 for metres."""
     hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-    return float(np.rad2deg(value)) if spec.compiler.degree and hinge else value
-
-
-def _radians(spec: MjSpec, joint, value: float) -> float:
-    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-    return float(np.deg2rad(value)) if spec.compiler.degree and hinge else value
+    return float(np.deg2rad(1.0)) if spec.compiler.degree and hinge else 1.0
 
 
 def _set_first(vector, value: float) -> np.ndarray:
@@ -46,16 +41,13 @@ def _set_first(vector, value: float) -> np.ndarray:
     return out
 
 
-def _damping(spec, model, effect: Effect) -> tuple[bool, str]:
-    joint = _joint(spec, effect)
-    joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values["damping"])
-    return True, ""
+def _damping(number: str, *, whole: bool):
+    def edit(spec, model, effect: Effect) -> tuple[bool, str]:
+        joint = _joint(spec, effect)
+        joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values[number])
+        return whole, ""
 
-
-def _drift(spec, model, effect: Effect) -> tuple[bool, str]:
-    joint = _joint(spec, effect)
-    joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values["damping_final"])
-    return False, ""
+    return edit
 
 
 def _coulomb(spec, model, effect: Effect) -> tuple[bool, str]:
@@ -100,17 +92,17 @@ def _wind(spec, joint, stiffness: float, rest: float, torque: float) -> None:
     """Add −k (q − rest) + torque to a joint's spring."""
     own = float(joint.stiffness[0])
     total = own + stiffness
-    moment = own * _radians(spec, joint, joint.springref) + stiffness * rest + torque
+    moment = own * _unit(spec, joint) * joint.springref + stiffness * rest + torque
     if abs(total) < SOFT:
         total = SOFT
     joint.stiffness = _set_first(joint.stiffness, total)
-    joint.springref = _angle(spec, joint, moment / total)
+    joint.springref = moment / total / _unit(spec, joint)
 
 
 def _encoder_offset(spec, model, effect: Effect) -> tuple[bool, str]:
     """q_logged = q + o: the position that the model calls its reference moves by o, and so do spring and range."""
     joint = _joint(spec, effect)
-    offset = _angle(spec, joint, effect.values["offset"])
+    offset = effect.values["offset"] / _unit(spec, joint)
     joint.ref += offset
     joint.springref += offset
     joint.range = np.asarray(joint.range) + offset
@@ -231,7 +223,7 @@ def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
     whole = spec.compile()
     inverse = whole.dof_invweight0[whole.joint(hinge.name).dofadr[0]]
     hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    hinge.range = np.array([-1.0, 1.0]) * _angle(spec, hinge, half)
+    hinge.range = np.array([-1.0, 1.0]) * half / _unit(spec, hinge)
     damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
     hinge.solref_limit = [-stiffness * inverse, -damping * inverse]
     hinge.solimp_limit = [1e-4, 1e-4, 1e-3, 0.5, 2]
@@ -279,8 +271,8 @@ def _between(spec: MjSpec, model: MjModel, effect: Effect):
 
 
 EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {
-    "viscous_friction": _damping,
-    "friction_drift": _drift,
+    "viscous_friction": _damping("damping", whole=True),
+    "friction_drift": _damping("damping_final", whole=False),
     "coulomb_friction": _coulomb,
     "stribeck_friction": _dry_law,
     "load_friction": _dry_law,

@@ -145,11 +145,12 @@ def _holding(context: Context) -> list[Columns]:
     total = float(held.sum()) / context.prepared.rate
     every = max(CHANGES, total / MOST)
     nodes = np.arange(0.0, context.time[-1] + every, every)
+    hats = np.maximum(1.0 - np.abs(context.time[:, None] - nodes) / every, 0.0)
     out = []
     for row in np.flatnonzero(held.any(axis=0)):
-        hats = np.maximum(1.0 - np.abs(context.time[:, None] - nodes) / every, 0.0)
-        hats = (hats * held[:, [row]])[:, (hats * held[:, [row]]).any(axis=0)]
-        out.append(Columns(float(context.frictionloss[row]) * hats, int(row)))
+        own = hats * held[:, [row]]
+        friction = float(context.frictionloss[row])
+        out.append(Columns(friction * own[:, own.any(axis=0)], int(row)))
     return out
 
 

@@ -128,11 +128,7 @@ class Pool:
         return sorted((c for c in every if c is not None), key=lambda c: -c.score)
 
     def _best_of(self, entry: Entry, left: Beside) -> Candidate | None:
-        fits = [
-            fit(self.context, entry.family, entry.place, b, left, coarse=bool(entry.rest))
-            for b in entry.blocks
-        ]
-        top = max((f for f in fits if f is not None), key=lambda c: c.aim, default=None)
+        top = max(self._fits(entry, left), key=lambda c: c.aim, default=None)
         if top is not None:
             # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
             windows = max(2, round((self.context.time[-1] / 0.1) ** 2))
@@ -140,16 +136,29 @@ class Pool:
             top.score = top.gain / left.noise - top.price(self.evidence.rows)
         return top
 
+    def _fits(self, entry: Entry, left: Beside) -> Iterator[Candidate]:
+        """An entry at each of its shapes tried so far, where it fits."""
+        coarse = bool(entry.rest)
+        for b in entry.blocks:
+            c = fit(self.context, entry.family, entry.place, b, left, coarse=coarse)
+            if c is not None:
+                yield c
+
+    def _entry_of(self, candidate: Candidate) -> Entry | None:
+        """Where a candidate's grid is; none for a family with more numbers than the library's."""
+        of = candidate.family, candidate.place
+        return next((e for e in self.entries if (e.family, e.place) == of), None)
+
     def refined(self, candidate: Candidate, left: Beside) -> Candidate:
         """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
-        if not candidate.shape:
-            return candidate
         best = self._on_all(candidate, left)
         found = [self._between(c, left) for c in (best, *self._other_peaks(best, left))]
         return max(found, key=lambda c: c.aim)
 
     def _between(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate with its shape between the grid points about it."""
+        if not candidate.shape:
+            return candidate
 
         def block_of(shape: Shape) -> Block:
             return self.blocks(candidate.family, candidate.place, [shape])[0]
@@ -158,13 +167,11 @@ class Pool:
 
     def _other_peaks(self, best: Candidate, left: Beside) -> list[Candidate]:
         """The best grid points that do not lie about the best or each other, for families with more than one peak."""
-        if best.family.peaks == 1:
+        entry = self._entry_of(best)
+        if best.family.peaks == 1 or entry is None:
             return []
-        entry = next(e for e in self.entries if (e.family, e.place) == (best.family, best.place))
-        tried = (fit(self.context, entry.family, entry.place, b, left) for b in entry.blocks)
-        ranked = sorted((f for f in tried if f is not None), key=lambda c: -c.aim)
         taken = [best]
-        for c in ranked:
+        for c in sorted(self._fits(entry, left), key=lambda c: -c.aim):
             if len(taken) == best.family.peaks or c.aim < NEARLY * best.aim:
                 break
             if not any(self._about(c.shape, t) for t in taken):
@@ -179,13 +186,13 @@ class Pool:
 
     def _on_all(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate at the best of all its shapes, those not tried so far included."""
-        for entry in self.entries:
-            if (entry.family, entry.place) == (candidate.family, candidate.place) and entry.rest:
-                entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
-                entry.rest = []
-                found = self._best_of(entry, left)
-                return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
-        return candidate
+        entry = self._entry_of(candidate)
+        if entry is None or not entry.rest:
+            return candidate
+        entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
+        entry.rest = []
+        found = self._best_of(entry, left)
+        return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
 
     def at(
         self, shape: Shape, family: Family, candidate: Candidate, left: Beside
@@ -203,4 +210,4 @@ class Pool:
         if fitted is None:
             return None
         fitted.score = candidate.score
-        return self._between(self._on_all(fitted, left), left) if fitted.shape else fitted
+        return self._between(self._on_all(fitted, left), left)

@@ -6,6 +6,7 @@ compete against the errors that are really there, and neither is bent to fit the
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -129,13 +130,15 @@ class Finder:
         known = stated(self.log) or (
             misfits[-1] < LOUDER * floor and self._at_random(pool.evidence, left)
         )
+        noisier = self._noisier(pool)
         strains = [
             s
-            for s in strained(Left(pool.evidence, left), alone, self._noisier(pool, chosen))
+            for s in strained(Left(pool.evidence, left), alone, noisier and noisier(chosen))
             if s.name not in bent_by(chosen)
         ]
-        bare_left = Left(pool.evidence, pool.evidence.y)
-        own = strained(bare_left, (), self._noisier(pool, [])) if chosen else strains
+        own = strains
+        if chosen:
+            own = strained(Left(pool.evidence, pool.evidence.y), (), noisier and noisier([]))
         bare = strangeness(pool.evidence, self.replicas, floor, known, own)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
@@ -158,21 +161,23 @@ class Finder:
             against, verdict, rival, changing, in_doubt, bare, strains,
         )  # fmt: skip
 
-    def _noisier(self, pool: Pool, chosen: list[Candidate]) -> Callable[[], Left] | None:
+    def _noisier(self, pool: Pool) -> Callable[[list[Candidate]], Callable[[], Left]] | None:
         """What effects leave of the log with its noise added again, where columns are as noisy as what is missing."""
         if not self.context.robot.has_free_base:
             return None
+        context = pool.echo.context
 
-        def left() -> Left:
-            own = pool.evidence
-            context = pool.echo.context
-            columns = nuisances(context, self.tolerance, self.log)
-            evidence = Evidence(self.again, own.whitener, columns, own.scales, own.used)
-            evidence = evidence.pinning(own.pinned)
+        @functools.cache
+        def evidence() -> Evidence:
+            own, columns = pool.evidence, nuisances(context, self.tolerance, self.log)
+            again = Evidence(self.again, own.whitener, columns, own.scales, own.used)
+            return again.pinning(own.pinned)
+
+        def left(chosen: list[Candidate]) -> Left:
             torque = self.again.missing - sum(effect_torque(context, c) for c in chosen)
-            return Left(evidence, evidence.charged(self.again.finish_torque(torque)))
+            return Left(evidence(), evidence().charged(self.again.finish_torque(torque)))
 
-        return left
+        return lambda chosen: functools.partial(left, chosen)
 
     def _at_random(self, evidence: Evidence, left: np.ndarray) -> bool:
         """Whether what effects leave looks like noise."""

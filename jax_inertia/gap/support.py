@@ -52,13 +52,20 @@ class Support:
     bodies: tuple[str, ...]
     wrench: Float[np.ndarray, "T C 6"]
     """As the legs' motors show them."""
+    torque: Float[np.ndarray, "T nv"]
+    """Of these on all rows, Σ Jᵀλ [N m]."""
     seen: Float[np.ndarray, "T nv nv"]
     """What is left of a torque on all rows that no force at the feet explains."""
     used_up: Bool[np.ndarray, " nv"]
     """Rows of the legs."""
 
 
-def feet_of(robot: Robot, q: Float[np.ndarray, "T nq"], bodies: Sequence[str] = ()) -> list[Foot]:
+def feet_of(
+    robot: Robot,
+    rotation: Float[np.ndarray, "T nb 3 3"],
+    position: Float[np.ndarray, "T nb 3"],
+    bodies: Sequence[str] = (),
+) -> list[Foot]:
     """The feet among a robot's bodies (all, or those that are named), by where their lowest points are in a motion.
 
     Raises LogError for a named body that the model gives no shape to touch with.
@@ -74,7 +81,6 @@ def feet_of(robot: Robot, q: Float[np.ndarray, "T nq"], bodies: Sequence[str] = 
             )
     if not len(owner):
         return []
-    rotation, position = _poses(robot, q[:: max(1, len(q) // 500)])
     height = np.einsum("tpj,pj->tp", rotation[:, owner, 2], points) + position[:, owner, 2] - radius
     candidates = np.isin(owner, named) if named else np.ones(len(owner), bool)
     ground = np.median(height[:, candidates].min(axis=1))
@@ -82,8 +88,10 @@ def feet_of(robot: Robot, q: Float[np.ndarray, "T nq"], bodies: Sequence[str] = 
     for body in sorted(set(owner[candidates].tolist())):
         own = np.flatnonzero(owner == body)
         low = height[:, own].min(axis=1, keepdims=True)
-        below = low - ground < NEAR if not named else np.ones_like(low, bool)
-        at = own[((height[:, own] - low < NEAR) & below).mean(axis=0) > OFTEN]
+        near = height[:, own] - low < NEAR
+        if not named:
+            near &= low - ground < NEAR
+        at = own[near.mean(axis=0) > OFTEN]
         if len(at):
             extent = np.ptp(points[at], axis=0).max()
             centre = tuple(points[at].mean(axis=0).tolist())
@@ -109,11 +117,15 @@ def supported(
     carried = -missing[:, :3].mean(axis=0) @ gravity / max(float(np.linalg.norm(gravity)), 1e-9)
     if (not bodies and carried < CARRIED * weight) or not weight:
         return None
-    feet = feet_of(robot, q, bodies)
+    rotation, position = _poses(robot, q)
+    # Feet move slowly beside the grid.
+    some = slice(None, None, max(1, len(q) // 500))
+    feet = feet_of(robot, rotation[some], position[some], bodies)
     if not feet:
         return None
     names = tuple(robot.body_names[f.body] for f in feet)
-    ways, rows = _rows(robot, q, feet)
+    ways = _ways(rotation, feet)
+    rows = _torques((robot, tuple(f.body for f in feet)), (q, ways))
     used_up = np.abs(rows).max(axis=(0, 1)) > 1e-9
     used_up[:BASE] = False
     if rows.shape[1] >= BASE + used_up.sum():
@@ -130,35 +142,26 @@ def supported(
     seen[:, used_up] = 0.0
     force = np.einsum("tmj,tj->tm", solved, missing)
     wrench = np.einsum("tm,tmcw->tcw", force, ways)
-    return Support(names, wrench, seen, used_up)
+    return Support(names, wrench, np.einsum("tmj,tm->tj", rows, force), seen, used_up)
 
 
-def _rows(
-    robot: Robot, q: Float[np.ndarray, "T nq"], feet: list[Foot]
-) -> tuple[Float[np.ndarray, "T m C 6"], Float[np.ndarray, "T m nv"]]:
-    """The unit wrenches that the ground may give, and the torque of each."""
-    rotation, _ = _poses(robot, q)
+def _ways(
+    rotation: Float[np.ndarray, "T nb 3 3"], feet: list[Foot]
+) -> Float[np.ndarray, "T m C 6"]:
+    """The unit wrenches that the ground may give."""
     ways = []
     for k, foot in enumerate(feet):
         arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
         for axis in np.eye(6)[: 6 if foot.flat else 3]:
-            way = np.zeros((len(q), len(feet), 6))
+            way = np.zeros((len(rotation), len(feet), 6))
             way[:, k] = axis
             if not foot.flat:
                 way[:, k, 3:] = np.cross(arm, axis[:3])
             ways.append(way)
-    stacked = np.stack(ways, axis=1)
-    return stacked, _torques((robot, tuple(f.body for f in feet)), (q, stacked))
+    return np.stack(ways, axis=1)
 
 
-@over_samples
-def _both(robot, q):
-    return dynamics.body_poses(robot, q)
-
-
-def _poses(robot: Robot, q: Float[np.ndarray, "T nq"]) -> tuple[np.ndarray, np.ndarray]:
-    """World rotation (T, nb, 3, 3) and position (T, nb, 3) of every body."""
-    return _both(robot, np.asarray(q))
+_poses = over_samples(dynamics.body_poses)
 
 
 @over_samples

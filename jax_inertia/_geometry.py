@@ -1,4 +1,4 @@
-"""Where a robot's bodies may touch what is around them: a few points with a radius for every colliding geom."""
+"""Geometry of a compiled model: rotations, and where its bodies may touch what is around them."""
 
 import itertools
 from collections.abc import Iterator
@@ -11,6 +11,13 @@ from jax_inertia._mujoco_types import MjModel
 from jax_inertia.robot import Surface
 
 
+def rotation_of(quat: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of a quaternion wxyz, of length one or not."""
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, quat / np.linalg.norm(quat))
+    return out.reshape(3, 3)
+
+
 def surface_of(model: MjModel, bodies: list[int]) -> Surface:
     """Of the given bodies of a compiled model: spheres and capsules as they are, others by the corners of their box."""
     body, points, radii = [], [], []
@@ -18,11 +25,10 @@ def surface_of(model: MjModel, bodies: list[int]) -> Surface:
         for geom in (model.body_geomadr[b] + np.arange(model.body_geomnum[b])).tolist():
             if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
                 continue
-            rotation = np.zeros(9)
-            mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+            rotation = rotation_of(model.geom_quat[geom])
             for point, radius in _balls(model, geom):
                 body.append(index)
-                points.append(model.geom_pos[geom] + rotation.reshape(3, 3) @ point)
+                points.append(model.geom_pos[geom] + rotation @ point)
                 radii.append(radius)
     return Surface(tuple(body), jnp.array(np.reshape(points, (-1, 3))), jnp.array(radii, float))
 
