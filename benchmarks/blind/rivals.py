@@ -19,6 +19,7 @@ import json
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import mujoco
@@ -279,7 +280,7 @@ def main() -> None:
     out = args.out / "results"
     out.mkdir(parents=True, exist_ok=True)
     todo = [p for p in sorted(args.logs.iterdir()) if not (out / p.name).exists()]
-    with ProcessPoolExecutor(args.jobs) as pool:
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         running = [pool.submit(_write, p, out, args.method) for p in todo]
         for done in track(as_completed(running), args.method, total=len(running)):
             done.result()

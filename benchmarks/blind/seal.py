@@ -25,6 +25,7 @@ import subprocess
 import zipfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -166,7 +167,8 @@ def _each(todo: list[tuple[Setting, str]], work: Path, jobs: int):
         for setting, name in todo:
             yield name, write_log(setting, name, work)
         return
-    with ProcessPoolExecutor(jobs) as pool:
+    # A fork beside the bar's thread may inherit a lock that nobody opens.
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         running = {pool.submit(write_log, s, n, work): n for s, n in todo}
         for done in as_completed(running):
             yield running[done], done.result()

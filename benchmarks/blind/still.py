@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import json
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import vault
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     answers = vault.unseal(args.sealed, args.commitment, args.logs)["logs"]
-    with ProcessPoolExecutor(args.jobs) as pool:
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         every = pool.map(visible, [a["truth"] for a in answers.values()])
         found = dict(zip(answers, track(every, total=len(answers)), strict=True))
     part = args.out.with_suffix(".part")

@@ -19,6 +19,7 @@ import json
 import shutil
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -201,7 +202,7 @@ def main() -> None:
     for folder in ("logs", "truth"):
         (args.out / folder).mkdir(parents=True, exist_ok=True)
     failed = 0
-    with ProcessPoolExecutor(args.jobs) as pool:
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         jobs = {
             pool.submit(write, args.out, args.stratum, args.seed, k): k
             for k in range(args.first, args.first + args.n)

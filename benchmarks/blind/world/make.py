@@ -12,14 +12,13 @@ from world.describe import Machine, to_mjcf, to_pinocchio
 from world.draw import Hidden, Scene, hide
 from world.machines import MACHINES
 from world.motions import make as make_motion
-from world.plan import Setting
+from world.plan import ALIKE, Setting
 from world.sensors import Sensors, draw_sensors, to_contract
 from world.simulate import PREROLL, Real, Unstable, run
 from world.unknowns import UNKNOWN, hide_unknown
 from world.yardstick import beyond, visibility
 
 ATTEMPTS = 10
-ALIKE = ({"time_delay", "actuator_lag"}, {"joint_elasticity", "backlash"})
 
 
 def slightly_wrong(machine: Machine, rng: np.random.Generator) -> Machine:

@@ -11,6 +11,8 @@ from world.unknowns import UNKNOWN
 
 STRATA = {"none": 0.28, "unknown": 0.16, "pair": 0.21, "single": 0.35}
 ROBOTS = {"two": 0.11, "six": 0.33, "seven": 0.33, "dog": 0.13, "humanoid": 0.10}
+ALIKE = ({"time_delay", "actuator_lag"}, {"joint_elasticity", "backlash"})
+"""Families of which a pair would be one effect in two disguises: no fair question."""
 SECOND_ENGINE = {"dog": 0.3}
 """Share of logs by Pinocchio and our contacts, where it is not half."""
 
@@ -41,6 +43,10 @@ def dealt(shares: dict[str, float], count: int, rng: np.random.Generator) -> lis
     return [str(x) for x in rng.permutation(cards)]
 
 
+def _fair(pair: set[str], known: tuple[str, ...]) -> bool:
+    return len(pair) == 2 and pair <= set(known) and not any(a <= pair for a in ALIKE)
+
+
 def plan(
     words: tuple[int, ...], count: int, robots: dict[str, float] | None = None
 ) -> list[Setting]:
@@ -69,7 +75,7 @@ def plan(
             families = (card("unknown", UNKNOWN),)
         elif stratum == "pair":
             first, second = card("pair", known), card("pair", known)
-            while second == first or first not in known or second not in known:
+            while not _fair({first, second}, known):
                 first, second = str(rng.choice(known)), str(rng.choice(known))
             families = (first, second)
         if robot == "dog":
