@@ -214,6 +214,9 @@ class Context:
 
     def separate(self, row: int, couplings: list[Coupling]) -> None:
         """`separation` of many couplings at once; every later call finds them."""
+        new = [c for c in dict.fromkeys(couplings) if (row, c) not in self._separations]
+        if not new:
+            return
         dq, dv, da = self.sensitivity
         inertia = np.maximum(da[:, row, row] - self.armature[row], 1e-9)
         damping = dv[:, row, row] - self.damping[row]
@@ -224,9 +227,9 @@ class Context:
             inertia,
             damping,
             dq[:, row, row],
-            np.array(couplings),
+            np.array(new),
         )
-        self._separations |= {(row, c): x for c, x in zip(couplings, paths, strict=True)}
+        self._separations |= {(row, c): x for c, x in zip(new, paths, strict=True)}
 
     def _carried(self, row: int) -> np.ndarray:
         """What a joint's coupling carries by its motor: the logged torque less what the rotor takes (T,).

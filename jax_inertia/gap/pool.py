@@ -128,13 +128,24 @@ class Pool:
         return sorted((c for c in every if c is not None), key=lambda c: -c.score)
 
     def _best_of(self, entry: Entry, left: Beside) -> Candidate | None:
-        top = max(self._fits(entry, left), key=lambda c: c.aim, default=None)
+        firsts = [fits[0] for fits in self._ranked(entry, left)]
+        top = max(firsts, key=lambda c: c.gain, default=None)
         if top is not None:
             # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
             windows = max(2, round((self.context.time[-1] / 0.1) ** 2))
             top.grid = windows if entry.family.passing else entry.count
             top.score = top.gain / left.noise - top.price(self.evidence.rows)
         return top
+
+    def _ranked(self, entry: Entry, left: Beside) -> list[list[Candidate]]:
+        """For every band that the family may be judged in, an entry's fits, those of the highest aim first.
+
+        The aim tells where in a band a shape is best; which band, what is gained in all.
+        """
+        bands: dict[float, list[Candidate]] = {}
+        for c in sorted(self._fits(entry, left), key=lambda c: -c.aim):
+            bands.setdefault(entry.family.band(c.shape), []).append(c)
+        return list(bands.values())
 
     def _fits(self, entry: Entry, left: Beside) -> Iterator[Candidate]:
         """An entry at each of its shapes tried so far, where it fits."""
@@ -153,7 +164,7 @@ class Pool:
         """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
         best = self._on_all(candidate, left)
         found = [self._between(c, left) for c in (best, *self._other_peaks(best, left))]
-        return max(found, key=lambda c: c.aim)
+        return max(found, key=lambda c: c.gain)
 
     def _between(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate with its shape between the grid points about it."""
@@ -166,18 +177,22 @@ class Pool:
         return refine(self.context, block_of, candidate, left)
 
     def _other_peaks(self, best: Candidate, left: Beside) -> list[Candidate]:
-        """The best grid points that do not lie about the best or each other, for families with more than one peak."""
-        entry = self._entry_of(best)
-        if best.family.peaks == 1 or entry is None:
+        """The best grid points of each band that do not lie about the best or each other, as many as there may be."""
+        entry, family = self._entry_of(best), best.family
+        if entry is None or (family.peaks == 1 and not family.band(best.shape)):
             return []
-        taken = [best]
-        for c in sorted(self._fits(entry, left), key=lambda c: -c.aim):
-            if len(taken) == best.family.peaks or c.aim < NEARLY * best.aim:
-                break
-            if not any(self._about(c.shape, t) for t in taken):
-                c.grid, c.score = best.grid, best.score + (c.gain - best.gain) / left.noise
-                taken.append(c)
-        return taken[1:]
+        others: list[Candidate] = []
+        for fits in self._ranked(entry, left):
+            band = family.band(fits[0].shape)
+            taken = [best] if family.band(best.shape) == band else []
+            for c in fits:
+                if len(taken) == family.peaks:
+                    break
+                if c.gain > NEARLY * best.gain and not any(self._about(c.shape, t) for t in taken):
+                    c.grid, c.score = best.grid, best.score + (c.gain - best.gain) / left.noise
+                    taken.append(c)
+            others += [c for c in taken if c is not best]
+        return others
 
     def _about(self, shape: Shape, other: Candidate) -> bool:
         """Whether a shape lies where another's is refined."""

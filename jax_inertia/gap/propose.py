@@ -104,10 +104,8 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
         if c.place != best.place or c.family.name not in best.family.simpler:
             continue
         noise = max(1.0, (before - best.gain) / max(floor, 1.0))
-        if (
-            best.gain - c.gain < max(best.family.set_apart * noise, 5e-4 * best.gain)
-            and c.score > STOP
-        ):
+        margin = max(best.family.set_apart * noise, c.family.leeway * best.gain)
+        if best.gain - c.gain < margin and c.score > STOP:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
 

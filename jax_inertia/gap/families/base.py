@@ -55,12 +55,14 @@ class Family(abc.ABC):
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
     set_apart: ClassVar[float] = 30.0
     """Misfit, against the noise's, that they must leave more of for that not to be so."""
+    leeway: ClassVar[float] = 5e-4
+    """Share of what such a family explains that it may be behind: its own equation is not exact either."""
     freer: ClassVar["Family | None"] = None
     """The same cause with more numbers, tried only where this one leads."""
     smooth: ClassVar[bool] = False
     """Whether its torque is smooth in all nonlinear numbers (`refine`)."""
     peaks: ClassVar[int] = 1
-    """How many peaks its grid may show, of which the highest grid point need not be on the highest."""
+    """How many peaks its grid may show in a band, of which the highest grid point need not be on the highest."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
     form_error: ClassVar[float] = 0.01
@@ -114,6 +116,10 @@ class Family(abc.ABC):
             at = int(np.argmin(np.abs(points - x)))
             out.append((points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]))
         return out
+
+    def band(self, shape: Shape) -> float:
+        """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several; 0 for others."""
+        return 0.0
 
     free_shape: ClassVar[int | None] = None
     """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""

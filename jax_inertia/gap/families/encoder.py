@@ -84,8 +84,17 @@ class EncoderScale(Encoder):
         return {"scale": Parameter(theta[0] / (1 - theta[0]), "1")}
 
 
+ALL = 1e3
+"""A frequency [Hz] that is above all others."""
+
+
 class TwoMass(Encoder):
-    """Motor and link apart: the path is `context.separation`."""
+    """Motor and link apart: the path is `context.separation`.
+
+    The last shape is the frequency [Hz] up to which it counts: the motion's band, or all. Teeth rattle at other moments
+    than computed, resonances ring by the encoder's own noise: then the computed effect is worse than none above the
+    motion's band. Which of the two is no number of the robot's, so what brings more decides.
+    """
 
     motor_side, whole = True, 0.2
     # Teeth rattle, resonances decay: not as computed.
@@ -104,6 +113,18 @@ class TwoMass(Encoder):
     def path(self, context, place, shape):
         return context.separation(place.index, self.coupling(shape))
 
+    def band(self, shape):
+        return shape[-1]
+
+    def columns(self, context, place, shape):
+        every = super().columns(context, place, shape)
+        band = self.band(shape)
+        return every if band == ALL else Columns(context.below(band, every.values))
+
+    def around(self, context, place, shape):
+        *free, _ = super().around(context, place, shape)
+        return [*free, (shape[-1], shape[-1])]
+
     def stiffnesses(self, context: Context, place: Place, n: int) -> np.ndarray:
         """From 0.07 rad at the joint's peak torque, softer than most drives, to 0.0003 rad."""
         peak = np.percentile(np.abs(context.link_torque[:, place.index]), 99.5) + 1e-6
@@ -117,13 +138,25 @@ class JointElasticity(TwoMass):
     name, equation = "joint_elasticity", "q_motor = q + δ, K δ + D δ̇ transmitted"
     # How a resonance decays is not in the equation.
     free_shape, form_error = 1, 0.3
+    # Drives stiffen as they wind up (Tuttle and Seering 1996), which a dead zone draws as well.
+    leeway = 0.01
 
     def grid(self, context, place):
-        return (self.stiffnesses(context, place, 28), (0.01, 0.03, 0.08, 0.25))
+        dampings = (0.01, 0.03, 0.08, 0.25)
+        return (self.stiffnesses(context, place, 28), dampings, (context.slow_band, ALL))
+
+    def shapes(self, context, place):
+        # Far below its resonance a spring's damping makes no difference.
+        return (s for s in super().shapes(context, place) if s[2] == ALL or s[1] == 0.03)
 
     def first(self, context, place):
-        stiffness, damping = self.grid(context, place)
-        return itertools.product(stiffness[1::3], damping[1::2])
+        stiffness, damping, bands = self.grid(context, place)
+        wanted = set(itertools.product(stiffness[1::3], damping[1::2], bands))
+        return (s for s in self.shapes(context, place) if s in wanted)
+
+    def around(self, context, place, shape):
+        stiffness, damping, band = super().around(context, place, shape)
+        return [stiffness, damping if shape[2] == ALL else (shape[1], shape[1]), band]
 
     def coupling(self, shape):
         return shape[0], shape[1], 0.0
@@ -132,19 +165,10 @@ class JointElasticity(TwoMass):
         return {"stiffness": Parameter(shape[0], "N m/rad")}
 
 
-ALL = 1e3
-"""A frequency [Hz] that is above all others."""
-
-
 class Backlash(TwoMass):
-    """Its last shape is the frequency [Hz] up to which it counts: the motion's band, or all.
-
-    Teeth rattle at other moments than computed: then the computed effect is worse than none above the motion's band.
-    """
-
     name, equation = "backlash", "q_motor = q + δ, nothing transmitted while |δ| < b/2"
     simpler = ("encoder_offset", "joint_elasticity")
-    free_shape, form_error, peaks = 2, 0.5, 3
+    free_shape, form_error, peaks = 2, 0.5, 2
 
     def grid(self, context, place):
         # From a precision gear's half a minute of arc.
@@ -156,14 +180,6 @@ class Backlash(TwoMass):
     def first(self, context, place):
         gap, stiffness, damping, bands = self.grid(context, place)
         return itertools.product(gap[::2], stiffness[2::6], damping, bands)
-
-    def around(self, context, place, shape):
-        *free, _ = super().around(context, place, shape)
-        return [*free, (shape[3], shape[3])]
-
-    def columns(self, context, place, shape):
-        every = super().columns(context, place, shape)
-        return every if shape[3] == ALL else Columns(context.below(shape[3], every.values))
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0]
