@@ -118,7 +118,7 @@ class Family(abc.ABC):
         return out
 
     def band(self, shape: Shape) -> float:
-        """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several; 0 for others."""
+        """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several, else 0."""
         return 0.0
 
     free_shape: ClassVar[int | None] = None
