@@ -78,6 +78,12 @@ class Candidate:
         return self.family.form_error**2 * float(effect @ effect)
 
     @property
+    def stirred(self) -> float:
+        """Misfit that the noise of its own columns adds, where its size is given: it cannot be made smaller by that."""
+        given = self.family.whole is not None and not self.family.slow
+        return max(self.aim - self.gain, 0.0) if given else 0.0
+
+    @property
     def size(self) -> int:
         """Numbers that were free: θ and the shape, details such as presliding apart."""
         free = self.family.free_shape

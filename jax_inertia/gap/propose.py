@@ -105,9 +105,15 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
             continue
         noise = max(1.0, (before - best.gain) / max(floor, 1.0))
         margin = max(best.family.set_apart * noise, c.family.leeway * best.gain)
-        if best.gain - c.gain < margin and c.score > STOP:
+        if _behind(best, c) < margin and c.score > STOP:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
+
+
+def _behind(best: Candidate, simpler: Candidate) -> float:
+    """How much less a simpler family brings; of two whose size is given, without what is the noise of either."""
+    gain, aim = best.gain - simpler.gain, best.aim - simpler.aim
+    return gain if simpler.family.whole is None else min(gain, aim)
 
 
 def others(

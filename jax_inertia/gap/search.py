@@ -148,7 +148,7 @@ class Finder:
         changing = inconstant(pool, chosen, against)
         verdict, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
         if chosen:
-            allowed = sum((c.excuses(c.effect) for c in chosen), start=0.0)
+            allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, known)
             enough = max(2, len(chosen) / 2)
             if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:

@@ -145,18 +145,9 @@ class JointElasticity(TwoMass):
         dampings = (0.01, 0.03, 0.08, 0.25)
         return (self.stiffnesses(context, place, 28), dampings, (context.slow_band, ALL))
 
-    def shapes(self, context, place):
-        # Far below its resonance a spring's damping makes no difference.
-        return (s for s in super().shapes(context, place) if s[2] == ALL or s[1] == 0.03)
-
     def first(self, context, place):
         stiffness, damping, bands = self.grid(context, place)
-        wanted = set(itertools.product(stiffness[1::3], damping[1::2], bands))
-        return (s for s in self.shapes(context, place) if s in wanted)
-
-    def around(self, context, place, shape):
-        stiffness, damping, band = super().around(context, place, shape)
-        return [stiffness, damping if shape[2] == ALL else (shape[1], shape[1]), band]
+        return itertools.product(stiffness[1::3], damping[1::2], bands)
 
     def coupling(self, shape):
         return shape[0], shape[1], 0.0
