@@ -125,6 +125,8 @@ def test_false_alarms_and_unknown_effects():
     assert mark(hidden, said("unknown"))["unknown"] is True
     assert mark(hidden, said("unknown"))["unknown_place"] is True
     assert mark(hidden, said("explained", ("cogging", "a", {}, [])))["unknown"] is False
+    same = answer("unknown", effect("unknown", "a"), equivalents=[[["drag", "link"]]])
+    assert mark(same, said("explained", ("drag", "link", {}, [])))["unknown"] is True
 
 
 def test_a_pair_counts_each_half_and_each_claim():
@@ -140,6 +142,9 @@ def test_a_pair_counts_each_half_and_each_claim():
     assert row["pair_both"] is None
     both = answer("pair", effect("cogging", "a"), effect("payload", "b"))
     assert mark(both, said("explained", ("cogging", "a", {}, [])))["pair_both"] is False
+    tied = said("explained", ("cogging", "a", {}, []), ("drag", "b", {}, [("payload", "b")]))
+    assert mark(both, tied)["pair_both"] is False
+    assert mark(both, tied)["pair_in_set"] is True
 
 
 def test_a_failed_command_is_wrong_wherever_it_was_asked():

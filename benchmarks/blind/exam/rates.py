@@ -75,6 +75,7 @@ QUESTIONS: dict[str, Callable[[list[dict]], Share]] = {
     "pair_recall": _column("pair_recall"),
     "pair_precision": _column("pair_precision"),
     "pair_both": _column("pair_both"),
+    "pair_in_set": _column("pair_in_set"),
     "parameters_within_10": lambda rows: count(p["error"] <= 0.1 for p in _parameters(rows)),
     "coverage95": lambda rows: count(p["covers"] for p in _parameters(rows)),
     "shrink_within_10": _column("shrink_within_10"),

@@ -168,6 +168,10 @@ def _plain(s: Sensors) -> dict:
 def equivalents(robot: str, h: Hidden) -> list[list[str]]:
     """(family, place) of candidates that explain the same log exactly, where theory says so."""
     place = (h.family, h.name)
+    fixed = robot in ("six", "seven", "two")
+    if fixed and (h.mechanism, h.name) == ("quadratic_friction", "axis1"):
+        # The first link turns about an axis that stands still: each of its points draws a circle.
+        return [["drag", "segment1"]]
     if robot in ("six", "seven"):
         # About a vertical fixed axis all inertia is one number.
         alike = [("armature", "axis1"), ("link_inertia", "segment1"), ("payload", "segment1"),
