@@ -12,6 +12,7 @@ from jax_inertia.gap.outsiders import Outsider, outsiders
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.together import misfit, remaining, stacked
+from jax_inertia.gap.verdict import DOUBT
 
 # Effects that have nothing to do with each other bring, each alone, what they bring together: in 44 pairs that were
 # found right in two opened sealed sets the sum was 0.85 to 1.37 of it.
@@ -76,11 +77,13 @@ def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
     """What effects explain each alone, summed, over what they explain together; None where that is about the same.
 
     Where the sum is far more, each takes what the others could take as well; where it is far less, they undo each
-    other. Either way they draw one cause that is none of them.
+    other. Either way they draw one cause that is none of them. Not so beside one that is a cause by itself, leaving
+    little: what a small effect explains alone is what it resembles of that.
     """
     if len(chosen) < 2:
         return None
     nothing = misfit(pool, [])
-    alone = sum(nothing - misfit(pool, [c]) for c in chosen)
-    share = alone / max(nothing - misfit(pool, chosen), 1e-300)
-    return share if abs(share - 1.0) > ENTANGLED else None
+    whole = max(nothing - misfit(pool, chosen), 1e-300)
+    alone = [(nothing - misfit(pool, [c])) / whole for c in chosen]
+    share = sum(alone)
+    return share if abs(share - 1.0) > ENTANGLED and max(alone) < 1.0 - DOUBT**2 else None
