@@ -88,6 +88,8 @@ def test_effects_that_do_only_together_what_they_do_are_entangled():
     assert entangled(*beside(x, 0.2 * x + y)) is None
     # Each takes what the other could take as well.
     assert entangled(*beside(x, x + 0.3 * y)) == pytest.approx(2.0, abs=0.1)
+    # A small effect that resembles a large one: the large one is a cause by itself, the small one is none.
+    assert entangled(*beside(10.0 * x, 0.8 * x + y)) is None
     # They undo each other, all but a little.
     assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
     assert entangled(*beside(x)) is None
