@@ -93,7 +93,7 @@ SPRING = 'stiffness="60" damping="0.1"'
 TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
 
 
-def log_of(coupling, seed=0):
+def log_of(coupling, seed=0, encoder=2e-5):
     """A log of the real arm, whose encoders sit on the motors."""
     model = mujoco.MjModel.from_xml_string(APART.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
@@ -104,7 +104,7 @@ def log_of(coupling, seed=0):
         target, speed = wave(data.time, seed)
         u = np.array([60.0, 40.0]) * (target - data.qpos[:2])
         u += np.array([6.0, 3.0]) * (speed - data.qvel[:2])
-        seen = data.qpos[:2] + 2e-5 * rng.standard_normal(2)
+        seen = data.qpos[:2] + encoder * rng.standard_normal(2)
         rows.append((data.time, seen, u + sigma * rng.standard_normal(2)))
         data.qfrc_applied[:2] = u
         mujoco.mj_step(model, data, 4)
@@ -115,7 +115,7 @@ def log_of(coupling, seed=0):
         qpos=qpos,
         tau=tau,
         tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(2, 2e-5),
+        sigma_qpos=np.full(2, encoder),
         sigma_tau=sigma,
     )
 
@@ -126,6 +126,15 @@ def test_a_soft_joint_of_mujoco_is_named_and_sized():
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("joint_elasticity", "elbow")
     assert effect.parameters["stiffness"].value == pytest.approx(60.0, rel=0.05)
+
+
+def test_a_stiff_joint_behind_a_rough_encoder_is_no_dead_zone_of_nothing():
+    # Where noise rings, a dead zone judged in the motion's band would win against a spring that is not.
+    robot = load_model(mujoco.MjModel.from_xml_string(ARM))
+    found = diagnose(robot, log_of(SPRING.replace("60", "200"), encoder=3e-4))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("joint_elasticity", "elbow")
+    assert effect.parameters["stiffness"].value == pytest.approx(200.0, rel=0.05)
 
 
 @pytest.mark.parametrize("half", [0.01, 0.0003])
