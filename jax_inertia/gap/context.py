@@ -208,8 +208,7 @@ class Context:
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
         """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
-        if (row, coupling) not in self._separations:
-            self.separate(row, [coupling])
+        self.separate(row, [coupling])
         return self._separations[row, coupling]
 
     def separate(self, row: int, couplings: list[Coupling]) -> None:

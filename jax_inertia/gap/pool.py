@@ -142,18 +142,14 @@ class Pool:
 
         The aim tells where in a band a shape is best; which band, what is gained in all.
         """
+        family, coarse = entry.family, bool(entry.rest)
+        fits = (
+            fit(self.context, family, entry.place, b, left, coarse=coarse) for b in entry.blocks
+        )
         bands: dict[float, list[Candidate]] = {}
-        for c in sorted(self._fits(entry, left), key=lambda c: -c.aim):
-            bands.setdefault(entry.family.band(c.shape), []).append(c)
+        for c in sorted((f for f in fits if f is not None), key=lambda c: -c.aim):
+            bands.setdefault(family.band(c.shape), []).append(c)
         return list(bands.values())
-
-    def _fits(self, entry: Entry, left: Beside) -> Iterator[Candidate]:
-        """An entry at each of its shapes tried so far, where it fits."""
-        coarse = bool(entry.rest)
-        for b in entry.blocks:
-            c = fit(self.context, entry.family, entry.place, b, left, coarse=coarse)
-            if c is not None:
-                yield c
 
     def _entry_of(self, candidate: Candidate) -> Entry | None:
         """Where a candidate's grid is; none for a family with more numbers than the library's."""
