@@ -35,9 +35,10 @@ from jax_inertia import load_model  # noqa: E402
 from jax_inertia.charts import LogCholeskyUUt  # noqa: E402
 from jax_inertia.differences import Observation  # noqa: E402
 from jax_inertia.estimate import Estimator, make_estimator  # noqa: E402
-from jax_inertia.kalman import FixedGate, IndependentNoise  # noqa: E402
+from jax_inertia.gates import FixedGate  # noqa: E402
 from jax_inertia.measurement import torque_residuals  # noqa: E402
 from jax_inertia.motion import Motion  # noqa: E402
+from jax_inertia.noise import IndependentNoise  # noqa: E402
 from jax_inertia.priors import Load, Tolerance  # noqa: E402
 from jax_inertia.robot import Robot  # noqa: E402
 

@@ -16,11 +16,12 @@ from jax_inertia._names import suggestion
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.estimate import Estimate, Trace
+from jax_inertia.estimate import Trace
 from jax_inertia.identifiability import Knowledge, knowledge
 from jax_inertia.inertia import is_physical
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.mjcf import load_model
+from jax_inertia.physical import Estimate
 from jax_inertia.preflight import Finding, Severity, preflight
 from jax_inertia.priors import Load, Tolerance
 from jax_inertia.robot import Robot

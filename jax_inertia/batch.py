@@ -27,8 +27,9 @@ from jax_inertia._batch_rows import TERMS, Rows, correlation_inflation, rows_of
 from jax_inertia._readable import line, table
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.estimate import Estimate, make_estimator, physical_units
+from jax_inertia.estimate import make_estimator
 from jax_inertia.inertia import is_physical
+from jax_inertia.physical import Estimate, physical_units
 from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
 

@@ -17,15 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jax_inertia import charts, inertia, kalman
-from jax_inertia._readable import has_numbers, line, table
+from jax_inertia import charts, kalman
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
+from jax_inertia.gates import FixedGate, Gate
 from jax_inertia.measurement import agreed_residual, torque_residual, torque_residuals
+from jax_inertia.noise import IndependentNoise, Noise
+from jax_inertia.physical import Estimate, of_each_body, own_blocks, physical_units
 from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
-from jax_inertia.spatial import matmul
 
 
 class State(eqx.Module):
@@ -48,53 +49,6 @@ class Step(eqx.Module):
     reopened: Bool[Array, ""]
 
 
-class Estimate(eqx.Module):
-    """A belief in physical units, one row for each estimated body; σ to first order."""
-
-    pi: Float[Array, "*t bodies 10"]
-    sigma_pi: Float[Array, "*t bodies 10"]
-    com: Float[Array, "*t bodies 3"]
-    sigma_com: Float[Array, "*t bodies 3"]
-
-    def __repr__(self) -> str:
-        lines = [f"Estimate({self._count()}; ± 95 %)"]
-        lines += [f"  {mass} kg at {com} mm" for mass, com in self.rows()]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """For notebooks: mass and centre of mass of each body with 95 % intervals."""
-        head = ("", "mass [kg]", "centre of mass [mm]")
-        rows = ((f"body {k}", *row) for k, row in enumerate(self.rows()))
-        return line(f"Estimate ({self._count()}; ± 95 %)") + table(head, rows)
-
-    def _count(self) -> str:
-        *batch, bodies, _ = self.pi.shape
-        what = f"{bodies} bodies" if bodies > 1 else "one body"
-        if not has_numbers(self.pi):
-            return f"{what}, traced"
-        return f"{what}, {' × '.join(map(str, batch))} samples, the last" if batch else what
-
-    def rows(self) -> list[tuple[str, str]]:
-        """Mass and centre of mass of each body, of the last sample where there are more."""
-        if not has_numbers(self.pi) or 0 in self.pi.shape:
-            return []
-        pi, sigma, com, wide = (
-            np.asarray(x).reshape(-1, *x.shape[-2:])[-1]
-            for x in (self.pi, self.sigma_pi, self.com, self.sigma_com)
-        )
-        return [
-            (
-                f"{pi[k, 0]:.4g} ± {1.96 * sigma[k, 0]:.2g}",
-                f"({_in_mm(com[k])}) ± ({_in_mm(1.96 * wide[k])})",
-            )
-            for k in range(len(pi))
-        ]
-
-
-def _in_mm(x: np.ndarray) -> str:
-    return ", ".join(f"{1e3 * v:.1f}" for v in x)
-
-
 class Trace(eqx.Module):
     """A filter's run over a log, one entry a sample."""
 
@@ -112,10 +66,10 @@ class Estimator(eqx.Module):
     prior: kalman.Belief
     process_noise: Float[Array, "n n"]
     """Growth of the covariance per second, in the chart's coordinates."""
-    noise: kalman.Noise
+    noise: Noise
     sigma_a: Float[Array, " nv"] | None
     """Noise of v̇ [m/s², rad/s²] that is not in `noise`; None: the paper's filter, which takes v̇ for exact."""
-    gate: kalman.Gate
+    gate: Gate
     form: kalman.Form
     reopen_after: Float[Array, ""]
     """A gate that has rejected everything for so long [s] is facing a new load, not an impact: see `step`."""
@@ -216,12 +170,12 @@ class Estimator(eqx.Module):
             after, step = follow(carry, *sample, since)
             if use is not None:
                 after = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
-            own = (step.belief.mean, _own_blocks(step.belief.covariance))
+            own = (step.belief.mean, own_blocks(step.belief.covariance))
             return after, (own, step.innovation, step.threshold, step.reopened)
 
         steps = (samples, dt, used)
         state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
-        estimate = jax.lax.map(lambda x: _physical(self.chart, *x), own, batch_size=64)
+        estimate = jax.lax.map(lambda x: of_each_body(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
 
     def calibrate_bias(self, state: State, observations: Observation) -> State:
@@ -251,49 +205,6 @@ class Estimator(eqx.Module):
         return self.chart.to_pi(x.reshape(-1, 10))
 
 
-def physical_units(
-    chart: charts.Chart, mean: Float[Array, " n"], covariance: Float[Array, "n n"]
-) -> Estimate:
-    """A Gaussian in a chart's coordinates (10 for each body) in physical units.
-
-    >>> import jax.numpy as jnp
-    >>> from jax_inertia.charts import Linear
-    >>> from jax_inertia.estimate import physical_units
-    >>> body = jnp.array([2.0, 0, 0, 0.2, 0.04, 0, 0, 0.04, 0, 0.01])
-    >>> physical_units(Linear(), body, 0.01 * jnp.eye(10)).sigma_pi[0, :2]
-    Array([0.1, 0.1], dtype=float64)
-    """
-    return _physical(chart, mean, _own_blocks(covariance))
-
-
-def _slopes(chart: charts.Chart, x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10 10"]:
-    """`Chart.jacobian` by autodiff: each body's π hangs on its own coordinates alone, so ten tangents do for all."""
-
-    def along(direction: Float[Array, "10"]) -> Float[Array, "bodies 10"]:
-        return jax.jvp(chart.to_pi, (x,), (jnp.broadcast_to(direction, x.shape),))[1]
-
-    return jax.vmap(along, out_axes=-1)(jnp.eye(10, dtype=x.dtype))
-
-
-def _own_blocks(covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:
-    n = len(covariance) // 10
-    return covariance.reshape(n, 10, n, 10)[np.arange(n), :, np.arange(n), :]
-
-
-def _physical(
-    chart: charts.Chart, mean: Float[Array, " n"], blocks: Float[Array, "bodies 10 10"]
-) -> Estimate:
-    x = mean.reshape(-1, 10)
-    pi, g = chart.to_pi(x), chart.jacobian(x)
-    covariance = matmul(matmul(g, blocks), jnp.swapaxes(g, -1, -2))
-    com = inertia.centre_of_mass(pi)
-    # c = h/m: ∂c/∂m = −c/m, ∂c/∂h = 1/m.
-    eye = jnp.broadcast_to(jnp.eye(3, dtype=pi.dtype), (len(x), 3, 3))
-    slope = jnp.concatenate([-com[:, :, None], eye], -1) / pi[:, :1, None]
-    com_covariance = matmul(matmul(slope, covariance[:, :4, :4]), jnp.swapaxes(slope, -1, -2))
-    return Estimate(pi, _root_diagonal(covariance), com, _root_diagonal(com_covariance))
-
-
 def make_estimator(
     robot: Robot,
     bodies: Sequence[int | str],
@@ -302,9 +213,9 @@ def make_estimator(
     prior: Uncertainty | None = None,
     drift: Uncertainty | None = None,
     chart: charts.Chart | None = None,
-    noise: kalman.Noise | None = None,
+    noise: Noise | None = None,
     sigma_a: Float[Array, " nv"] | Sequence[float] | float | None = None,
-    gate: kalman.Gate | None = None,
+    gate: Gate | None = None,
     reopen_after: float = jnp.inf,
     iterations: int = 1,
     form: kalman.Form | None = None,
@@ -348,12 +259,12 @@ def make_estimator(
             raise ValueError(
                 f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive"
             )
-        noise = kalman.IndependentNoise(sigma**2)
+        noise = IndependentNoise(sigma**2)
     if sigma_a is not None:
         sigma_a = jnp.broadcast_to(jnp.asarray(sigma_a, robot.pi.dtype), (robot.nv,))
         if not bool(jnp.all(sigma_a >= 0)):
             raise ValueError(f"sigma_a is {np.asarray(sigma_a)}; noise cannot be negative")
-    independent = isinstance(noise, kalman.IndependentNoise) and sigma_a is None
+    independent = isinstance(noise, IndependentNoise) and sigma_a is None
     if form is not None and form.leaves_rows_out and not independent:
         raise ValueError(
             f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
@@ -371,7 +282,7 @@ def make_estimator(
         process_noise=growth,
         noise=noise,
         sigma_a=sigma_a,
-        gate=kalman.FixedGate() if gate is None else gate,
+        gate=FixedGate() if gate is None else gate,
         form=kalman.default_form(robot.pi.dtype) if form is None else form,
         reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),
         bodies=chosen,
@@ -380,5 +291,10 @@ def make_estimator(
     )
 
 
-def _root_diagonal(covariance: Float[Array, "b k k"]) -> Float[Array, "b k"]:
-    return jnp.sqrt(jnp.maximum(jnp.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+def _slopes(chart: charts.Chart, x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10 10"]:
+    """`Chart.jacobian` by autodiff: each body's π hangs on its own coordinates alone, so ten tangents do for all."""
+
+    def along(direction: Float[Array, "10"]) -> Float[Array, "bodies 10"]:
+        return jax.jvp(chart.to_pi, (x,), (jnp.broadcast_to(direction, x.shape),))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(10, dtype=x.dtype))

@@ -17,10 +17,11 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-import scipy.stats
 from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Bool, Float
+
+from jax_inertia.gates import Gate
+from jax_inertia.noise import Noise
 
 
 class Belief(eqx.Module):
@@ -44,110 +45,6 @@ class Innovation(eqx.Module):
     log_likelihood: Float[Array, ""]
     """log N(ν; 0, S) over the rows used."""
     accepted: Bool[Array, ""]
-
-
-class Gate(eqx.Module):
-    """Innovation gate: a measurement is used if νᵀ S⁻¹ ν ≤ γ (Foster et al., sec. IV-B)."""
-
-    @abc.abstractmethod
-    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
-        """γ for a measurement of so many rows."""
-
-
-class FixedGate(Gate):
-    """One γ for every measurement, as the paper tuned it; infinite: no gate."""
-
-    gamma: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=jnp.inf)
-
-    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(self.gamma, rows.dtype)
-
-
-class ChiSquaredGate(Gate):
-    """γ such that a consistent filter keeps a measurement with the given probability, whatever its row count."""
-
-    table: Float[Array, " rows"]
-
-    def __init__(self, probability: float, max_rows: int):
-        """`probability` of keeping a good measurement, in (0, 1); ValueError otherwise."""
-        if not 0 < probability < 1:
-            raise ValueError(f"gate probability is {probability}; it must lie between 0 and 1")
-        quantiles = scipy.stats.chi2.ppf(probability, np.arange(1, max_rows + 1))
-        self.table = jnp.asarray(np.concatenate([[np.inf], quantiles]))
-
-    def threshold(self, rows: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(self.table, rows.dtype)[rows.astype(int)]
-
-
-class Noise(eqx.Module):
-    """Measurement noise R of m rows; a row where `used` is 0 is left out of everything."""
-
-    @abc.abstractmethod
-    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        """R^{-1/2} rows: unit noise, zero where not used."""
-
-    @abc.abstractmethod
-    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        """R^{1/2} rows: back from `whiten`, for the rows used."""
-
-    @abc.abstractmethod
-    def variances(self) -> Float[Array, " m"]:
-        """diag R."""
-
-    @abc.abstractmethod
-    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
-        """log det of the used block of R."""
-
-    @abc.abstractmethod
-    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
-        """With independent noise of this covariance added."""
-
-
-class IndependentNoise(Noise):
-    """Rows with independent noise of the given variance."""
-
-    variance: Float[Array, " m"]
-
-    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        return rows * (used * jax.lax.rsqrt(self.variance))[:, None]
-
-    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        return rows * jnp.sqrt(self.variance)[:, None]
-
-    def variances(self) -> Float[Array, " m"]:
-        return self.variance
-
-    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
-        return used @ jnp.log(self.variance)
-
-    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
-        return CorrelatedNoise(jnp.diag(self.variance) + covariance)
-
-
-class CorrelatedNoise(Noise):
-    """Rows with a full noise covariance R, such as contact-wrench noise seen through Jᵀ."""
-
-    covariance: Float[Array, "m m"]
-
-    def whiten(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        return solve_triangular(self._factor(used), rows * used[:, None], lower=True)
-
-    def colour(self, rows: Float[Array, "m k"], used: Float[Array, " m"]) -> Float[Array, "m k"]:
-        return self._factor(used) @ rows
-
-    def variances(self) -> Float[Array, " m"]:
-        return jnp.diagonal(self.covariance)
-
-    def log_det(self, used: Float[Array, " m"]) -> Float[Array, ""]:
-        return 2.0 * jnp.sum(jnp.log(jnp.diagonal(self._factor(used))))
-
-    def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
-        return CorrelatedNoise(self.covariance + covariance)
-
-    def _factor(self, used: Float[Array, " m"]) -> Float[Array, "m m"]:
-        # A row left out gets unit noise apart from the others: what remains is the marginal of the rest.
-        keep = used[:, None] * used[None, :]
-        return jnp.linalg.cholesky(jnp.where(keep > 0, self.covariance, jnp.diag(1.0 - used)))
 
 
 class Correction(eqx.Module):
@@ -293,7 +190,8 @@ def update(
     is returned unchanged where the gate rejects or the result would not be finite.
 
     >>> import jax.numpy as jnp
-    >>> from jax_inertia.kalman import Belief, IndependentNoise, update
+    >>> from jax_inertia.kalman import Belief, update
+    >>> from jax_inertia.noise import IndependentNoise
     >>> before = Belief(jnp.zeros(1), jnp.eye(1))
     >>> after, seen = update(before, jnp.array([2.0]), lambda x: x, IndependentNoise(jnp.ones(1)))
     >>> after.mean.round(6), after.covariance.round(6)

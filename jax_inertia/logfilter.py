@@ -19,12 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia import charts, kalman
+from jax_inertia import charts
 from jax_inertia._batch_rows import correlation_inflation
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.estimate import Estimator, State, Trace, make_estimator
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.log import Log, LogError
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.motion import generalised
@@ -295,7 +296,7 @@ def online(
         sigma_tau=jnp.asarray(noise),
         prior=prior,
         chart=charts.LogCholeskyUUt() if chart is None else chart,
-        gate=kalman.ChiSquaredGate(gate, robot.nv) if gate < 1 else None,
+        gate=ChiSquaredGate(gate, robot.nv) if gate < 1 else None,
         reopen_after=reopen_after,
         iterations=iterations,
     )

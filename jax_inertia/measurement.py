@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jax_inertia import dynamics
 from jax_inertia.differences import Observation
-from jax_inertia.kalman import CorrelatedNoise, Noise
+from jax_inertia.noise import CorrelatedNoise, Noise
 from jax_inertia.robot import Robot
 
 FRICTION_VELOCITY = 0.01

@@ -9,6 +9,7 @@ import scipy.stats
 
 from jax_inertia import kalman
 from jax_inertia.consistency import consistency, nees
+from jax_inertia.noise import IndependentNoise
 
 SAMPLES, STATES, ROWS = 500, 3, 2
 SIGMA = np.array([0.2, 0.5])
@@ -17,7 +18,7 @@ SIGMA = np.array([0.2, 0.5])
 @jax.jit
 def run(h, z, variance):
     """A random walk watched through h, from a standard normal prior."""
-    noise = kalman.IndependentNoise(variance)
+    noise = IndependentNoise(variance)
 
     def one(belief, x):
         h, z = x

@@ -12,9 +12,10 @@ import pytest
 from excitation import LOAD, compiled, humanoid, loaded, log_of, stepping
 
 import jax_inertia as ji
-from jax_inertia import charts, inertia, kalman
+from jax_inertia import charts, inertia
 from jax_inertia.differences import Observation
 from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.mjcf import body_pi
 from jax_inertia.priors import Load
@@ -275,7 +276,7 @@ def test_float32_stays_close_to_float64():
 
 
 def gated(robot: ji.Robot, **options) -> Estimator:
-    return estimator_of(robot, gate=kalman.ChiSquaredGate(0.9999, robot.nv), **options)
+    return estimator_of(robot, gate=ChiSquaredGate(0.9999, robot.nv), **options)
 
 
 def test_gate_rejects_impacts_and_nothing_else():

@@ -9,7 +9,8 @@ from jax_inertia import fused
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.estimate import make_estimator
 from jax_inertia.fused import FusedSquareRoot
-from jax_inertia.kalman import Belief, IndependentNoise, Standard, update
+from jax_inertia.kalman import Belief, Standard, update
+from jax_inertia.noise import IndependentNoise
 
 ROWS = (0, 1, 2, 5, 8)
 

@@ -7,6 +7,8 @@ import pytest
 import scipy.stats
 
 from jax_inertia import kalman
+from jax_inertia.gates import ChiSquaredGate, FixedGate
+from jax_inertia.noise import CorrelatedNoise, IndependentNoise
 
 FORMS = [kalman.Standard(), kalman.SquareRoot(), kalman.Information()]
 forms = pytest.mark.parametrize("form", FORMS, ids=["standard", "square_root", "information"])
@@ -26,10 +28,10 @@ def problem(seed: int, correlated: bool = False):
     mean, p, h = rng.normal(size=N), covariance(rng, N), rng.normal(size=(M, N))
     if correlated:
         r = covariance(rng, M)
-        noise = kalman.CorrelatedNoise(jnp.asarray(r))
+        noise = CorrelatedNoise(jnp.asarray(r))
     else:
         variance = rng.uniform(0.1, 2.0, M)
-        r, noise = np.diag(variance), kalman.IndependentNoise(jnp.asarray(variance))
+        r, noise = np.diag(variance), IndependentNoise(jnp.asarray(variance))
     z = rng.multivariate_normal(h @ mean, h @ p @ h.T + r)
     return kalman.Belief(jnp.asarray(mean), jnp.asarray(p)), h, noise, r, z
 
@@ -119,7 +121,7 @@ def test_a_run_is_batch_least_squares(form, iterations):
     steps = 200
     hs, zs = rng.normal(size=(steps, M, N)), rng.normal(size=(steps, M)) * 3.0
     variance = rng.uniform(0.1, 2.0, size=M)
-    noise = kalman.IndependentNoise(jnp.asarray(variance))
+    noise = IndependentNoise(jnp.asarray(variance))
 
     def step(belief, sample):
         h, z = sample
@@ -200,7 +202,7 @@ def test_the_gate_looks_at_the_prior(iterations):
             jnp.asarray(z),
             lambda x: h @ x,
             noise,
-            gate=kalman.FixedGate(nis * factor),
+            gate=FixedGate(nis * factor),
             iterations=iterations,
         )
         assert bool(said.accepted) is wanted
@@ -211,11 +213,11 @@ def test_the_gate_looks_at_the_prior(iterations):
 def test_chi_squared_gate_keeps_what_it_promises():
     """10⁴ consistent measurements: the share kept lies within 4 σ of the binomial, for any row count."""
     draws, probability = 10_000, 0.95
-    gate = kalman.ChiSquaredGate(probability, M)
+    gate = ChiSquaredGate(probability, M)
     belief, h, _, _, _ = problem(14)
     rng = np.random.default_rng(15)
     r = covariance(rng, M)
-    noise = kalman.CorrelatedNoise(jnp.asarray(r))
+    noise = CorrelatedNoise(jnp.asarray(r))
     s = h @ np.asarray(belief.covariance) @ h.T + r
     zs = rng.multivariate_normal(h @ np.asarray(belief.mean), s, size=draws)
 
@@ -236,7 +238,7 @@ def test_chi_squared_gate_keeps_what_it_promises():
 def test_gate_probability_is_checked():
     for bad in (0.0, 1.0, -0.5, 95.0, float("nan")):
         with pytest.raises(ValueError, match="between 0 and 1"):
-            kalman.ChiSquaredGate(bad, 3)
+            ChiSquaredGate(bad, 3)
 
 
 def test_an_update_that_is_not_finite_is_not_made():

@@ -7,6 +7,7 @@ import pytest
 from bodies import random_bodies
 
 from jax_inertia import charts, inertia, kalman
+from jax_inertia.noise import IndependentNoise
 
 FILTERS, STEPS, ROWS = 250, 200, 12
 
@@ -21,7 +22,7 @@ def storm(chart: charts.Chart, key: jax.Array, bodies: int, iterations: int):
     column = np.array([10.0] + [10.0] * 3 + [5.0] * 6)
     regressors = rng.normal(size=(64, ROWS, bodies, 10)) * column
     regressors, truth, nominal = (jnp.asarray(x, jnp.float32) for x in (regressors, truth, nominal))
-    noise = kalman.IndependentNoise(jnp.full(ROWS, 0.25, jnp.float32))
+    noise = IndependentNoise(jnp.full(ROWS, 0.25, jnp.float32))
     start = kalman.Belief(chart.from_pi(nominal).ravel(), jnp.eye(states, dtype=jnp.float32))
     drift = 1e-3 * jnp.eye(states, dtype=jnp.float32)
 

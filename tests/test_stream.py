@@ -14,9 +14,10 @@ import pytest
 from excitation import compiled, loaded, motion_of, torques
 
 import jax_inertia as ji
-from jax_inertia import charts, kalman, logfilter
+from jax_inertia import charts, logfilter
 from jax_inertia.differences import aligned_differences
 from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.log import Log, LogError
 from jax_inertia.motion import generalised
 from jax_inertia.priors import Load
@@ -30,7 +31,7 @@ def estimator(**options) -> Estimator:
     """For a load on the tip of the arm of three hinges, with a gate, so that every part of a state is in use."""
     robot = ji.load_model(compiled("universal"))
     defaults = {"sigma_tau": 0.1, "prior": Load(3.0), "drift": Load(0.05), "reopen_after": 0.5}
-    defaults |= {"gate": kalman.ChiSquaredGate(0.999, 3), "iterations": 3}
+    defaults |= {"gate": ChiSquaredGate(0.999, 3), "iterations": 3}
     return make_estimator(robot, ["tip"], **{**defaults, **options})
 
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 import jax_inertia as ji
-from jax_inertia import batch, charts, kalman, logfilter
+from jax_inertia import batch, charts, logfilter
 from jax_inertia.consistency import consistency, nees
 from jax_inertia.estimate import Estimator, make_estimator
 from jax_inertia.gap import Diagnosis, Tolerance, Verdict, diagnose
@@ -17,6 +17,7 @@ from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_in, effects_of
 from jax_inertia.gap.report import to_report
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.handover import Slew
 from jax_inertia.identifiability import Source, knowledge, structure
 from jax_inertia.inertia import from_com, pseudo_inertia
@@ -75,7 +76,7 @@ def estimate(robot: ji.Robot, log: ji.Log) -> float:
         ["lower"],
         sigma_tau=0.1,
         chart=charts.LogCholeskyUUt(),
-        gate=kalman.ChiSquaredGate(0.999, 2),
+        gate=ChiSquaredGate(0.999, 2),
     )
     checks = consistency(trace.innovation)
     handed = Slew().step(robot.pi[1], trace.estimate.pi[-1, 0], 0.01)

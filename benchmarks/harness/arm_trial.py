@@ -17,8 +17,8 @@ from jax_inertia.charts import LogCholeskyUUt
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import passive_torque
 from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.inertia import is_physical
-from jax_inertia.kalman import ChiSquaredGate
 from jax_inertia.motion import Motion
 from jax_inertia.priors import Load
 from jax_inertia.robots.arm import HAND, arm_mjcf

@@ -10,7 +10,8 @@ from jax_inertia.charts import LogCholeskyUUt
 from jax_inertia.differences import Observation
 from jax_inertia.estimate import Estimator, State, make_estimator
 from jax_inertia.fused import FusedSquareRoot, moved_rows
-from jax_inertia.kalman import ChiSquaredGate, Form
+from jax_inertia.gates import ChiSquaredGate
+from jax_inertia.kalman import Form
 from jax_inertia.motion import Motion
 from jax_inertia.priors import Load
 from jax_inertia.robot import Robot

@@ -23,10 +23,11 @@ from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_who
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import body_jacobian, body_poses, mass_matrix
 from jax_inertia.estimate import Estimator, State, Step, make_estimator
+from jax_inertia.gates import Gate
 from jax_inertia.handover import Slew
 from jax_inertia.inertia import is_physical
-from jax_inertia.kalman import CorrelatedNoise, Gate
 from jax_inertia.motion import Motion
+from jax_inertia.noise import CorrelatedNoise
 from jax_inertia.priors import Uncertainty
 from jax_inertia.robot import Robot
 from jax_inertia.robots import CORNERS

@@ -14,7 +14,7 @@ from benchmarks.paper.brain import ORACLE, Settings
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import TICK, Sensors
-from jax_inertia.kalman import ChiSquaredGate
+from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.priors import Load, Tolerance
 
 DURATION, PICK_UP, NOMINAL, LOAD = 20.0, 12.0, 13.5, 10.0

@@ -13,10 +13,11 @@ import jax_inertia as ji
 from jax_inertia import batch
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
-from jax_inertia.estimate import Estimate, make_estimator
+from jax_inertia.estimate import make_estimator
 from jax_inertia.inertia import PI_NAMES
 from jax_inertia.least_squares import Identifiability, weighted_least_squares
 from jax_inertia.measurement import FRICTION_VELOCITY, torque_residuals
+from jax_inertia.physical import Estimate
 from jax_inertia.priors import Tolerance
 from jax_inertia.robot import Robot
 
