@@ -24,7 +24,7 @@ from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.gates import FixedGate, Gate
 from jax_inertia.measurement import agreed_residual, torque_residual, torque_residuals
 from jax_inertia.noise import IndependentNoise, Noise
-from jax_inertia.physical import Estimate, of_each_body, own_blocks, physical_units
+from jax_inertia.physical import Estimate, own_blocks, physical_units
 from jax_inertia.priors import Load, Uncertainty
 from jax_inertia.robot import Robot
 
@@ -175,7 +175,7 @@ class Estimator(eqx.Module):
 
         steps = (samples, dt, used)
         state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
-        estimate = jax.lax.map(lambda x: of_each_body(self.chart, *x), own, batch_size=64)
+        estimate = jax.lax.map(lambda x: physical_units(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
 
     def calibrate_bias(self, state: State, observations: Observation) -> State:

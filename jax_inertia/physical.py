@@ -58,9 +58,11 @@ def _in_mm(x: np.ndarray) -> str:
 
 
 def physical_units(
-    chart: charts.Chart, mean: Float[Array, " n"], covariance: Float[Array, "n n"]
+    chart: charts.Chart, mean: Float[Array, " n"], covariance: Float[Array, "..."]
 ) -> Estimate:
     """A Gaussian in a chart's coordinates (10 for each body) in physical units.
+
+    `covariance` is (n, n), or (bodies, 10, 10) where only `own_blocks` were kept.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.charts import Linear
@@ -69,19 +71,7 @@ def physical_units(
     >>> physical_units(Linear(), body, 0.01 * jnp.eye(10)).sigma_pi[0, :2]
     Array([0.1, 0.1], dtype=float64)
     """
-    return of_each_body(chart, mean, own_blocks(covariance))
-
-
-def own_blocks(covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:
-    """Each body's own covariance, without what ties it to the others."""
-    n = len(covariance) // 10
-    return covariance.reshape(n, 10, n, 10)[np.arange(n), :, np.arange(n), :]
-
-
-def of_each_body(
-    chart: charts.Chart, mean: Float[Array, " n"], blocks: Float[Array, "bodies 10 10"]
-) -> Estimate:
-    """`physical_units` of the blocks that it needs (`own_blocks`), where a run over a log keeps only these."""
+    blocks = own_blocks(covariance) if covariance.ndim == 2 else covariance
     x = mean.reshape(-1, 10)
     pi, g = chart.to_pi(x), chart.jacobian(x)
     covariance = matmul(matmul(g, blocks), jnp.swapaxes(g, -1, -2))
@@ -91,6 +81,18 @@ def of_each_body(
     slope = jnp.concatenate([-com[:, :, None], eye], -1) / pi[:, :1, None]
     com_covariance = matmul(matmul(slope, covariance[:, :4, :4]), jnp.swapaxes(slope, -1, -2))
     return Estimate(pi, _root_diagonal(covariance), com, _root_diagonal(com_covariance))
+
+
+def own_blocks(covariance: Float[Array, "n n"]) -> Float[Array, "bodies 10 10"]:
+    """Each body's own covariance, without what ties it to the others.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.physical import own_blocks
+    >>> own_blocks(jnp.eye(20)).shape
+    (2, 10, 10)
+    """
+    n = len(covariance) // 10
+    return covariance.reshape(n, 10, n, 10)[np.arange(n), :, np.arange(n), :]
 
 
 def _root_diagonal(covariance: Float[Array, "b k k"]) -> Float[Array, "b k"]:

@@ -17,8 +17,8 @@ import jax_inertia.stream
 
 MODULES = (
     *("batch", "consistency", "dynamics", "estimate", "identifiability", "inertia", "kalman"),
-    *("least_squares", "log", "logfilter", "mjcf", "preflight", "robots.pendulum", "statefile"),
-    *("stream", "suggest_motion", "gap.diagnosis"),
+    *("least_squares", "log", "logfilter", "mjcf", "physical", "preflight", "robots.pendulum"),
+    *("statefile", "stream", "suggest_motion", "gap.diagnosis"),
 )
 SLOW = {
     f"jax_inertia.{name}"
