@@ -178,6 +178,27 @@ def test_products_of_columns_need_no_charging(robot):
         np.testing.assert_allclose(cross[1:], free[:, 1:].T @ after.y, atol=1e-7 * size * 1e2)
 
 
+def test_what_is_over_in_a_moment_is_charged_like_what_lasts(rubbing):
+    log = simulate(friction=FRICTION, stops=True)
+    prepared = prepare(rubbing, log)
+    white, _, _ = whitener(prepared, log)
+    apart = nuisances(Context(prepared), Tolerance(), log)
+    assert apart.brief, "joints of this log set off after rests"
+    together = dataclasses.replace(apart, fixed=[*apart.fixed, *apart.brief], brief=[])
+    one, other = (Evidence(prepared, white, x) for x in (apart, together))
+    # M^{1/2} may be any root of M: what counts is what it makes of products.
+    raw = np.stack([one.raw[:, 0], np.sin(np.arange(one.rows))], axis=1)
+    charged, expected = one.charge(raw), other.charge(raw)
+    scale = np.sqrt(np.diagonal(expected.T @ expected))
+    np.testing.assert_allclose(
+        charged.T @ charged / np.outer(scale, scale),
+        expected.T @ expected / np.outer(scale, scale),
+        atol=1e-7,
+    )
+    excused, as_one = (e.excused(e.y) for e in (one, other))
+    np.testing.assert_allclose(excused, as_one, atol=1e-6 * np.abs(as_one).max())
+
+
 def test_known_friction_at_rest_is_not_taken_for_noise(robot, rubbing):
     log = simulate(friction=FRICTION, stops=True)
     with_friction, _, _ = whitener(prepare(rubbing, log), log)

@@ -22,7 +22,7 @@ from jax_inertia.gap.energies import shares
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
-from jax_inertia.gap.span import Span, Split
+from jax_inertia.gap.span import Brief, Span, Split
 
 T = TypeVar("T")
 
@@ -47,7 +47,9 @@ class Evidence:
         self.used = moving(prepared) if used is None else used
         self._whitening = whitener.over(self.used)
         self.raw = self._whiten(Columns(prepared.missing[:, :, None]))
-        self._fixed = Span(self._side_by_side(nuisances.fixed))
+        fixed, brief = (self._side_by_side(x) for x in (nuisances.fixed, nuisances.brief))
+        self._brief = Brief(brief) if brief.shape[1] else None
+        self._fixed = Span(self._charge_brief(fixed))
         self._fixed_charging = self._fixed.charging()
         self.kinds = list(nuisances.tolerances)
         """Of tolerances."""
@@ -97,7 +99,8 @@ class Evidence:
         return self._own.gram
 
     def _side_by_side(self, columns: list[Columns]) -> Float[np.ndarray, "n k"]:
-        return np.concatenate([self._whiten(block) for block in columns], axis=1)
+        nothing = np.zeros((self.rows, 0))
+        return np.concatenate([nothing, *(self._whiten(block) for block in columns)], axis=1)
 
     @property
     def rows(self) -> int:
@@ -114,7 +117,10 @@ class Evidence:
         return self.charge_own(self._charge_fixed(x))
 
     def _charge_fixed(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        return self._fixed.apply(self._fixed_charging, x)
+        return self._fixed.apply(self._fixed_charging, self._charge_brief(x))
+
+    def _charge_brief(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        return x if self._brief is None else self._brief.charge(x)
 
     def charge_own(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """M^{1/2} x of what the fixed nuisances have charged."""
@@ -164,9 +170,12 @@ class Evidence:
     def excused(self, left: Float[np.ndarray, " n"]) -> Float[np.ndarray, "R nv"]:
         """The finished torque that nuisances most likely have in what effects leave: N ẑ, ẑ = Λ² Nᵀ M (y − A θ)."""
         inside = self.charge_own(left[:, None])
-        torque = self._nuisances.torque(
-            self._fixed.along(self._charge_fixed(inside)[:, 0]), self._off(inside[:, 0])
-        )
+        # M^{1/2} is one root after the other, so its transpose is the other after the one.
+        fixed = self._fixed.apply(self._fixed_charging, inside)[:, 0]
+        numbers = [self._fixed.along(fixed)]
+        if self._brief is not None:
+            numbers.append(self._brief.along(self._brief.charge(fixed)))
+        torque = self._nuisances.torque(np.concatenate(numbers), self._off(inside[:, 0]))
         return self.prepared.finish_torque(torque)
 
     def _off(self, inside: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:

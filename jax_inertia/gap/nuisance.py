@@ -59,6 +59,8 @@ class Nuisances:
 
     fixed: list[Columns]
     """What no model states: friction about a reversal, and when within its period a torque acted."""
+    brief: list[Columns]
+    """The same of what is over in a moment, one moment to a column: friction as a joint sets off, or is at rest."""
     tolerances: dict[str, list[Columns]]
     """Errors of the model's own numbers, by kind of number."""
     named: dict[str, list[str]]
@@ -67,8 +69,9 @@ class Nuisances:
     def torque(
         self, fixed: Float[np.ndarray, " f"], tolerances: Float[np.ndarray, " k"]
     ) -> Float[np.ndarray, "T nv"]:
-        """Σ columns times their numbers, the tolerances' kind by kind."""
-        blocks = [*self.fixed, *(c for some in self.tolerances.values() for c in some)]
+        """Σ columns times their numbers: of `fixed` and then of `brief`, and the tolerances' kind by kind."""
+        own = (c for some in self.tolerances.values() for c in some)
+        blocks = [*self.fixed, *self.brief, *own]
         numbers = np.concatenate([fixed, tolerances])
         parts = np.split(numbers, np.cumsum([c.values.shape[-1] for c in blocks])[:-1])
         whole = next(c.values for c in blocks if c.row is None)
@@ -81,6 +84,7 @@ class Nuisances:
 def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     """All nuisances of a log."""
     fixed, tolerances, named = [], {}, {}
+    brief = _holding(context)
     for kind, (x, bodies) in _bodies(context, tolerance).items():
         tolerances[kind] = [Columns(x)]
         named[kind] = [f"{kind} of {context.robot.body_names[i]}" for i in bodies]
@@ -102,15 +106,15 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             early = [sign(v[:, row] + x * context.a[:, row]) for x in (0.004, 0.01, 0.02)]
             creeping = [context.creeping(row, friction, band) for band in CREEP_BANDS]
             turned = [z - context.side[:, row] for z in (*late, *early, *creeping)]
-            turned += _departures(context, row)
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
-    fixed += _holding(context)
+            if departures := _departures(context, row):
+                brief.append(Columns(friction * np.stack(departures, axis=1), row))
     sampled = log.tau_kind is TorqueKind.SENSOR
     late = (tolerance.sampled if sampled else tolerance.period) / log.rate
     slope = np.gradient(context.tau, context.time, axis=0)
     bend = np.gradient(slope, context.time, axis=0)
     fixed.append(Columns(np.stack([late * slope, 0.5 * late**2 * bend], axis=2)))
-    return Nuisances(fixed, tolerances, named)
+    return Nuisances(fixed, brief, tolerances, named)
 
 
 # Up to which frequency a joint that creeps shows by its motion how [Hz]: above, that may be the encoders' noise.

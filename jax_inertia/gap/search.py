@@ -151,9 +151,12 @@ class Finder:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, known)
             enough = max(2, len(chosen) / 2)
-            if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen) >= enough:
+            if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen, WELL) >= enough:
                 verdict = Verdict.PARTLY
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1], allowed)
+            if verdict is Verdict.UNKNOWN and len(chosen) >= SEVERAL:
+                mostly = _rows_explained(pool, chosen, MOSTLY) >= enough
+                verdict = Verdict.PARTLY if mostly else verdict
             in_doubt = _in_doubt(pool, chosen, rival, changing)
             verdict = doubted(verdict, in_doubt)
         return Search(
@@ -279,6 +282,10 @@ def find(finder: Finder) -> tuple[Search, Search]:
 
 # Samples below which a search would fit noise.
 LEAST = 100
+# An effect that leaves less than the one share of the energy where it acts is a cause though much is left elsewhere.
+# One cause that is not in the library may look like two or three that are, and hardly like as many as this: there the
+# other share will do.
+WELL, MOSTLY, SEVERAL = 0.1, 0.3, 4
 # Effects and the tolerances' scales are found in turn; more seldom changes either.
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
@@ -308,8 +315,8 @@ def _in_doubt(
     return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))
 
 
-def _rows_explained(pool: Pool, chosen: list[Candidate]) -> int:
-    """How many effects leave less than a tenth of the energy on the rows where they act."""
+def _rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
+    """How many effects leave less than a share of the energy on the rows where they act."""
     evidence = pool.evidence
     before = np.sum(evidence.unflatten(evidence.y) ** 2, axis=0)
     after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
@@ -317,5 +324,5 @@ def _rows_explained(pool: Pool, chosen: list[Candidate]) -> int:
     for c in chosen:
         energy = row_energy(pool, c)
         acts = energy > 0.05 * energy.max()
-        count += bool(after[acts].sum() < 0.1 * before[acts].sum())
+        count += bool(after[acts].sum() < share * before[acts].sum())
     return count
