@@ -15,7 +15,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families import NAMES, Columns
 from jax_inertia.gap.noise import (
     Whitener,
     motion_band,
@@ -48,6 +48,16 @@ def test_one_damping_that_is_off_where_all_others_are_right_is_a_gap(robot):
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("viscous_friction", "axis3")
     assert effect.parameters["damping"].value == pytest.approx(0.14 * DAMPING[2], rel=0.1)
+
+
+def test_frictions_at_all_joints_stand_beside_what_is_not_in_the_library(robot):
+    """No one cause looks like dry friction at five joints; twice the damping, which is barred, is left over."""
+    barred = [name for name in NAMES if name != "coulomb_friction"]
+    log = simulate(2.0 * DAMPING, friction=2.0 * FRICTION)
+    found = diagnose(robot, log, exclude=barred, max_effects=5)
+    assert found.verdict is Verdict.PARTLY
+    assert {e.place.name for e in found.findings} == {f"axis{k + 1}" for k in range(JOINTS)}
+    assert any("damping" in doubt for doubt in found.doubts)
 
 
 def test_a_friction_beyond_its_tolerance_competes_as_an_effect():
