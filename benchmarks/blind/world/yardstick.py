@@ -108,16 +108,15 @@ def nuisances(machine: Machine, q, v, a) -> np.ndarray:
         for axis in np.eye(3):
             moved = pin.Inertia(body.mass, body.lever + 1e-3 * axis, body.inertia)
             directions.append((k - 1, moved.toDynamicParameters() - own))
-    out = np.zeros((len(q), model.nv, len(directions) + 2 * n))
+    out = np.zeros((len(q), model.nv, len(directions) + n))
     which = np.array([10 * k for k, _ in directions])[:, None] + np.arange(10)
     change = np.array([d for _, d in directions])
     for t, row in enumerate(zip(q, v, a, strict=True)):
         regressor = pin.computeJointTorqueRegressor(model, data, *row)
         out[t, :, : len(change)] = np.einsum("vkp,kp->vk", regressor[:, which], change)
     for j in range(n):
-        speed, row = v[:, model.nv - n + j], model.nv - n + j
-        out[:, row, len(change) + j] = 0.075 * machine.array("damping")[j] * speed
-        out[:, row, len(change) + n + j] = 0.05 * machine.array("friction")[j] * np.sign(speed)
+        column = 0.075 * machine.array("damping")[j] * v[:, model.nv - n + j]
+        out[:, model.nv - n + j, len(change) + j] = column
     return out
 
 
