@@ -126,9 +126,9 @@ class TwoMass(Encoder):
         return [*free, (shape[-1], shape[-1])]
 
     def stiffnesses(self, context: Context, place: Place, n: int) -> np.ndarray:
-        """From 0.07 rad at the joint's peak torque, softer than most drives, to 0.0003 rad."""
+        """From 0.12 rad at the joint's peak torque, as a series-elastic drive has it, to 0.0003 rad."""
         peak = np.percentile(np.abs(context.link_torque[:, place.index]), 99.5) + 1e-6
-        return peak / np.geomspace(0.07, 3e-4, n)
+        return peak / np.geomspace(0.12, 3e-4, n)
 
     def physical(self, context, place, shape, theta):
         return True
@@ -143,7 +143,7 @@ class JointElasticity(TwoMass):
 
     def grid(self, context, place):
         dampings = (0.01, 0.03, 0.08, 0.25)
-        return (self.stiffnesses(context, place, 28), dampings, (context.slow_band, ALL))
+        return (self.stiffnesses(context, place, 31), dampings, (context.slow_band, ALL))
 
     def first(self, context, place):
         stiffness, damping, bands = self.grid(context, place)
@@ -166,7 +166,7 @@ class Backlash(TwoMass):
         gaps = np.geomspace(2e-4, 0.05, 13)
         bands = (context.slow_band, ALL)
         # Stiffnesses so close that between two of them the effect is not larger or smaller than `whole` allows.
-        return (gaps, self.stiffnesses(context, place, 17), (0.15,), bands)
+        return (gaps, self.stiffnesses(context, place, 19), (0.15,), bands)
 
     def first(self, context, place):
         gap, stiffness, damping, bands = self.grid(context, place)
