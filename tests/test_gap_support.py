@@ -87,6 +87,17 @@ def test_a_weak_knee_is_named_by_what_it_does_to_the_base(robot, tmp_path):
     assert effect.parameters["gain"].value == pytest.approx(0.88, abs=0.01)
 
 
+def test_a_shank_longer_than_the_model_s_is_no_cause_of_the_library(spec, trotted):
+    longer = spec.robot.xml.replace(
+        'name="FL_shank" pos="0 0 -0.23"', 'name="FL_shank" pos="0 0 -0.22"'
+    )
+    assert longer != spec.robot.xml
+    longer_legged = load_model(mujoco.MjModel.from_xml_string(longer))
+    found = diagnose(longer_legged, trotted, max_effects=1)
+    assert found.verdict is Verdict.UNKNOWN
+    assert any("another length from FL_thigh to FL_shank" in doubt for doubt in found.doubts)
+
+
 def test_a_robot_that_flies_has_no_feet(robot):
     time = np.arange(400) / 200.0
     log = Log(

@@ -71,13 +71,13 @@ def _every(context: Context) -> Iterator[tuple[str, Columns]]:
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
+    yield from _lengths(context)
     if context.robot.has_free_base:
-        # What the base's own sensors do to these columns is not told apart from what they explain.
+        # What the base's own sensors do to an encoder's columns is not told apart from what they explain.
         return
     for joint, row in context.joint_dofs.items():
         warp = _waves(context.joint_position[:, row])
         yield f"an encoder at {joint} that errs with its angle", off_path(context, row, warp)
-    yield from _lengths(context)
 
 
 def _hats(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
