@@ -3,7 +3,7 @@
 The nominal model's tolerances are integrated out (`evidence`), and one of many columns may be bent far at a price that
 a whole log hardly feels: an armature 70 % off costs no more than noise does. So what the log wants each number of the
 model to be, z = Λ² Nᵀ (1 + N Λ² Nᵀ)⁻¹ (y − A θ) with its posterior error, is held against the tolerance stated. What
-is missing at the motion's own few frequencies is held against the noise there, not against all of it.
+is missing at the motion's own few frequencies is held against the noise there, row by row, not against all of it.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ from jax_inertia.gap.noise import NOISE_ERROR
 
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
-# The same of the misfit in the motion's own band, some hundred numbers.
-SLOWLY = 16.0
+# In the motion's own band: twice the log of the odds that a row is louder than noise, as an effect must bring them.
+SLOWLY = 30.0
 # A number of the model that has to be this many times its tolerance off is not within it.
 STRAINED = 4.0
 # Of that border, a number counts for no less that is off while all others of its kind are right.
@@ -102,6 +102,7 @@ class Strangeness:
 
     misfit: float
     slow: float
+    """Of the loudest row, in the motion's own band."""
     strain: float
 
     @property
@@ -123,10 +124,25 @@ def strangeness(
     """
     y = evidence.y
     slack = known_to(known) / NOISE_ERROR
-    own = np.mean([np.sum(evidence.slow(evidence.charged(x)[:, None]) ** 2) for x in replicas])
-    slow = float(np.sum(evidence.slow(y[:, None]) ** 2) / max(own, 1e-300))
     return Strangeness(
         float(y @ y) / (NOISE_ONLY * slack * floor),
-        slow / SLOWLY,
+        _slowly(evidence, replicas, slack) / (SLOWLY + 2 * np.log(evidence.used.shape[1])),
         max(STANDS_OUT, strains[0].off / STRAINED) if strains else 0.0,
     )
+
+
+def _slowly(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"], slack: float) -> float:
+    """Evidence that the loudest row is no noise in the motion's own band, d (r − 1 − ln r): twice the log of the odds.
+
+    Whitened noise has one unit in each of a row's d numbers there, and the row has r times as much. Row by row, since
+    a gap at one joint of many is little beside the noise of all.
+    """
+
+    def energies(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
+        slow = evidence.slow(x[:, None]).reshape(evidence.slow_modes, -1)
+        return np.sum(slow**2, axis=0)
+
+    noise = np.mean([energies(evidence.charged(x)) for x in replicas], axis=0)
+    seen = noise > 0
+    louder = np.maximum(energies(evidence.y)[seen] / (slack * noise[seen]), 1.0)
+    return float(np.max(noise[seen] * (louder - 1 - np.log(louder)), initial=0.0))
