@@ -8,6 +8,7 @@ more than its numbers cost and than the found equations' own errors may leave, t
 import numpy as np
 
 from jax_inertia.gap.candidate import Beside, Candidate
+from jax_inertia.gap.constancy import Inconstant, crowded
 from jax_inertia.gap.outsiders import Outsider, outsiders
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
@@ -91,3 +92,24 @@ def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
     by_itself = most > 1.0 - DOUBT**2 and others[-1] < HALF
     share = sum(alone)
     return share if abs(share - 1.0) > ENTANGLED and not by_itself else None
+
+
+def share_in_doubt(
+    pool: Pool,
+    chosen: list[Candidate],
+    rival: tuple[list[Candidate], Outsider] | None,
+    changing: Inconstant | None,
+) -> float:
+    """Share of the misfit explained that effects brought which do not stand."""
+    if entangled(pool, chosen) is not None:
+        return 1.0
+    fallen = [
+        *(rival[0] if rival else ()),
+        *([changing.effect] if changing else ()),
+        *(crowded(chosen) or ()),
+    ]
+    if not fallen:
+        return 0.0
+    standing = [c for c in chosen if not any(c is f for f in fallen)]
+    nothing, some, all_ = (misfit(pool, x) for x in ([], standing, chosen))
+    return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))

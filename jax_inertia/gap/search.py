@@ -13,9 +13,9 @@ import numpy as np
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
-from jax_inertia.gap.constancy import Inconstant, crowded, inconstant
+from jax_inertia.gap.constancy import Inconstant, inconstant
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.doubt import better_than, entangled
+from jax_inertia.gap.doubt import better_than, share_in_doubt
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import hidden_noise, with_motors
@@ -23,10 +23,10 @@ from jax_inertia.gap.noise import Whitener, at_random, motion_band, stated, whit
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
-from jax_inertia.gap.select import row_energy, select
+from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.suited import bent_by, suited
-from jax_inertia.gap.together import misfit, remaining
+from jax_inertia.gap.together import remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
 
@@ -151,13 +151,13 @@ class Finder:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, known)
             enough = max(2, len(chosen) / 2)
-            if verdict is Verdict.UNKNOWN and _rows_explained(pool, chosen, WELL) >= enough:
+            if verdict is Verdict.UNKNOWN and rows_explained(pool, chosen, WELL) >= enough:
                 verdict = Verdict.PARTLY
             verdict = with_strain(verdict, strains, misfits[0] - misfits[-1], allowed)
             if verdict is Verdict.UNKNOWN and len(chosen) >= SEVERAL:
-                mostly = _rows_explained(pool, chosen, MOSTLY) >= enough
+                mostly = rows_explained(pool, chosen, MOSTLY) >= enough
                 verdict = Verdict.PARTLY if mostly else verdict
-            in_doubt = _in_doubt(pool, chosen, rival, changing)
+            in_doubt = share_in_doubt(pool, chosen, rival, changing)
             verdict = doubted(verdict, in_doubt)
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.motors,
@@ -292,37 +292,3 @@ ROUNDS = 3
 WORSE = 3.0
 # The motors' noise is estimated anew where what is left is this many times what was taken for noise, or as much less.
 LOUDER = 1.3
-
-
-def _in_doubt(
-    pool: Pool,
-    chosen: list[Candidate],
-    rival: tuple[list[Candidate], Outsider] | None,
-    changing: Inconstant | None,
-) -> float:
-    """Share of the misfit explained that effects brought which do not stand."""
-    if entangled(pool, chosen) is not None:
-        return 1.0
-    fallen = [
-        *(rival[0] if rival else ()),
-        *([changing.effect] if changing else ()),
-        *(crowded(chosen) or ()),
-    ]
-    if not fallen:
-        return 0.0
-    standing = [c for c in chosen if not any(c is f for f in fallen)]
-    nothing, some, all_ = (misfit(pool, x) for x in ([], standing, chosen))
-    return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))
-
-
-def _rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
-    """How many effects leave less than a share of the energy on the rows where they act."""
-    evidence = pool.evidence
-    before = np.sum(evidence.unflatten(evidence.y) ** 2, axis=0)
-    after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
-    count = 0
-    for c in chosen:
-        energy = row_energy(pool, c)
-        acts = energy > 0.05 * energy.max()
-        count += bool(after[acts].sum() < share * before[acts].sum())
-    return count

@@ -170,3 +170,16 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
         if not improved:
             break
     return chosen
+
+
+def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
+    """How many effects leave less than a share of the energy on the rows where they act."""
+    evidence = pool.evidence
+    before = np.sum(evidence.unflatten(evidence.y) ** 2, axis=0)
+    after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
+    count = 0
+    for c in chosen:
+        energy = row_energy(pool, c)
+        acts = energy > 0.05 * energy.max()
+        count += bool(after[acts].sum() < share * before[acts].sum())
+    return count
