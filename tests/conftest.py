@@ -1,7 +1,15 @@
 """Float64, shape annotations checked at run time, and one compiled set of functions per test robot."""
 
 import functools
+import os
 from dataclasses import dataclass
+
+# Workers share the cores, and threads of their own beside them cost a quarter of the time. NumPy is loaded by now, so
+# this is for the workers, which inherit it; jax is not.
+os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
+if "PYTEST_XDIST_WORKER" in os.environ:
+    ONE = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE}"
 
 import jax
 from jaxtyping import install_import_hook
