@@ -39,19 +39,24 @@ class Outsider:
 
 def outsiders(pool: Pool) -> list[Outsider]:
     """All of them that do something in this log."""
-    out = []
-    for name, columns in _every(pool.context):
-        charged = pool.evidence.column(columns)
-        if (basis := _basis(charged)).shape[1]:
-            out.append(Outsider(name, basis, basis))
-    held = not pool.context.robot.has_free_base
-    pull = _basis(pool.evidence.column(_weights(pool.context)))
+    context, out = pool.context, []
+    held = not context.robot.has_free_base
+
+    def add(name: str, columns: Columns, alone: bool = True) -> None:
+        basis = _basis(pool.evidence.column(columns))
+        if basis.shape[1]:
+            out.append(Outsider(name, basis, basis if alone else basis[:, :0]))
+
+    for name, columns in _at_joints(context):
+        add(name, columns)
+    for name, columns in _of_poses(context):
+        # A floating base's sensors put their noise into these columns: little of it where the motion is.
+        add(name, columns if held else Columns(context.below(context.slow_band, columns.values)))
     # Where no base holds the robot, errors of its feet's sensors and of its whole mass come to the same.
-    name = "another gravity (a force on every body by its mass)"
-    out.append(Outsider(name, pull, pull if held else pull[:, :0]))
+    add("another gravity (a force on every body by its mass)", _weights(context), alone=held)
     if held:
         # A lateness that stays is a delay, and one within a period a tolerance: the clock's own is what drifts.
-        late, drifting = np.hsplit(pool.evidence.column(Columns(_clocks(pool.context))), 2)
+        late, drifting = np.hsplit(pool.evidence.column(Columns(_clocks(context))), 2)
         both, own = _basis(np.hstack([late, drifting])), _basis(late)
         name = "a clock of the encoders that runs apart from the drives'"
         out.append(Outsider(name, both, _basis(drifting - own @ (own.T @ drifting))))
@@ -64,20 +69,21 @@ def _basis(columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n s"]:
     return left[:, size > max(1e-3 * float(size[0]), 1e-9)]
 
 
-def _every(context: Context) -> Iterator[tuple[str, Columns]]:
+def _at_joints(context: Context) -> Iterator[tuple[str, Columns]]:
     for joint, row in context.joint_dofs.items():
         q, v = context.joint_position[:, row], context.v[:, row]
         yield f"a free function of {joint}'s position", Columns(_hats(q), row)
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
-    yield from _lengths(context)
-    if context.robot.has_free_base:
-        # What the base's own sensors do to an encoder's columns is not told apart from what they explain.
-        return
+
+
+def _of_poses(context: Context) -> Iterator[tuple[str, Columns]]:
+    """What the model takes to be elsewhere than it is."""
     for joint, row in context.joint_dofs.items():
         warp = _waves(context.joint_position[:, row])
         yield f"an encoder at {joint} that errs with its angle", off_path(context, row, warp)
+    yield from _lengths(context)
 
 
 def _hats(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
