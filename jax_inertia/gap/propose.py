@@ -44,6 +44,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     freed = _freed(pool, lead, left, floor)
     # Six free numbers draw some of anything: they are a cause where little else is left.
     freed = [f for f in freed if before - f.gain - floor < max(0.2 * floor, DOUBT**2 * before)]
+    _told_in_band(lead, noise)
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
         ranked = [*ranked, *freed]
@@ -68,6 +69,19 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
         behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
         lead.append(start if behind else pool.refined(start, left))
     return lead
+
+
+def _told_in_band(lead: list[Candidate], noise: float) -> None:
+    """Causes of a given size at one place, both judged in the motion's own band, are told apart by what they do there.
+
+    Above it a controller's torque follows the encoders' noise, and a delay passes on more of that than a lag does.
+    """
+    given = [c for c in lead if c.family.slow and c.family.whole is not None]
+    for place in {c.place for c in given}:
+        twins = [c for c in given if c.place == place]
+        gain, aim = (max(getattr(c, of) for c in twins) for of in ("gain", "aim"))
+        for c in twins:
+            c.score += (gain - c.gain - (aim - c.aim)) / noise
 
 
 def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> list[Candidate]:
@@ -98,16 +112,26 @@ def _best_at(
 
 
 def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[Candidate]:
-    """Move a simpler family ahead of the leader where it explains nearly as much *and* fits nearly as well."""
+    """Of the leader and what it contains, or is contained in, at its place: the simplest that does nearly as well.
+
+    What the richer one brings decides, not its price: that is for numbers of which nothing is known before.
+    """
     best = ranked[0]
     for c in ranked[1:]:
-        if c.place != best.place or c.family.name not in best.family.simpler:
+        if c.place != best.place or c.score <= STOP:
             continue
-        noise = max(1.0, (before - best.gain) / max(floor, 1.0))
-        margin = max(best.family.set_apart * noise, c.family.leeway * best.gain)
-        if _behind(best, c) < margin and c.score > STOP:
+        noise = max(1.0, (before - max(best.gain, c.gain)) / max(floor, 1.0))
+        simpler = c.family.name in best.family.simpler and not _set_apart(best, c, noise)
+        richer = best.family.name in c.family.simpler and _set_apart(c, best, noise)
+        if simpler or richer:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
+
+
+def _set_apart(rich: Candidate, simple: Candidate, noise: float) -> bool:
+    """Whether a family brings more than noise and the inexact equation of the one it contains let it."""
+    margin = max(rich.family.set_apart * noise, simple.family.leeway * rich.gain)
+    return _behind(rich, simple) >= margin
 
 
 def _behind(best: Candidate, simpler: Candidate) -> float:

@@ -78,6 +78,7 @@ class _Late(Family):
     """A change of the torque's timing, at one joint or at all of them."""
 
     form_error, whole, slow = 0.03, 0.15, True
+    law_of = "timing"
 
     def noisy(self, context):
         # A torque that is smoother, or later, has less of its own noise in it.
