@@ -1,0 +1,86 @@
+"""Causes that resemble each other, told apart: on logs of a small arm by MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_log import ARM, simulate, wave
+
+from jax_inertia import load_model
+from jax_inertia.gap import diagnose
+from jax_inertia.log import Log, TorqueKind
+
+ENCODER, TORQUE = 1e-4, np.array([0.03, 0.01])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(ARM))
+
+
+def late(lag=0.0, delay=0, seed=0, seconds=8.0):
+    """A log of a loop that feeds its encoders' noise back; torque comes late by a lag [s] or by steps of 1 ms."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = wave(0.0, seed)
+    rng = np.random.default_rng(seed + 100)
+    asked, state, before, rows = [], None, None, []
+    for k in range(round(seconds * 1000)):
+        target, speed = wave(data.time, seed)
+        if k % 2 == 0:
+            seen = data.qpos + ENCODER * rng.standard_normal(2)
+            slope = (seen - (seen if before is None else before)) / 0.002
+            u = np.array([60.0, 40.0]) * (target - seen) + np.array([6.0, 3.0]) * (speed - slope)
+            before = seen
+            rows.append((data.time, seen, u + TORQUE * rng.standard_normal(2)))
+        asked.append(u)
+        data.qfrc_applied[:] = asked[max(k - delay, 0)]
+        if lag:
+            # Of the exact response to a held command, the mean over the step.
+            apart, x = (u if state is None else state) - u, 0.001 / lag
+            data.qfrc_applied[:] = u - apart * np.expm1(-x) / x
+            state = u + apart * np.exp(-x)
+        mujoco.mj_step(model, data, 2)
+    time, qpos, tau = (np.array(x) for x in zip(*rows, strict=True))
+    return Log(
+        time=time,
+        joint_names=("shoulder", "elbow"),
+        qpos=qpos,
+        tau=tau,
+        tau_kind=TorqueKind.COMMANDED,
+        sigma_qpos=np.full(2, ENCODER),
+        sigma_tau=TORQUE,
+    )
+
+
+@pytest.mark.parametrize(
+    ("how", "family", "parameter"),
+    [
+        ({"lag": 0.006}, "actuator_lag", "time_constant"),
+        ({"delay": 6}, "time_delay", "delay"),
+    ],
+)
+def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family, parameter):
+    """A delay passes on more of that noise, and by it a lag would be taken for one."""
+    (effect,) = diagnose(robot, late(**how, seed=1)).findings
+    assert (effect.family, effect.place.kind) == (family, "global")
+    assert effect.parameters[parameter].value == pytest.approx(0.006, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("more", "family", "numbers"),
+    [
+        (0.0, "coulomb_friction", {"coulomb": 0.05}),
+        (0.5, "stribeck_friction", {"coulomb": 0.05, "stiction": 0.075, "stribeck_velocity": 0.06}),
+    ],
+)
+def test_a_little_more_friction_when_slow_is_stribecks(robot, more, family, numbers):
+    """It brings less than three free numbers of which nothing is known would cost."""
+
+    def friction(t, q, v, u):
+        stick = 1.0 + more * np.exp(-((v[1] / 0.06) ** 2))
+        return np.array([0.0, -0.05 * stick * np.tanh(v[1] / 0.003)])
+
+    (effect,) = diagnose(robot, simulate(friction, seed=1)).findings
+    assert (effect.family, effect.place.name) == (family, "elbow")
+    for name, value in numbers.items():
+        assert effect.parameters[name].value == pytest.approx(value, rel=0.15)
