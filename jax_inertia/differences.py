@@ -16,7 +16,7 @@ to.
 
 `Differentiator` does this sample by sample in JAX, `aligned_differences` for a whole log in NumPy,
 with the same numbers. `central_differences` is for logs only: no delay at all, v̇_k at t_k from its
-two neighbours.
+neighbours on both sides.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from jax_inertia.log import AnyArray
 from jax_inertia.motion import Motion
-from jax_inertia.signals import centred_slopes, continuous_signs
+from jax_inertia.slopes import continuous_signs, derivative
 
 
 class Observation(eqx.Module):
@@ -76,13 +76,12 @@ def central_differences(motion: Motion) -> Observation:
     """Accelerations at the stamps themselves, from the neighbours on both sides: T − 2 rows, no
     delay.
 
-    v̇_k = (v_{k+1} − v_{k−1}) / (t_{k+1} − t_{k−1}) on a uniform grid, `centred_slopes` elsewhere;
-    the other channels stay as they are. A difference amplifies noise: low-pass the log first, all
-    channels alike.
+    v̇_k as in `slopes.centred_slopes`; the other channels stay as they are. A difference amplifies noise:
+    low-pass the log first, all channels alike.
     """
     _check_window(2, len(motion.time))
     time, v, valid = (np.asarray(x) for x in (motion.time, motion.v, motion.valid))
-    a = centred_slopes(time, np.diff(v, axis=0) / np.diff(time)[:, None])
+    a = derivative(time, v)
     inner = jax.tree.map(lambda x: x[1:-1], motion)
     inner = dataclasses.replace(inner, valid=valid[:-2] & valid[1:-1] & valid[2:])
     return Observation(inner, a[1:-1])

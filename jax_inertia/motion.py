@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 
 from jax_inertia._names import suggestion
 from jax_inertia.log import AnyArray, Log, LogError
-from jax_inertia.signals import Masked, centred_slopes, continuous_signs, mask
+from jax_inertia.signals import Masked, mask
+from jax_inertia.slopes import centred_slopes, continuous_signs, derivative
 
 _Q_SIZE = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 _V_SIZE = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -114,7 +115,7 @@ def body_rates(
     """Angular velocity in the body frame, rad/s, from unit quaternions wxyz.
 
     Over each interval the constant rate log(q_k⁻¹ q_{k+1}) / h, turned into rates at the stamps as
-    in `centred_slopes` (second order).
+    in `centred_slopes`: second order where the axis turns, as there where it does not.
     """
     quat = continuous_signs(quat / np.linalg.norm(quat, axis=1, keepdims=True))
     w0, u0, w1, u1 = quat[:-1, :1], quat[:-1, 1:], quat[1:, :1], quat[1:, 1:]
@@ -174,8 +175,7 @@ def _fixed_position(name: str, kind: str, value: float | Sequence[float]) -> np.
 def _joint_velocity(log: Log, time: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     if log.qvel is not None:
         return np.asarray(log.qvel), ()
-    slopes = np.diff(np.asarray(log.qpos), axis=0) / np.diff(time)[:, None]
-    return centred_slopes(time, slopes), (
+    return derivative(time, np.asarray(log.qpos)), (
         "qvel is missing: taken from qpos by central differences",
     )
 
@@ -191,7 +191,7 @@ def _base(log: Log, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[str
     quat, notes = quat / norm, ()
     linvel, angvel = log.base_linvel, log.base_angvel
     if linvel is None:
-        linvel = centred_slopes(time, np.diff(pos, axis=0) / np.diff(time)[:, None])
+        linvel = derivative(time, pos)
         notes += ("base_linvel is missing: taken from base_pos by central differences",)
     if angvel is None:
         angvel = body_rates(time, quat)

@@ -19,6 +19,7 @@ from scipy import interpolate, ndimage, signal
 
 from jax_inertia._findings import run_bounds
 from jax_inertia.log import AnyArray, Log
+from jax_inertia.slopes import continuous_signs
 
 _GAP_PERIODS, _GAP_SECONDS = 3.0, 0.01
 _MEASURED_SHARE = 0.9
@@ -206,33 +207,6 @@ def low_pass(log: Log | Masked, cutoff: float | int, order: int = 4) -> Masked:
         float(np.sqrt(np.sum(response**2))),
     )
     return Masked(filtered, enough(source.motion_valid), enough(source.torque_valid))
-
-
-def centred_slopes(
-    time: Float[np.ndarray, "T"], slopes: Float[np.ndarray, "S *c"]
-) -> Float[np.ndarray, "T *c"]:
-    """Mean slopes over the S = T − 1 intervals between stamps, turned into derivatives at the
-    stamps.
-
-    ẋ_k = (h_{k+1} s_k + h_k s_{k+1}) / (h_k + h_{k+1}) with s_k = (x_k − x_{k−1}) / h_k: second
-    order also where the periods h differ; on a uniform grid the central difference. The ends are
-    extrapolated.
-    """
-    h = np.diff(time).reshape((-1,) + (1,) * (slopes.ndim - 1))
-    if len(h) == 1:
-        return np.concatenate([slopes, slopes])
-    inner = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
-    first = slopes[:1] + (slopes[:1] - slopes[1:2]) * h[:1] / (h[:1] + h[1:2])
-    last = slopes[-1:] + (slopes[-1:] - slopes[-2:-1]) * h[-1:] / (h[-1:] + h[-2:-1])
-    return np.concatenate([first, inner, last])
-
-
-def continuous_signs(quat: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 4"]:
-    """Choose the sign of each quaternion that is nearer to the one before: q and −q are one
-    rotation.
-    """
-    flips = np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)
-    return quat * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
 
 
 def _masked(log: Log | Masked) -> Masked:

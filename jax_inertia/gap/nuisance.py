@@ -21,6 +21,7 @@ from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.families.joint import PRESLIDING
 from jax_inertia.log import Log, TorqueKind
+from jax_inertia.slopes import derivative
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,10 +111,11 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             if departures := _departures(context, row):
                 brief.append(Columns(friction * np.stack(departures, axis=1), row))
     sampled = log.tau_kind is TorqueKind.SENSOR
-    late = (tolerance.sampled if sampled else tolerance.period) / log.rate
-    slope = np.gradient(context.tau, context.time, axis=0)
-    bend = np.gradient(slope, context.time, axis=0)
-    fixed.append(Columns(np.stack([late * slope, 0.5 * late**2 * bend], axis=2)))
+    late, most = (tolerance.sampled, 0.25) if sampled else (tolerance.period, 0.5)
+    slope = derivative(context.time, context.tau)
+    # What a delay by the most of it does beyond its first order, at as many standard deviations as the first.
+    second = 0.5 * late * most * derivative(context.time, slope)
+    fixed.append(Columns(np.stack([late * slope / log.rate, second / log.rate**2], axis=2)))
     return Nuisances(fixed, brief, tolerances, named)
 
 

@@ -16,6 +16,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.encoder import off_path
 from jax_inertia.gap.pool import Pool
+from jax_inertia.slopes import derivative
 
 KNOTS = 24
 # Angles over which a hose or a cable yields [rad]: dry friction turns within a hundredth of them.
@@ -105,7 +106,7 @@ def _weights(context: Context) -> Columns:
 
 def _clocks(context: Context) -> Float[np.ndarray, "T nv 2"]:
     """A path read at (1 + r) t + d instead of t: (d + r t) times the needed torque's derivative."""
-    slope = np.gradient(context.below(context.slow_band, context.inverse), context.time, axis=0)
+    slope = derivative(context.time, context.below(context.slow_band, context.inverse))
     return np.stack([slope, slope * context.time[:, None]], axis=2)
 
 

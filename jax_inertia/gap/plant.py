@@ -18,6 +18,7 @@ from jax_inertia.gap.turning import CREEPS
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.mjcf import ModelWarning, compile_spec
 from jax_inertia.robot import Robot
+from jax_inertia.slopes import derivative
 
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
 # ω² h² of a joint on its bristles, at most.
@@ -62,7 +63,7 @@ class Recording:
             if e.family in ("joint_elasticity", "backlash"):
                 coupling = e.values["stiffness"], DAMPING_RATIO, e.values.get("dead_zone", 0.0)
                 ahead = self._context.separation(rows[e.name], coupling)
-                self.twists[e.name] = -ahead, -np.gradient(ahead, self.prepared.time)
+                self.twists[e.name] = -ahead, -derivative(self.prepared.time, ahead)
 
     def bent(self, k: int, turning: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " r"]:
         """How far bristles are bent at a sample, −1 to 1, of the rows that have any."""

@@ -25,6 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jax_inertia.slopes import derivative
+
 # A tooth's contact lasts some milliseconds.
 STEP = 5e-4
 # Damping ratio ζ₀ of the path's errors.
@@ -46,7 +48,7 @@ def separation(
     never pull.
     """
     substeps = max(1, math.ceil((time[1] - time[0]) / STEP))
-    rate = np.gradient(carried, time)
+    rate = derivative(time, carried)
     signals = jnp.asarray(np.stack([needed, rate, inertia, damping, stiffness]))
     period = float(time[1] - time[0])
     return np.asarray(_separation(signals, jnp.asarray(coupling), period, substeps))

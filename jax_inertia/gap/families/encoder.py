@@ -12,11 +12,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
-
-
-def derivative(x: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Central difference along time."""
-    return np.gradient(x, time, axis=0)
+from jax_inertia.slopes import derivative
 
 
 def off_path(
@@ -24,8 +20,8 @@ def off_path(
 ) -> Columns:
     """What each error δ of a joint's logged path does to the missing torque."""
     dq, dv, da = context.sensitivity
-    rate = derivative(delta, context.time)
-    twice = derivative(rate, context.time)
+    rate = derivative(context.time, delta)
+    twice = derivative(context.time, rate)
     mass, drag = da[:, :, row].copy(), dv[:, :, row].copy()
     if motor_side:
         mass[:, row] -= context.armature[row]
