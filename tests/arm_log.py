@@ -13,6 +13,9 @@ ARM = """
 <inertial mass="1.2" pos="0.02 0 -0.15" fullinertia="0.01 0.01 0.002 0 0 0.0005"/></body></body></worldbody></mujoco>
 """
 
+# Noise of the torques logged [N m].
+TORQUE = np.array([0.03, 0.01])
+
 
 def wave(t, seed, pace=1.0):
     """A smooth wide motion (position, velocity) of both joints."""
@@ -27,6 +30,25 @@ def wave(t, seed, pace=1.0):
 
 def nothing(t, q, v, u):
     return np.zeros(2)
+
+
+def asked(target, speed, q, v):
+    """Torque of the arm's PD loop [N m]."""
+    return np.array([60.0, 40.0]) * (target - q) + np.array([6.0, 3.0]) * (speed - v)
+
+
+def logged(rows, encoder, torque):
+    """A log of rows (time, positions seen, torques seen) with its sensors' noise [rad], [N m]."""
+    time, qpos, tau = (np.array(x) for x in zip(*rows, strict=True))
+    return Log(
+        time=time,
+        joint_names=("shoulder", "elbow"),
+        qpos=qpos,
+        tau=tau,
+        tau_kind=TorqueKind.COMMANDED,
+        sigma_qpos=np.full(2, encoder),
+        sigma_tau=torque,
+    )
 
 
 def simulate(
@@ -50,15 +72,12 @@ def simulate(
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = wave(0.0, seed, pace)
     rng = np.random.default_rng(seed + 100)
-    rows = {"time": [], "qpos": [], "tau": []}
+    rows, sensed, felt = [], noise * 2e-5, noise * TORQUE
     for _ in range(round(seconds * 500)):
         target, speed = wave(data.time, seed, pace)
-        u = np.array([60.0, 40.0]) * (target - data.qpos) + np.array([6.0, 3.0]) * (
-            speed - data.qvel
-        )
-        rows["time"].append(data.time)
-        rows["qpos"].append(encoder(data.qpos) + noise * 2e-5 * rng.standard_normal(2))
-        rows["tau"].append(u + noise * np.array([0.03, 0.01]) * rng.standard_normal(2))
+        u = asked(target, speed, data.qpos, data.qvel)
+        seen = encoder(data.qpos) + sensed * rng.standard_normal(2)
+        rows.append((data.time, seen, u + felt * rng.standard_normal(2)))
         for _ in range(4):
             pull = data.xfrc_applied[2, :3] = force(data.time)
             if at is not None:
@@ -66,12 +85,4 @@ def simulate(
                 data.xfrc_applied[2, 3:] = np.cross(point - data.xipos[2], pull)
             data.qfrc_applied[:] = u + torque(data.time, data.qpos, data.qvel, u)
             mujoco.mj_step(model, data)
-    return Log(
-        time=np.array(rows["time"]),
-        joint_names=("shoulder", "elbow"),
-        qpos=np.array(rows["qpos"]),
-        tau=np.array(rows["tau"]),
-        tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(2, noise * 2e-5),
-        sigma_tau=noise * np.array([0.03, 0.01]),
-    )
+    return logged(rows, sensed, felt)

@@ -3,13 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, simulate, wave
+from arm_log import ARM, TORQUE, asked, logged, simulate, wave
 
 from jax_inertia import load_model
 from jax_inertia.gap import diagnose
-from jax_inertia.log import Log, TorqueKind
 
-ENCODER, TORQUE = 1e-4, np.array([0.03, 0.01])
+ENCODER = 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -23,33 +22,24 @@ def late(lag=0.0, delay=0, seed=0, seconds=8.0):
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = wave(0.0, seed)
     rng = np.random.default_rng(seed + 100)
-    asked, state, before, rows = [], None, None, []
+    commands, state, before, rows = [], None, None, []
     for k in range(round(seconds * 1000)):
         target, speed = wave(data.time, seed)
         if k % 2 == 0:
             seen = data.qpos + ENCODER * rng.standard_normal(2)
             slope = (seen - (seen if before is None else before)) / 0.002
-            u = np.array([60.0, 40.0]) * (target - seen) + np.array([6.0, 3.0]) * (speed - slope)
+            u = asked(target, speed, seen, slope)
             before = seen
             rows.append((data.time, seen, u + TORQUE * rng.standard_normal(2)))
-        asked.append(u)
-        data.qfrc_applied[:] = asked[max(k - delay, 0)]
+        commands.append(u)
+        data.qfrc_applied[:] = commands[max(k - delay, 0)]
         if lag:
             # Of the exact response to a held command, the mean over the step.
             apart, x = (u if state is None else state) - u, 0.001 / lag
             data.qfrc_applied[:] = u - apart * np.expm1(-x) / x
             state = u + apart * np.exp(-x)
         mujoco.mj_step(model, data, 2)
-    time, qpos, tau = (np.array(x) for x in zip(*rows, strict=True))
-    return Log(
-        time=time,
-        joint_names=("shoulder", "elbow"),
-        qpos=qpos,
-        tau=tau,
-        tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(2, ENCODER),
-        sigma_tau=TORQUE,
-    )
+    return logged(rows, ENCODER, TORQUE)
 
 
 @pytest.mark.parametrize(

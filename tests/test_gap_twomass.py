@@ -3,13 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, wave
+from arm_log import ARM, TORQUE, asked, logged, wave
 from scipy.integrate import solve_ivp
 
 from jax_inertia import load_model
 from jax_inertia.gap import diagnose
 from jax_inertia.gap.twomass import separation
-from jax_inertia.log import Log, TorqueKind
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
 TIME = np.arange(0.0, 6.0, 0.004)
@@ -99,25 +98,15 @@ def log_of(coupling, seed=0, encoder=2e-5):
     data = mujoco.MjData(model)
     data.qpos[:2], data.qvel[:2] = wave(0.0, seed)
     rng = np.random.default_rng(seed)
-    sigma, rows = np.array([0.03, 0.01]), []
+    rows = []
     for _ in range(4000):
         target, speed = wave(data.time, seed)
-        u = np.array([60.0, 40.0]) * (target - data.qpos[:2])
-        u += np.array([6.0, 3.0]) * (speed - data.qvel[:2])
+        u = asked(target, speed, data.qpos[:2], data.qvel[:2])
         seen = data.qpos[:2] + encoder * rng.standard_normal(2)
-        rows.append((data.time, seen, u + sigma * rng.standard_normal(2)))
+        rows.append((data.time, seen, u + TORQUE * rng.standard_normal(2)))
         data.qfrc_applied[:2] = u
         mujoco.mj_step(model, data, 4)
-    time, qpos, tau = map(np.array, zip(*rows, strict=True))
-    return Log(
-        time=time,
-        joint_names=("shoulder", "elbow"),
-        qpos=qpos,
-        tau=tau,
-        tau_kind=TorqueKind.COMMANDED,
-        sigma_qpos=np.full(2, encoder),
-        sigma_tau=sigma,
-    )
+    return logged(rows, encoder, TORQUE)
 
 
 def test_a_soft_joint_of_mujoco_is_named_and_sized():

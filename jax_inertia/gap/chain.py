@@ -232,13 +232,12 @@ def _low_pass(cutoff: float, rate: float) -> np.ndarray:
     return np.asarray(signal.butter(3, cutoff, fs=rate, output="sos"))
 
 
-def _later(x, share: float) -> np.ndarray:
-    """Samples put off by a share of their period, along the cubic through four of them.
+def _later(x, s: float) -> np.ndarray:
+    """Samples put off by a share s of their period, along the cubic through four of them.
 
     Along straight lines a half would lose (ω h)² / 8 of a torque of angular rate ω, as a slow drive does.
     """
     x = np.asarray(x, float)
-    s = share
     # Lagrange's weights of the sample after, its own, the one before and the one before that.
     after, own = -s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2
     before, long_before = -(s + 1) * s * (s - 2) / 2, (s + 1) * s * (s - 1) / 6

@@ -79,7 +79,7 @@ def _told_in_band(lead: list[Candidate], noise: float) -> None:
     given = [c for c in lead if c.family.slow and c.family.whole is not None]
     for place in {c.place for c in given}:
         twins = [c for c in given if c.place == place]
-        gain, aim = (max(getattr(c, of) for c in twins) for of in ("gain", "aim"))
+        gain, aim = max(c.gain for c in twins), max(c.aim for c in twins)
         for c in twins:
             c.score += (gain - c.gain - (aim - c.aim)) / noise
 
