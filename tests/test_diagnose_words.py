@@ -7,7 +7,7 @@ import pytest
 
 from jax_inertia.demo.command import judged
 from jax_inertia.demo.hidden import Secret
-from jax_inertia.gap.energies import Shrink
+from jax_inertia.gap.energies import Counted, Shrink
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.intervals import Interval
@@ -44,6 +44,8 @@ def trace(samples: int = 500) -> Trace:
         erring=np.zeros((samples, 2)),
         energy=((effect + noise) / 0.01) ** 2,
         forces=(),
+        gap=(0,),
+        counted=Counted(np.ones((samples, 1), bool)),
     )
 
 

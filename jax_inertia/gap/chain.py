@@ -27,7 +27,7 @@ from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.support import BASE, Support, supported
 from jax_inertia.log import Log, TorqueKind
-from jax_inertia.motion import Motion, generalised
+from jax_inertia.motion import generalised
 from jax_inertia.robot import Robot
 from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
 
@@ -166,8 +166,6 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
     if support is not None:
         measured = _standing(measured, support.used_up)
-    if observation.motion.wrench is not None:
-        measured = measured * ~_struck(observation.motion, robot, rate)[:, None]
     return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate, support)
 
 
@@ -178,22 +176,6 @@ def _standing(
     out = np.where(used_up, 0.0, measured)
     out[:, :BASE] *= measured[:, used_up].min(axis=1, initial=1.0)[:, None]
     return out
-
-
-# Contact forces that change by this many weights of the robot a second are a blow: a step that is set down has tens, a
-# dance on all fours one or two.
-BLOW = 10.0
-# What the first low-pass carries of a blow, to either side [s].
-ECHO = 0.012
-
-
-def _struck(motion: Motion, robot: Robot, rate: float) -> Bool[np.ndarray, " T"]:
-    """Moments of a blow, whose torques and accelerations no sensor samples finely enough to be compared."""
-    weight = float(jnp.sum(robot.pi[:, 0])) * float(jnp.linalg.norm(robot.gravity))
-    force = np.asarray(motion.wrench)[:, :, :3]
-    change = np.linalg.norm(np.gradient(force, 1.0 / rate, axis=0), axis=2).max(axis=1)
-    blow = change > BLOW * max(weight, 1e-9)
-    return ndimage.maximum_filter1d(blow, 2 * round(ECHO * rate) + 1)
 
 
 def without_friction(robot: Robot) -> Robot:

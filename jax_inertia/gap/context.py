@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy import signal
 
 from jax_inertia import dynamics
@@ -174,7 +175,12 @@ class Context:
     @functools.cached_property
     def contact_rows(self) -> np.ndarray:
         """Torque of each contact's measured wrench (T, C, nv)."""
-        return _contact_rows((self.robot, self.contacts), (self.q, self.wrench))
+        assert self.wrench is not None, "no contact wrench is measured"
+        return self.contact_torques(self.wrench)
+
+    def contact_torques(self, wrench: Float[np.ndarray, "T C 6"]) -> np.ndarray:
+        """Torque of each contact's wrench (T, C, nv)."""
+        return _contact_rows((self.robot, self.contacts), (self.q, wrench))
 
     def bristle(self, row: int, reach: float) -> np.ndarray:
         """Friction direction of a joint with presliding (Dahl 1968): dz/dx = (1 − z sign ẋ)/reach, z in [−1, 1] (T,).

@@ -83,8 +83,8 @@ def diagnose(
     # How large the gap is, where and when, is told in units of the sensors' noise.
     evidence = first.pool.evidence
     rows = rows_of_gap(evidence, search.replicas)
-    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search, rows)
-    chosen, heldout, trial = without_harm(search, other, rows)
+    other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search)
+    chosen, heldout, sight, trial = without_harm(search, other, rows)
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
@@ -122,7 +122,7 @@ def diagnose(
             reaches,
             search.motors,
             search.replicas,
-            rows,
+            sight,
         ),
     )
 

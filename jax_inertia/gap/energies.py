@@ -4,12 +4,16 @@ It is measured on the rows that hold the gap, where others add but noise, and on
 model's errors are fitted to (`Evidence.used`): next to rest, the filters carry friction that no model predicts. The
 floor is the sensors' noise and the energy that goes with the nominal model's own errors, as a log most likely has them,
 when they are taken out of what is left.
+
+Frequencies that the motion does not have add noise and little else, which hides a gap that is plain below them: what is
+summed is the motion's own band, unless the gap lies above it.
 """
 
 import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.fft
 import scipy.stats
 from jaxtyping import Bool, Float
 
@@ -32,6 +36,33 @@ def holding(share: Sequence[float] | Float[np.ndarray, " nv"]) -> list[int]:
 
 
 @dataclasses.dataclass(frozen=True)
+class Counted:
+    """Samples and frequencies that energies are summed over."""
+
+    used: Bool[np.ndarray, "R n"]
+    modes: int | None = None
+    """Cosines in time that count, the slowest ones; None: all."""
+
+    def energy(self, x: Float[np.ndarray, "*k R n"]) -> Float[np.ndarray, "*k R"]:
+        """Squared torques summed over rows, moment by moment."""
+        x = np.where(self.used, x, 0.0)
+        if self.modes is not None:
+            cosines = np.asarray(scipy.fft.dct(x, axis=-2, norm="ortho"))
+            cosines[..., self.modes :, :] = 0.0
+            x = np.asarray(scipy.fft.idct(cosines, axis=-2, norm="ortho"))
+        return np.sum(x**2, axis=-1)
+
+    def rms(self, x: Float[np.ndarray, "R n"]) -> float:
+        """Of torques, over the samples that count."""
+        return float(np.sqrt(self.energy(x).sum() / max(self.count, 1)))
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return int(self.used.sum())
+
+
+@dataclasses.dataclass(frozen=True)
 class Shrink:
     """Rms of the missing torque over the rows that hold the gap [N m]: before, after, and what no effect removes."""
 
@@ -45,6 +76,8 @@ class Shrink:
     alike."""
     interval: tuple[float, float] | None = None
     """95 %, of the share on another motion; None where that was not foretold."""
+    band: float | None = None
+    """Up to which frequency it was measured [Hz]; None: as far as the chain's filters let torques through."""
 
     @property
     def noise(self) -> float:
@@ -75,23 +108,20 @@ class Energies:
     @classmethod
     def of(
         cls,
-        counted: Bool[np.ndarray, "R nv"],
+        counted: Counted,
         before: Float[np.ndarray, "R nv"],
         after: Float[np.ndarray, "R nv"],
         excused: Float[np.ndarray, "R nv"],
         replicas: Float[np.ndarray, "K R nv"],
     ) -> "Energies":
         """Of finished torques; `excused`: the model's errors in `after`, `replicas`: draws of the sensors' noise."""
-
-        def energy(x: np.ndarray) -> np.ndarray:
-            return np.sum(np.where(counted, x**2, 0.0), axis=-1)
-
+        energy = counted.energy
         there, without = energy(after), energy(after - excused)
         if without.sum() > there.sum():
             # Errors that would leave more than there is are none.
             without = there
         sensors = energy(replicas).mean(axis=0)
-        return cls(energy(before), there, without, sensors, int(counted.sum()))
+        return cls(energy(before), there, without, sensors, counted.count)
 
     @property
     def shrink(self) -> Shrink:

@@ -230,6 +230,11 @@ class Evidence:
         seconds = len(needed) / self.prepared.settings.decimated
         return int(np.clip(count, 2 * seconds, min(10 * seconds, len(needed))))
 
+    @property
+    def slow_band(self) -> float:
+        """Up to which frequency they reach [Hz]."""
+        return self.slow_modes * self.prepared.settings.decimated / (2 * len(self.used))
+
     @functools.cached_property
     def slow_basis(self) -> Float[np.ndarray, "m s"]:
         """The tolerances' span in the motion's own band."""

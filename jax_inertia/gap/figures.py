@@ -10,10 +10,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from jax_inertia.gap import energies
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
-from jax_inertia.gap.trace import Trace
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072B2", "#D55E00", "#009E73", "#8a8f98"
 _STYLE: dict[Any, Any] = {
@@ -113,8 +111,8 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
 
 def waterfall(found: Diagnosis) -> str:
     """Held-out missing torque after each effect, down to the floor, over the rows that hold the gap."""
-    trace, rows = found.trace, holding(found)
-    values = [_rms(x, trace, rows) for x in (trace.missing, *trace.left)]
+    trace = found.trace
+    values = [trace.counted.rms(x[:, trace.gap]) for x in (trace.missing, *trace.left)]
     names = ["as modelled"] + [
         f"+ {f.family.replace('_', ' ')}\n{short(f.place.name)}" for f in found.findings
     ]
@@ -125,7 +123,7 @@ def waterfall(found: Diagnosis) -> str:
         axes.barh(at, values, color=[_GREY, *[_ORANGE] * (len(values) - 1)], zorder=2, height=0.6)
         for k, value in enumerate(values):
             axes.text(value, k, f" {value:.3g}", va="center", fontsize=8.5)
-        floor = _floor(trace, rows)
+        floor = found.heldout.noise
         axes.axvline(floor, color=_BLUE, ls="--", lw=1.3)
         axes.text(floor, -0.55, f" floor {floor:.2g}", color=_BLUE, fontsize=8.5, va="bottom")
         axes.set_yticks(at, names)
@@ -133,7 +131,9 @@ def waterfall(found: Diagnosis) -> str:
         axes.set_xlim(0, 1.18 * max(*values, floor))
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.grid(axis="y", visible=False)
-        axes.set_xlabel("missing torque, rms [N m]")
+        band = found.heldout.band
+        below = "" if band is None else f" below {band:.2g} Hz"
+        axes.set_xlabel(f"missing torque{below}, rms [N m]")
         return embedded(figure)
 
 
@@ -171,21 +171,7 @@ def affected(found: Diagnosis) -> int:
 def holding(found: Diagnosis) -> list[int]:
     """Rows that hold the gap, the loudest first."""
     shares = [found.share[name] for name in found.trace.rows]
-    return sorted(found.trace.gap or energies.holding(shares), key=lambda k: -shares[k])
-
-
-def _rms(x: np.ndarray, trace: Trace, rows: list[int]) -> float:
-    """Over samples in motion."""
-    moving = ~trace.rest[:, rows]
-    return float(np.sqrt(np.mean(x[:, rows][moving] ** 2))) if moving.any() else 0.0
-
-
-def _floor(trace: Trace, rows: list[int]) -> float:
-    """What no effect removes, over samples in motion."""
-    before, excused = trace.missing[:, rows], trace.excused[:, rows]
-    after = (trace.missing, *trace.left)[-1][:, rows]
-    noise = np.broadcast_to(trace.noise[rows], (1, *after.shape))
-    return energies.Energies.of(~trace.rest[:, rows], before, after, excused, noise).shrink.noise
+    return sorted(found.trace.gap, key=lambda k: -shares[k])
 
 
 def short(name: str, most: int = 22) -> str:

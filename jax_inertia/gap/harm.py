@@ -5,7 +5,7 @@ from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.other_motion import OtherMotion, Trial, grown
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.shrink import held_out, misfit_held_out, what_is_left
+from jax_inertia.gap.shrink import Sight, held_out, misfit_held_out, what_is_left
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
 # effect may be true and yet undo some of them. More is no cause.
@@ -22,20 +22,20 @@ def _harm_of(growth: float, before: float, after: float, floor: float) -> float:
 
 def without_harm(
     search: Search, other: OtherMotion | None, rows: list[int]
-) -> tuple[list[Candidate], Shrink, Trial | None]:
+) -> tuple[list[Candidate], Shrink, Sight, Trial | None]:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
-    With them, the shrink on the log itself, each fifth of it predicted from the other four, and the trial on the other
-    motion.
+    With them, the shrink on the log itself, each fifth of it predicted from the other four, where that was measured,
+    and the trial on the other motion.
     """
     pool, chosen, prepared = search.pool, search.chosen, search.pool.context.prepared
     before = prepared.finish_torque(prepared.missing)
     alone = float(pool.evidence.y @ pool.evidence.y)
 
-    def tried(effects: list[Candidate]) -> tuple[float, Shrink, Trial | None]:
+    def tried(effects: list[Candidate]) -> tuple[float, Shrink, Sight, Trial | None]:
         after = what_is_left(pool, effects)
-        own = held_out(pool, rows, effects, before, after, search.replicas)
-        trial = None if other is None else other.trial(effects)
+        own, sight = held_out(pool, rows, effects, before, after, search.replicas)
+        trial = None if other is None else other.trial(effects, sight)
         left = misfit_held_out(pool, effects)
         harm = [
             # On stretches that it was not fitted to, an effect has to bring half of what it had to on all of them.
@@ -49,7 +49,7 @@ def without_harm(
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
                 _harm_of(trial.grown, j.before, j.after, j.floor),
             ]
-        return max(harm), own, trial
+        return max(harm), own, sight, trial
 
     now = tried(chosen)
     while chosen and now[0] > 1.0:

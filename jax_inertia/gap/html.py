@@ -113,7 +113,8 @@ def _shrunk(s: Shrink) -> str:
 
 def _detail(s: Shrink) -> str:
     floor = f"floor {number(s.noise)}: sensors {number(s.sensors)}, the model's own errors {number(s.excused)}"
-    return f"{number(s.before)} → {number(s.after)} N m; {floor}"
+    below = "" if s.band is None else f" below {number(s.band)} Hz"
+    return f"{number(s.before)} → {number(s.after)} N m{below}; {floor}"
 
 
 def _holding(found: Diagnosis) -> str:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import sensor_noise
+from jax_inertia.gap.sensors import sensor_noise
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy import linalg, signal
 
 from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.gap.sensors import perturbed
 from jax_inertia.log import Log
 
 ORDER = 3
@@ -203,11 +204,6 @@ def _definite(correlation: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
     return mended / np.outer(size, size)
 
 
-def stated(log: Log) -> bool:
-    """Whether the log says how large its sensors' noise is."""
-    return log.sigma_tau is not None and log.sigma_qpos is not None
-
-
 # Noise is forgotten after this [s]; what a motion brings about lasts longer, or returns.
 FORGOTTEN, RETURNS = 0.15, 0.4
 MEMORY = 0.02
@@ -230,56 +226,3 @@ def at_random(rows: Float[np.ndarray, "R nv"], period: float) -> bool:
     kurtosis = counts * np.sum(rows**4, axis=0) / np.maximum(energy, 1e-100) ** 2
     share = energy / max(float(energy.sum()), 1e-300)
     return float(squares.mean(axis=0) @ share) < MEMORY and float(kurtosis @ share) < BURSTS
-
-
-IMPACT = 6.0
-
-
-def sensor_noise(x: Float[np.ndarray, "T n"], stated: np.ndarray | None) -> Float[np.ndarray, " n"]:
-    """Standard deviation of one sample of each channel: as stated, or from its third differences and its steps.
-
-    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². Impacts, beyond `IMPACT` of what most
-    samples show, do not count; heavier tails than a Gaussian's, which a median would miss, do. A converter's steps of
-    width s are a noise of s/√12 at least, also where motion is so slow that most samples repeat the one before.
-    """
-    if stated is not None:
-        return np.broadcast_to(np.asarray(stated, float), x.shape[1:])
-    x = np.asarray(x, float)
-    third = np.abs(np.diff(x, n=3, axis=0))
-    usual = np.nanmedian(np.where(np.isfinite(third), third, np.nan), axis=0) / 0.6745
-    counted = third <= IMPACT * usual
-    rough = np.sqrt(
-        (third**2).sum(axis=0, where=counted) / np.maximum(counted.sum(axis=0), 1) / 20.0
-    )
-    steps = np.array([resolution(channel) for channel in x.T])
-    return np.maximum(rough, steps / np.sqrt(12.0))
-
-
-def resolution(x: Float[np.ndarray, " T"]) -> float:
-    """The step of a channel whose values are multiples of one; zero where they are not."""
-    apart = np.diff(np.unique(x[np.isfinite(x)]))
-    if len(apart) < LEVELS:
-        return 0.0
-    step = float(apart.min())
-    multiples = apart / step
-    return step if np.median(np.abs(multiples - np.round(multiples))) < ON_STEP else 0.0
-
-
-# Fewer values than this are a signal that hardly moves. How far from a multiple of a step the values usually lie.
-LEVELS, ON_STEP = 8, 0.02
-
-
-def perturbed(log: Log, rng: np.random.Generator) -> Log:
-    """The log with its sensors' noise added once more."""
-
-    def more(x, stated=None):
-        x = np.asarray(x, float)
-        flat = x.reshape(len(x), -1)
-        sigma = sensor_noise(flat, stated)
-        return (flat + sigma * rng.standard_normal(flat.shape)).reshape(x.shape)
-
-    changes = {"qpos": more(log.qpos, log.sigma_qpos), "tau": more(log.tau, log.sigma_tau)}
-    for name in ("base_pos", "base_quat", "base_linvel", "base_angvel", "contact_wrench"):
-        if (value := getattr(log, name)) is not None:
-            changes[name] = more(value)
-    return dataclasses.replace(log, **changes)

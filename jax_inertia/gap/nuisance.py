@@ -40,7 +40,7 @@ class Tolerance:
     """Of the log's period, when within it a held torque acted: half a period, the most it can be, is six of these, and
     brings just less than a delay has to and costs (`propose.STOP`, `Candidate.price`)."""
     sampled: float = 0.25
-    """The same for a torque that a sensor sampled: of the moment, or of the period that followed."""
+    """The same for a torque or a wrench that a sensor sampled: of the moment, or of the period that followed."""
 
 
 CAUSES = {
@@ -112,11 +112,26 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
                 brief.append(Columns(friction * np.stack(departures, axis=1), row))
     sampled = log.tau_kind is TorqueKind.SENSOR
     late, most = (tolerance.sampled, 0.25) if sampled else (tolerance.period, 0.5)
-    slope = derivative(context.time, context.tau)
-    # What a delay by the most of it does beyond its first order, at as many standard deviations as the first.
-    second = 0.5 * late * most * derivative(context.time, slope)
-    fixed.append(Columns(np.stack([late * slope / log.rate, second / log.rate**2], axis=2)))
+    shifts = _shifts(context.time, context.tau, late / log.rate, most / log.rate)
+    fixed.append(Columns(np.stack(shifts, axis=2)))
+    if context.wrench is not None and context.prepared.support is None:
+        # A foot that is set down changes its force by tens of weights a second.
+        late, most = tolerance.sampled / log.rate, 0.5 / log.rate
+        shifts = _shifts(context.time, context.wrench, late, most)
+        turned = [context.contact_torques(x).sum(axis=1) for x in shifts]
+        fixed.append(Columns(np.stack(turned, axis=2)))
     return Nuisances(fixed, brief, tolerances, named)
+
+
+def _shifts(
+    time: Float[np.ndarray, "T"], x: Float[np.ndarray, "T *c"], late: float, most: float
+) -> list[Float[np.ndarray, "T *c"]]:
+    """What a delay of a signal by `late` [s] does, and what one by the `most` it can be does beyond its first order.
+
+    The second at as many standard deviations as the first.
+    """
+    slope = derivative(time, x)
+    return [late * slope, 0.5 * late * most * derivative(time, slope)]
 
 
 # Up to which frequency a joint that creeps shows by its motion how [Hz]: above, that may be the encoders' noise.

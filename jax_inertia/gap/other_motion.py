@@ -24,7 +24,7 @@ from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
-from jax_inertia.gap.shrink import energies
+from jax_inertia.gap.shrink import Sight
 from jax_inertia.gap.verdict import Tried
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -46,9 +46,7 @@ class Trial:
 class OtherMotion:
     """A test log, made ready once, to try effects on."""
 
-    def __init__(
-        self, robot: Robot, log: Log, tolerance: Tolerance, search: Search, rows: list[int]
-    ):
+    def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
         prepared = prepare(robot, log)
         log = with_motors(log, robot, search.motors)
         own, replicas, _ = whitener(prepared, log)
@@ -60,10 +58,10 @@ class OtherMotion:
         first = search.pool.evidence
         self._evidence = Evidence(prepared, own, doubts, first.scales).pinning(first.pinned)
         self._floor = self._evidence.noise_energy(replicas)
-        self._known, self._rows, self._replicas = search.known, rows, replicas
+        self._known, self._replicas = search.known, replicas
 
-    def trial(self, chosen: list[Candidate]) -> Trial:
-        """Missing torque and misfit with and without the effects."""
+    def trial(self, chosen: list[Candidate], sight: Sight) -> Trial:
+        """Missing torque, where the first log's gap is measured, and misfit with and without the effects."""
         evidence = self._evidence
         predicted, left, allowed = [], evidence.y, 0.0
         for c in sorted(chosen, key=lambda c: c.family.passing):
@@ -79,7 +77,7 @@ class OtherMotion:
         y = self._prepared.finish_torque(self._prepared.missing)
         after = y - sum(predicted, np.zeros_like(y))
         return Trial(
-            shrink=energies(evidence, self._rows, y, after, self._replicas).shrink,
+            shrink=sight.shrink(evidence, sight.energies(evidence, y, after, self._replicas)),
             misfit=Tried(
                 before=float(evidence.y @ evidence.y),
                 after=float(left @ left),

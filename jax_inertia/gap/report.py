@@ -81,6 +81,7 @@ def _shrink(s: Shrink) -> dict[str, Any]:
         "sensor_noise": s.sensors,
         "model_errors": s.excused,
         "unit": "N m",
+        "band_hz": s.band,
     }
 
 

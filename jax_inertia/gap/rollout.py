@@ -16,8 +16,8 @@ from jax_inertia._mujoco_types import MjSpec
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.motors import with_motors
-from jax_inertia.gap.noise import perturbed
 from jax_inertia.gap.plant import Plant, Recording
+from jax_inertia.gap.sensors import perturbed
 from jax_inertia.gap.trace import Trace
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot

@@ -19,11 +19,12 @@ from jax_inertia.gap.doubt import better_than, share_in_doubt
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import hidden_noise, with_motors
-from jax_inertia.gap.noise import Whitener, at_random, motion_band, stated, whitener
+from jax_inertia.gap.noise import Whitener, at_random, motion_band, whitener
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import rows_explained, select
+from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.suited import bent_by, suited
 from jax_inertia.gap.together import remaining

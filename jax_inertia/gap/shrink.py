@@ -6,23 +6,39 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.energies import Energies, Shrink, holding, shares
+from jax_inertia.gap.energies import Counted, Energies, Shrink, holding, shares
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import solved, stacked
 
 
-def energies(
-    evidence: Evidence,
-    rows: list[int],
-    before: Float[np.ndarray, "R nv"],
-    after: Float[np.ndarray, "R nv"],
-    replicas: Float[np.ndarray, "K R nv"],
-) -> Energies:
-    """Of finished torques on a log, over some rows."""
-    excused = evidence.excused(evidence.charged(after))
-    torques = (x[..., rows] for x in (before, after, excused, replicas))
-    return Energies.of(evidence.used[:, rows], *torques)
+@dataclasses.dataclass(frozen=True)
+class Sight:
+    """Where a gap is measured: on which rows, and whether in the motion's own band."""
+
+    rows: list[int]
+    slow: bool = True
+
+    def on(self, evidence: Evidence) -> Counted:
+        """On a log."""
+        return Counted(evidence.used[:, self.rows], evidence.slow_modes if self.slow else None)
+
+    def energies(
+        self,
+        evidence: Evidence,
+        before: Float[np.ndarray, "R nv"],
+        after: Float[np.ndarray, "R nv"],
+        replicas: Float[np.ndarray, "K R nv"],
+    ) -> Energies:
+        """Of finished torques on a log."""
+        excused = evidence.excused(evidence.charged(after))
+        torques = (x[..., self.rows] for x in (before, after, excused, replicas))
+        return Energies.of(self.on(evidence), *torques)
+
+    def shrink(self, evidence: Evidence, energies: Energies) -> Shrink:
+        """Of energies of a log."""
+        band = evidence.slow_band if self.slow else None
+        return dataclasses.replace(energies.shrink, band=band)
 
 
 def rows_of_gap(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"]) -> list[int]:
@@ -40,19 +56,26 @@ def held_out(
     before: Float[np.ndarray, "R nv"],
     after: Float[np.ndarray, "R nv"],
     replicas: Float[np.ndarray, "K R nv"],
-) -> Shrink:
-    """Missing torque on some rows, `before` and `after` the chosen effects (`what_is_left`)."""
-    context, prepared = pool.context, pool.context.prepared
-    sizes = energies(pool.evidence, rows, before, after, replicas)
+) -> tuple[Shrink, Sight]:
+    """Missing torque on some rows, `before` and `after` the chosen effects (`what_is_left`), and where it is measured.
+
+    That is in the motion's own band, unless hardly any of the gap is there.
+    """
+    evidence, prepared = pool.evidence, pool.context.prepared
+    sight = Sight(rows)
+    sizes = sight.energies(evidence, before, after, replicas)
+    if sizes.shrink.share is None:
+        sight = Sight(rows, slow=False)
+        sizes = sight.energies(evidence, before, after, replicas)
+    shrink = sight.shrink(evidence, sizes)
     if not chosen:
-        return sizes.shrink
+        return shrink, sight
     own = 0.0
     for c in (c for c in chosen if not c.family.passing):
-        effect = prepared.finish_torque(effect_torque(context, c))
-        counted = effect[:, rows][pool.evidence.used[:, rows]]
-        own += c.family.form_error**2 * float(counted @ counted)
+        effect = prepared.finish_torque(effect_torque(pool.context, c))[:, rows]
+        own += c.family.form_error**2 * float(sight.on(evidence).energy(effect).sum())
     interval = sizes.interval(prepared.settings.decimated, own)
-    return dataclasses.replace(sizes.shrink, interval=interval)
+    return dataclasses.replace(shrink, interval=interval), sight
 
 
 def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:

@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jax_inertia.gap.energies import Counted
 from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.shrink import Sight
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,8 +54,10 @@ class Trace:
     """Squared whitened missing torque: about one where there is no gap; zero where a sample is not used."""
     forces: tuple[BodyForce, ...]
     """The most telling body first."""
-    gap: tuple[int, ...] = ()
+    gap: tuple[int, ...]
     """Rows that hold the gap, in units of their noise or in N m: those that the shrink is of."""
+    counted: Counted
+    """Samples and frequencies of those rows that the shrink is of."""
 
 
 def collect(
@@ -65,7 +69,7 @@ def collect(
     turning: Float[np.ndarray, " nv"],
     motors: Float[np.ndarray, " nv"],
     replicas: Float[np.ndarray, "K R nv"],
-    gap: list[int],
+    sight: Sight,
 ) -> Trace:
     """Gather the signals of one run; `effects`, `left`, `excused` and `erring` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
@@ -90,7 +94,8 @@ def collect(
         erring=erring,
         energy=evidence.unflatten(evidence.raw[:, 0]) ** 2,
         forces=_forces(pool, missing / noise, noise),
-        gap=tuple(gap),
+        gap=tuple(sight.rows),
+        counted=sight.on(pool.evidence),
     )
 
 
