@@ -3,7 +3,10 @@
 import dataclasses
 import json
 import os
+import signal
 import sys
+import threading
+import time
 import zipfile
 from pathlib import Path
 
@@ -239,6 +242,29 @@ def test_a_stopped_run_goes_on_where_it_was(sealed, tmp_path, monkeypatch):
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [p.name for p in every]
     assert (tmp_path / "results" / every[0].name / "report.json").stat().st_mtime_ns == stamp
     assert len(json.loads((tmp_path / "runs.json").read_text())) == 2
+
+
+def test_an_interrupted_log_has_no_result(sealed, tmp_path, monkeypatch):
+    logs, _, _ = sealed
+
+    def put(folder):
+        (folder / "jax_inertia").mkdir()
+        (folder / "jax_inertia" / "__init__.py").write_text("")
+        text = "import pathlib, time\ndef main(a):\n    pathlib.Path('begun').touch()\n    time.sleep(60)\n"
+        (folder / "jax_inertia" / "cli.py").write_text(text)
+
+    def interrupt():
+        while not all((tmp_path / "work" / k / "job" / "begun").exists() for k in ("00", "01")):
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(solve, "copy_package", put)
+    began = time.monotonic()
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        solve.solve([solve.Task(log, tmp_path) for log in logs.iterdir()], tmp_path / "work", 2)
+    assert time.monotonic() - began < 30.0
+    assert not list((tmp_path / "results").iterdir())
 
 
 def test_a_command_that_hangs_or_dies_is_an_answer_of_its_own(sealed, tmp_path):

@@ -45,6 +45,7 @@ class Diagnoser:
         self.per_process, self.timeout = per_process, timeout
         self.process: subprocess.Popen | None = None
         self.done = 0
+        self.stopped = threading.Event()
 
     def _start(self) -> subprocess.Popen:
         shutil.rmtree(self.home, ignore_errors=True)
@@ -73,10 +74,12 @@ class Diagnoser:
              os.pathsep.join(libraries), *readable],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
             stderr=(self.home.parent / f"{self.home.name}.log").open("a"), cwd=self.home / "job",
+            # Ctrl-C is for the examination to act on: a command that it ended would pass for one that failed.
+            start_new_session=True,
         )  # fmt: skip
 
     def ask(self, arguments: list[str]) -> dict:
-        """Run the command once; {"exit", "seconds", "error"?}."""
+        """Run the command once; {"exit", "seconds", "error"?}. KeyboardInterrupt when stopped meanwhile."""
         if self.process is None or self.done >= self.per_process:
             self.close()
             self.process, self.done = self._start(), 0
@@ -86,6 +89,8 @@ class Diagnoser:
         hurry = threading.Timer(self.timeout, self.process.kill)
         hurry.start()
         try:
+            if self.stopped.is_set():
+                raise KeyboardInterrupt
             self.process.stdin.write(json.dumps({"arguments": arguments}) + "\n")
             self.process.stdin.flush()
             line = self.process.stdout.readline()
@@ -93,6 +98,8 @@ class Diagnoser:
             line = ""
         finally:
             hurry.cancel()
+        if self.stopped.is_set():
+            raise KeyboardInterrupt
         if line:
             return json.loads(line)
         code = self.process.wait()
@@ -122,6 +129,12 @@ class Diagnoser:
         (part / "run.json").write_text(json.dumps(answer | {"exclude": exclude}))
         (out / "results").mkdir(exist_ok=True)
         part.rename(out / "results" / log.name)
+
+    def stop(self) -> None:
+        """End the command that runs, whose log then has no result."""
+        self.stopped.set()
+        if (process := self.process) is not None:
+            process.kill()
 
     def close(self) -> None:
         if self.process is not None:
@@ -198,10 +211,11 @@ def solve(
     with Progress(*columns) as progress:
         bar = progress.add_task("", total=len(tasks), completed=len(tasks) - len(todo))
 
-        def worker(number: int) -> None:
-            diagnoser = Diagnoser(
-                work / f"{number:02d}", cache, 1 if fresh else PER_PROCESS, timeout
-            )
+        count = min(jobs, len(todo))
+        share = 1 if fresh else PER_PROCESS
+        diagnosers = [Diagnoser(work / f"{k:02d}", cache, share, timeout) for k in range(count)]
+
+        def worker(diagnoser: Diagnoser) -> None:
             try:
                 while not failures:
                     task = waiting.get_nowait()
@@ -214,11 +228,18 @@ def solve(
             finally:
                 diagnoser.close()
 
-        threads = [threading.Thread(target=worker, args=(k,)) for k in range(min(jobs, len(todo)))]
+        threads = [threading.Thread(target=worker, args=(d,)) for d in diagnosers]
         for thread in threads:
             thread.start()
-        for thread in threads:
-            thread.join()
+        try:
+            for thread in threads:
+                thread.join()
+        except KeyboardInterrupt as stop:
+            failures.append(stop)
+            for diagnoser in diagnosers:
+                diagnoser.stop()
+            for thread in threads:
+                thread.join()
     if failures:
         raise failures[0]
     for out in {t.out for t in tasks}:
