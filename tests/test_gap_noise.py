@@ -289,13 +289,6 @@ def test_the_motion_band_ends_where_noise_begins(robot):
     assert 2.0 < bands[1] < bands[0]
 
 
-LEGGED = """
-<mujoco><worldbody><body name="trunk"><freejoint/><inertial mass="8" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
-<body name="foot" pos="0 0 -0.3"><joint name="knee" axis="0 1 0"/>
-<inertial mass="1" pos="0 0 -0.1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>
-"""
-
-
 def test_rows_that_seldom_move_together_are_whitened_all_the_same():
     rng = np.random.default_rng(3)
     used = rng.random((300, 3)) < 0.4
