@@ -89,6 +89,12 @@ def test_blows_are_no_gap_whenever_in_its_period_a_wrench_was_measured(robot, la
     assert found.verdict is Verdict.NO_GAP, found
 
 
+def test_wrenches_that_are_late_by_periods_are_named(robot):
+    found = diagnose(robot, kicked(3 * STEPS))
+    assert found.verdict is Verdict.UNKNOWN
+    assert any("contact wrenches that come late" in doubt for doubt in found.doubts)
+
+
 def test_a_push_amid_blows_is_found(robot):
     found = diagnose(robot, kicked(STEPS // 4, seed=1, push=3.0))
     assert found.verdict is Verdict.EXPLAINED

@@ -23,6 +23,8 @@ KNOTS = 24
 YIELDS = (0.15, 0.3, 0.6)
 # Of a joint's angle, what its encoder may read wrong.
 WARPS = 6
+# Samples of the fast grid by which a sensor of wrenches may be late: its filter's and its bus's milliseconds.
+LATE = (1, 3, 9)
 # By how much a link is made longer to see what that does [m].
 LONGER = 1e-3
 
@@ -55,6 +57,8 @@ def outsiders(pool: Pool) -> list[Outsider]:
         add(name, columns if held else Columns(context.below(context.slow_band, columns.values)))
     # Where no base holds the robot, errors of its feet's sensors and of its whole mass come to the same.
     add("another gravity (a force on every body by its mass)", _weights(context), alone=held)
+    if context.wrench is not None and context.prepared.support is None:
+        add("contact wrenches that come late", _late_wrenches(context, context.wrench))
     if held:
         # A lateness that stays is a delay, and one within a period a tolerance: the clock's own is what drifts.
         late, drifting = np.hsplit(pool.evidence.column(Columns(_clocks(context))), 2)
@@ -108,6 +112,16 @@ def _clocks(context: Context) -> Float[np.ndarray, "T nv 2"]:
     """A path read at (1 + r) t + d instead of t: (d + r t) times the needed torque's derivative."""
     slope = derivative(context.time, context.below(context.slow_band, context.inverse))
     return np.stack([slope, slope * context.time[:, None]], axis=2)
+
+
+def _late_wrenches(context: Context, wrench: Float[np.ndarray, "T C 6"]) -> Columns:
+    """Wrenches of `LATE` samples before less those of as many after; within a period, lateness is a tolerance.
+
+    Less those of the moment itself, they would hold its noise, and fit that.
+    """
+    at = np.arange(len(wrench))
+    changes = [wrench[np.maximum(at - k, 0)] - wrench[np.minimum(at + k, at[-1])] for k in LATE]
+    return Columns(np.stack([context.contact_torques(x).sum(axis=1) for x in changes], axis=2))
 
 
 def _lengths(context: Context) -> Iterator[tuple[str, Columns]]:
