@@ -260,9 +260,14 @@ def test_an_interrupted_log_has_no_result(sealed, tmp_path, monkeypatch):
 
     monkeypatch.setattr(solve, "copy_package", put)
     began = time.monotonic()
+    # Workers of pytest-xdist ignore it otherwise.
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=interrupt, daemon=True).start()
-    with pytest.raises(KeyboardInterrupt):
-        solve.solve([solve.Task(log, tmp_path) for log in logs.iterdir()], tmp_path / "work", 2)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            solve.solve([solve.Task(log, tmp_path) for log in logs.iterdir()], tmp_path / "work", 2)
+    finally:
+        signal.signal(signal.SIGINT, usual)
     assert time.monotonic() - began < 30.0
     assert not list((tmp_path / "results").iterdir())
 
