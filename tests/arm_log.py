@@ -51,6 +51,27 @@ def logged(rows, encoder, torque):
     )
 
 
+def loaded(mass: float, at: tuple[float, float, float]):
+    """An edit of the arm's model: a point mass [kg] at a point of the lower arm [m]."""
+
+    def edit(model):
+        own, centre, point = model.body_mass[2], model.body_ipos[2].copy(), np.array(at)
+        model.body_mass[2] = own + mass
+        model.body_ipos[2] = (own * centre + mass * point) / (own + mass)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[2])
+        turn = turn.reshape(3, 3)
+        inertia = turn @ np.diag(model.body_inertia[2]) @ turn.T
+        for m, p in ((own, centre), (mass, point)):
+            d = p - model.body_ipos[2]
+            inertia += m * (d @ d * np.eye(3) - np.outer(d, d))
+        model.body_inertia[2], axes = np.linalg.eigh(inertia)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        mujoco.mju_mat2Quat(model.body_iquat[2], axes.ravel())
+
+    return edit
+
+
 def simulate(
     torque=nothing,
     edit=lambda model: None,

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, nothing, simulate
+from arm_log import ARM, loaded, nothing, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
@@ -77,26 +77,7 @@ def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor)
 
 
 def test_payload_is_found_on_its_body(robot):
-    def edit(model):
-        # 0.4 kg at (0, 0, -0.3) of the lower arm.
-        m, c = model.body_mass[2], model.body_ipos[2].copy()
-        extra, at = 0.4, np.array([0.0, 0.0, -0.3])
-        new = (m * c + extra * at) / (m + extra)
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.body_iquat[2])
-        r = rotation.reshape(3, 3)
-        inertia = r @ np.diag(model.body_inertia[2]) @ r.T
-        for mass, point in ((m, c), (extra, at)):
-            d = point - new
-            inertia += mass * (d @ d * np.eye(3) - np.outer(d, d))
-        values, axes = np.linalg.eigh(inertia)
-        axes[:, 2] *= np.sign(np.linalg.det(axes))
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, axes.ravel())
-        model.body_mass[2], model.body_ipos[2] = m + extra, new
-        model.body_inertia[2], model.body_iquat[2] = values, quat
-
-    found = diagnose(robot, simulate(nothing, edit))
+    found = diagnose(robot, simulate(edit=loaded(0.4, (0.0, 0.0, -0.3))))
     effect = found.findings[0]
     names = {
         (effect.family, effect.place.name),

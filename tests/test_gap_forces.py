@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, simulate
+from arm_log import ARM, loaded, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
@@ -16,6 +16,7 @@ from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.locate import _closed, windows
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.select import _likelier
 from jax_inertia.gap.together import solved
 
 PULL = np.array([4.0, 0.0, -7.0])
@@ -73,12 +74,14 @@ def test_what_joints_at_rest_do_not_tell_is_no_gap_between_two_stretches():
 
 
 def beside(*columns: np.ndarray) -> tuple[Pool, list[Candidate]]:
-    """A pool whose missing torque is the sum of effects with these columns, and the effects."""
+    """A pool whose missing torque is the sum of effects with these columns, and the effects, each of its own kind."""
     pool, evidence = object.__new__(Pool), object.__new__(Evidence)
     pool.evidence, evidence.y = evidence, np.sum(columns, axis=0)
+    evidence.used = np.ones((len(evidence.y), 1), bool)
     effects = [object.__new__(Candidate) for _ in columns]
-    for effect, column in zip(effects, columns, strict=True):
+    for k, (effect, column) in enumerate(zip(effects, columns, strict=True)):
         vars(effect).update(columns=column[:, None], offset=np.zeros(len(column)))
+        effect.family, effect.theta = SimpleNamespace(name=str(k)), np.ones(1)
     return pool, effects
 
 
@@ -93,6 +96,27 @@ def test_effects_that_do_only_together_what_they_do_are_entangled():
     # They undo each other, all but a little.
     assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
     assert entangled(*beside(x)) is None
+
+
+def test_what_is_left_of_a_force_on_the_next_link_is_of_the_same_force():
+    x, y = np.eye(2) * 30.0
+    pool, effects = beside(x, x + 0.3 * y)
+    assert entangled(pool, effects) is not None
+    effects[1].family = effects[0].family
+    assert entangled(pool, effects) is None
+
+
+def test_effects_are_swapped_for_what_costs_less():
+    x, y = np.eye(40)[:2] * 30.0
+    pool, (one, other) = beside(x, y)
+    family = SimpleNamespace(size=None, doubt=0.0, free_shape=0)
+    for effect in (one, other):
+        effect.family, effect.block, effect.grid = family, SimpleNamespace(shape=()), 1
+    assert not _likelier(pool, [one], [other], floor=900.0)
+    # Six numbers that leave as much as one does.
+    other.theta = np.ones(6)
+    assert _likelier(pool, [one], [other], floor=900.0)
+    assert not _likelier(pool, [other], [one], floor=900.0)
 
 
 def pushed(start: float, force: np.ndarray):
@@ -129,6 +153,32 @@ def test_a_push_may_happen_again_on_another_motion(robot, push_log, again, shrin
 def test_a_push_does_not_excuse_another_cause_on_another_motion(robot, push_log):
     other = simulate(force=lambda t: PULL, seconds=6.0, seed=5)
     assert diagnose(robot, push_log, test_log=other).verdict is Verdict.UNKNOWN
+
+
+def test_a_push_beside_a_load_is_no_error_of_the_loads_equation(robot):
+    found = diagnose(
+        robot, simulate(edit=loaded(3.0, (0.0, 0.05, -0.3)), force=pushed(3.0, 0.1 * PULL))
+    )
+    assert found.verdict is Verdict.EXPLAINED
+    assert [(x.family, x.place.name) for x in found.findings] == [
+        ("payload", "lower"),
+        ("push", "lower"),
+    ]
+
+
+def test_what_only_the_other_motion_shows_elsewhere_makes_no_wrong_cause(robot):
+    """Friction at the shoulder; the elbow's drive has a limit that only the faster motion comes to."""
+
+    def lacking(t, q, v, u):
+        return np.array([-0.4 * np.tanh(v[0] / 0.005), np.clip(u[1], -4.0, 4.0) - u[1]])
+
+    log, other = simulate(lacking, pace=0.5), simulate(lacking, seed=5)
+    assert np.abs(log.tau[:, 1]).max() < 4.0 < np.abs(other.tau[:, 1]).max()
+    found = diagnose(robot, log, test_log=other)
+    assert found.verdict is Verdict.PARTLY
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("coulomb_friction", "shoulder")
+    assert "elbow" in found.doubts[0]
 
 
 def residual(rows: int, loud: float, seed: int) -> tuple[Evidence, np.ndarray]:

@@ -31,7 +31,7 @@ from jax_inertia.gap.shrink import rows_of_gap, what_is_left
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
-from jax_inertia.gap.verdict import Verdict, probabilities, second_look, ties
+from jax_inertia.gap.verdict import Verdict, probabilities, ties
 from jax_inertia.gap.words import named, number, percent
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -85,14 +85,15 @@ def diagnose(
     rows = rows_of_gap(evidence, search.replicas)
     other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search)
     chosen, heldout, sight, trial = without_harm(search, other, rows)
+    beside: list[str] = []
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
         if not chosen:
             stands_out = better_than(first.pool, [], first.noise) is not None
             verdict = Verdict.of_nothing(first.bare, stands_out)
-    elif trial is not None and chosen:
+    elif other is not None and trial is not None and chosen:
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
-        verdict = second_look(verdict, trial.misfit)
+        verdict, beside = other.second_look(verdict, trial, chosen)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
     reaches, turned = turning(pool, chosen)
@@ -112,7 +113,7 @@ def diagnose(
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=(*log.notes, *_unmeasured(prepared), *_unstated(search)),
-        doubts=tuple(_what_it_leans_on(search, chosen, verdict)),
+        doubts=(*beside, *_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),

@@ -5,12 +5,13 @@ other motion shows it: as it was, if it fits there, else at the same place over 
 force that fits. Only the first is a prediction, and counts as one in how far the gap shrinks.
 """
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
@@ -25,12 +26,16 @@ from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
 from jax_inertia.gap.shrink import Sight
-from jax_inertia.gap.verdict import Tried
+from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
 # Of the shape of what happened at another time.
 TRIES = 60
+# An effect acts on rows that have more than this share of its energy on the row where it has most.
+ACTS = 0.05
+# Rows with more than this share of what is left on the row where most is are told of.
+LOUD = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +46,17 @@ class Trial:
     misfit: Tried
     grown: float
     """Missing torque of all rows with the effects, over that without."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Predicted:
+    """The found effects as another motion shows them."""
+
+    torques: list[Float[np.ndarray, "R nv"]]
+    """Of each; of what passes only what was foretold."""
+    left: Float[np.ndarray, " n"]
+    """What they leave, charged."""
+    misfit: Tried
 
 
 class OtherMotion:
@@ -56,14 +72,62 @@ class OtherMotion:
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         first = search.pool.evidence
-        self._evidence = Evidence(prepared, own, doubts, first.scales).pinning(first.pinned)
-        self._floor = self._evidence.noise_energy(replicas)
+        self._of_rows = lambda used: Evidence(prepared, own, doubts, first.scales, used).pinning(
+            first.pinned
+        )
         self._known, self._replicas = search.known, replicas
+        self._judge_by(self._of_rows(None))
+
+    def _judge_by(self, evidence: Evidence) -> None:
+        self._evidence, self._floor = evidence, evidence.noise_energy(self._replicas)
 
     def trial(self, chosen: list[Candidate], sight: Sight) -> Trial:
         """Missing torque, where the first log's gap is measured, and misfit with and without the effects."""
         evidence = self._evidence
-        predicted, left, allowed = [], evidence.y, 0.0
+        predicted = self._predicted(chosen)
+        y = self._prepared.finish_torque(self._prepared.missing)
+        after = y - sum(predicted.torques, np.zeros_like(y))
+        return Trial(
+            shrink=sight.shrink(evidence, sight.energies(evidence, y, after, self._replicas)),
+            misfit=predicted.misfit,
+            grown=grown(evidence, y, after),
+        )
+
+    def second_look(
+        self, verdict: Verdict, trial: Trial, chosen: list[Candidate]
+    ) -> tuple[Verdict, list[str]]:
+        """The verdict on effects after they were tried on this motion, and what else it shows.
+
+        Effects that fit in the rows where they act are causes, whatever the others show that the first log did not.
+        """
+        seen = second_look(verdict, trial.misfit)
+        if seen is not Verdict.UNKNOWN or seen is verdict:
+            return seen, []
+        acts = self._rows_of(chosen)
+        own = copy.copy(self)
+        own._judge_by(self._of_rows(self._evidence.used & acts))
+        if acts.all() or second_look(verdict, own._predicted(chosen).misfit) is Verdict.UNKNOWN:
+            return seen, []
+        left = np.sum(self._evidence.unflatten(self._predicted(chosen).left) ** 2, axis=0)
+        loud = np.flatnonzero(~acts & (left > LOUD * left.max()))
+        names = {dof: name for name, dof in self._context.joint_dofs.items()}
+        where = " and ".join(dict.fromkeys(names.get(j, "the base") for j in loud.tolist()))
+        return Verdict.PARTLY, [
+            f"the effects fit the other motion where they act; its gap at {where} is another, and not in this log"
+        ]
+
+    def _rows_of(self, chosen: list[Candidate]) -> Bool[np.ndarray, " nv"]:
+        """Where any of the effects acts."""
+        energies = [
+            np.sum(self._finished(c) ** 2, axis=0) / self._evidence.whitener.sigma**2
+            for c in chosen
+        ]
+        return np.any([x > ACTS * x.max() for x in energies], axis=0)
+
+    def _predicted(self, chosen: list[Candidate]) -> Predicted:
+        """The effects, and what they leave."""
+        evidence = self._evidence
+        torques, left, allowed = [], evidence.y, 0.0
         for c in sorted(chosen, key=lambda c: c.family.passing):
             torque = self._finished(c)
             charged = evidence.charged(torque)
@@ -71,22 +135,11 @@ class OtherMotion:
                 again = self._again(c, charged, left)
                 if again is not charged:
                     torque, charged = np.zeros_like(torque), again
-            predicted.append(torque)
+            torques.append(torque)
             left = left - charged
             allowed += c.excuses(charged)
-        y = self._prepared.finish_torque(self._prepared.missing)
-        after = y - sum(predicted, np.zeros_like(y))
-        return Trial(
-            shrink=sight.shrink(evidence, sight.energies(evidence, y, after, self._replicas)),
-            misfit=Tried(
-                before=float(evidence.y @ evidence.y),
-                after=float(left @ left),
-                floor=self._floor,
-                allowed=allowed,
-                known=self._known,
-            ),
-            grown=grown(evidence, y, after),
-        )
+        before, after = (float(x @ x) for x in (evidence.y, left))
+        return Predicted(torques, left, Tried(before, after, self._floor, allowed, self._known))
 
     def _finished(self, c: Candidate) -> Float[np.ndarray, "R nv"]:
         return self._prepared.finish_torque(effect_torque(self._context, c))

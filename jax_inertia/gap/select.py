@@ -80,22 +80,25 @@ def _toll(chosen: list[Candidate], floor: float) -> float:
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
     """Drop of the misfit from `fewer` effects to `more` that errors of the shared effects' equations cannot buy.
 
-    Row by row: what rattles at one joint excuses nothing at another.
+    Row by row, and while what passes lasts: what rattles at one joint excuses nothing at another, nor what is there
+    all along what happens once.
     """
     unflatten = pool.evidence.unflatten
-    before, after = (
-        np.sum(unflatten(remaining(pool, chosen)) ** 2, axis=0) for chosen in (fewer, more)
-    )
-    keys = {c.key for c in more}
-    allowed = sum(
-        (
-            c.family.form_error**2 * np.sum(unflatten(c.effect) ** 2, axis=0)
-            for c in fewer
-            if c.key in keys
-        ),
-        start=np.zeros_like(before),
-    )
-    return float(np.sum(np.maximum(before - after - allowed, 0.0)))
+    before, after = (unflatten(remaining(pool, chosen)) ** 2 for chosen in (fewer, more))
+    drop = before - after
+    keys, had = {c.key for c in more}, {c.key for c in fewer}
+    for c in fewer:
+        if c.key in keys:
+            drop -= c.family.form_error**2 * unflatten(c.effect) ** 2
+    added = [c for c in more if c.key not in had]
+    if added and all(c.family.passing for c in added):
+        lasts = np.sum([unflatten(c.effect) ** 2 for c in added], axis=(0, 2))
+        drop = drop[lasts > LASTS * lasts.max()]
+    return float(np.sum(np.maximum(np.sum(drop, axis=0), 0.0)))
+
+
+# What passes is there where its energy is more than this share of its highest.
+LASTS = 0.01
 
 
 def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
@@ -165,11 +168,24 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
             # Beside the others, the same cause at its place may do with fewer numbers.
             same = options[0].key == chosen[i].key
             fewer = same and options[0].family.freer is chosen[i].family
-            if fewer or misfit(pool, trial) < misfit(pool, chosen) - STOP:
+            if fewer or _likelier(pool, trial, chosen, floor):
                 chosen, improved = trial, True
         if not improved:
             break
     return chosen
+
+
+# By how much likelier (twice the log of the odds) effects are than those they are swapped for.
+SWAPS = 6.0
+
+
+def _likelier(pool: Pool, these: list[Candidate], those: list[Candidate], floor: float) -> bool:
+    """Whether what effects leave and what their numbers cost is less than with others in their place."""
+    left = misfit(pool, these), misfit(pool, those)
+    noise = noise_of(pool, these if left[0] < left[1] else those, floor)
+    prices = [sum(c.price(pool.evidence.rows) + c.surprise for c in x) for x in (these, those)]
+    costs = [x / noise + price for x, price in zip(left, prices, strict=True)]
+    return bool(costs[0] < costs[1] - SWAPS)
 
 
 def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
