@@ -101,12 +101,16 @@ class OtherMotion:
         Effects that fit in the rows where they act are causes, whatever the others show that the first log did not.
         """
         seen = second_look(verdict, trial.misfit)
-        if seen is not Verdict.UNKNOWN or seen is verdict:
-            return seen, []
         acts = self._rows_of(chosen)
+        passing = any(c.family.passing for c in chosen)
+        if seen is not Verdict.UNKNOWN or seen is verdict or passing or acts.all():
+            return seen, []
         own = copy.copy(self)
         own._judge_by(self._of_rows(self._evidence.used & acts))
-        if acts.all() or second_look(verdict, own._predicted(chosen).misfit) is Verdict.UNKNOWN:
+        misfit = own._predicted(chosen).misfit
+        # Not only uncontradicted there: seen again.
+        again = misfit.after - misfit.floor < 0.5 * (misfit.before - misfit.floor)
+        if not again or second_look(verdict, misfit) is Verdict.UNKNOWN:
             return seen, []
         left = np.sum(self._evidence.unflatten(self._predicted(chosen).left) ** 2, axis=0)
         loud = np.flatnonzero(~acts & (left > LOUD * left.max()))
