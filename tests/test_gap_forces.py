@@ -16,7 +16,7 @@ from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.locate import _closed, windows
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.select import _likelier
+from jax_inertia.gap.select import _likelier, split
 from jax_inertia.gap.together import solved
 
 PULL = np.array([4.0, 0.0, -7.0])
@@ -117,6 +117,28 @@ def test_effects_are_swapped_for_what_costs_less():
     other.theta = np.ones(6)
     assert _likelier(pool, [one], [other], floor=900.0)
     assert not _likelier(pool, [other], [one], floor=900.0)
+
+
+def test_two_effects_stand_in_place_of_one_that_has_many_numbers_to_draw_both(monkeypatch):
+    x, y = np.eye(40)[0] * 30.0, np.eye(40)[1] * 12.0
+    pool, (one, other) = beside(x, y)
+    draws = beside(x + 0.5 * y)[1][0]
+    draws.theta, draws.columns = np.ones(6), np.tile(draws.columns, 6)
+    for name, effect in {"bias": one, "tilt": other, "force": draws}.items():
+        effect.family = SimpleNamespace(
+            name=name, size=None, doubt=0.0, free_shape=0, passing=False
+        )
+        effect.block, effect.grid, effect.gain = SimpleNamespace(shape=()), 1, 900.0
+    ranked = {0: [draws, one, other], 1: [other]}
+    monkeypatch.setattr("jax_inertia.gap.select.propose", lambda _, some, __: ranked[len(some)])
+    monkeypatch.setattr("jax_inertia.gap.select.settle", lambda _, some, __: some)
+    assert split(pool, [draws], floor=40.0) == [one, other]
+    # One number is not split.
+    draws.theta = np.ones(1)
+    assert split(pool, [draws], floor=40.0) == []
+    # Nor where the first of two explains far less.
+    draws.theta, one.gain, other.gain = np.ones(6), 700.0, 700.0
+    assert split(pool, [draws], floor=40.0) == []
 
 
 def pushed(start: float, force: np.ndarray):

@@ -26,24 +26,59 @@ def select(
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        if not step or faint(pool, step[0], floor):
+        more = _with_one_more(pool, chosen, step, max_effects, floor) or split(pool, chosen, floor)
+        if not more:
             break
-        if step[0].score < _toll(chosen, floor):
-            both = [] if chosen or max_effects < 2 else _hidden_by_each_other(pool, step[0], floor)
-            if not both:
-                break
-            chosen = both
-            misfits += [misfit(pool, both[:1]), misfit(pool, both)]
-            continue
-        trial = settle(pool, [*chosen, step[0]], floor)
-        if len(trial) > 1:
-            trial = swap(pool, prune(pool, trial, floor), floor)
-            # Significance is not materiality: beside a large effect, the error of its own equation is significant.
-            if len(trial) <= len(chosen) or material(pool, chosen, trial) < STOP:
-                break
-        chosen = trial
-        misfits.append(misfit(pool, chosen))
+        chosen = more
+        misfits = misfits[:1] + [misfit(pool, chosen[: k + 1]) for k in range(len(chosen))]
     return chosen, ranking, misfits
+
+
+def _with_one_more(
+    pool: Pool, chosen: list[Candidate], step: list[Candidate], max_effects: int, floor: float
+) -> list[Candidate]:
+    """The chosen and the best beside them, or two that hide each other; none where what is left is no further cause."""
+    if not step or faint(pool, step[0], floor):
+        return []
+    if step[0].score < _toll(chosen, floor):
+        alone = bool(chosen) or max_effects < 2
+        return [] if alone else _hidden_by_each_other(pool, step[0], floor)
+    trial = settle(pool, [*chosen, step[0]], floor)
+    if len(trial) > 1:
+        trial = swap(pool, prune(pool, trial, floor), floor)
+        # Significance is not materiality: beside a large effect, the error of its own equation is significant.
+        if len(trial) <= len(chosen) or material(pool, chosen, trial) < STOP:
+            return []
+    return trial
+
+
+# One of two effects explains this share, at least, of what an effect does that draws both.
+DRAWN, SPLITS = 0.8, 3
+
+
+def split(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+    """The chosen with two effects in place of one that has more numbers and draws both; none where there are none such.
+
+    A force at a point of a body can draw a tilt and a bias at once, better than either does alone.
+    """
+    for c in [x for x in chosen if x.size > 1]:
+        others = [x for x in chosen if x is not c]
+        alone = misfit(pool, others)
+        drawn = alone - misfit(pool, chosen)
+        simpler: dict[str, Candidate] = {}
+        for x in propose(pool, others, floor):
+            if x.size < c.size and x.gain > DRAWN * drawn:
+                simpler.setdefault(x.family.name, x)
+        for first in list(simpler.values())[:SPLITS]:
+            some = settle(pool, [*others, first], floor)
+            step = propose(pool, some, floor)
+            # What passes would draw whatever the first leaves.
+            if not step or step[0].family.passing:
+                continue
+            trial = settle(pool, [*some, step[0]], floor)
+            if len(trial) > len(chosen) and _likelier(pool, trial, chosen, floor, by=STOP):
+                return trial
+    return []
 
 
 def _hidden_by_each_other(pool: Pool, first: Candidate, floor: float) -> list[Candidate]:
@@ -179,13 +214,15 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
 SWAPS = 6.0
 
 
-def _likelier(pool: Pool, these: list[Candidate], those: list[Candidate], floor: float) -> bool:
+def _likelier(
+    pool: Pool, these: list[Candidate], those: list[Candidate], floor: float, by: float = SWAPS
+) -> bool:
     """Whether what effects leave and what their numbers cost is less than with others in their place."""
     left = misfit(pool, these), misfit(pool, those)
     noise = noise_of(pool, these if left[0] < left[1] else those, floor)
     prices = [sum(c.price(pool.evidence.rows) + c.surprise for c in x) for x in (these, those)]
     costs = [x / noise + price for x, price in zip(left, prices, strict=True)]
-    return bool(costs[0] < costs[1] - SWAPS)
+    return bool(costs[0] < costs[1] - by)
 
 
 def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
