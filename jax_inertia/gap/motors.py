@@ -41,8 +41,12 @@ def hidden_noise(
     replicas: Float[np.ndarray, "K R nv"],
     log: Log,
     prepared: Prepared,
-) -> Float[np.ndarray, " nv"]:
-    """Standard deviation of each row's torque noise beyond the samples' own, by what effects leave [N m]."""
+    taken: Float[np.ndarray, " nv"],
+) -> tuple[Float[np.ndarray, " nv"], float]:
+    """Standard deviation of each row's torque noise beyond the samples' own, by what effects leave [N m].
+
+    With it, by which factor the noise of some row becomes louder or quieter, where it was `taken` for so much [N m].
+    """
     rows, robot = _rows(log, prepared.robot), prepared.robot
 
     def energy(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
@@ -69,7 +73,9 @@ def hidden_noise(
     )
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
-    return out
+    before, after = sensors + gain @ (taken[rows] / unit) ** 2, sensors + gain @ shares
+    factor = after[seen] / before[seen]
+    return out, float(np.max(np.maximum(factor, 1.0 / factor), initial=1.0))
 
 
 def _rows(log: Log, robot: Robot) -> list[int]:

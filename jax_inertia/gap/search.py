@@ -203,8 +203,10 @@ class Finder:
             evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
             if 1.0 / LOUDER < ratio < LOUDER or not self._at_random(evidence, left):
                 break
-            motors = hidden_noise(evidence, left, self.replicas, self.log, prepared)
-            if not motors.any():
+            motors, factor = hidden_noise(
+                evidence, left, self.replicas, self.log, prepared, finder.motors
+            )
+            if factor < LOUDER:
                 break
             finder = _made(
                 prepared, self.log, self.tolerance, self.library, self.max_effects, motors
@@ -291,5 +293,6 @@ WELL, MOSTLY, SEVERAL = 0.1, 0.3, 4
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
 WORSE = 3.0
-# The motors' noise is estimated anew where what is left is this many times what was taken for noise, or as much less.
+# The motors' noise is estimated anew where what is left is this many times what was taken for noise, or as much less,
+# and counts where it makes some row's noise so.
 LOUDER = 1.3
