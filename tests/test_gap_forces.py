@@ -52,6 +52,14 @@ def test_numbers_stay_where_they_are_along_what_is_not_told():
     assert np.linalg.norm(solved(columns, target, start) - start) < 1.0
 
 
+def test_a_hard_pull_beside_a_centre_of_mass_that_is_off_is_one_force(robot):
+    found = diagnose(robot, simulate(force=lambda t: 40.0 * PULL / 4.0, at=(0.0205, 0.0, -0.151)))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("constant_force", "lower")
+    assert effect.parameters["point_x"].low <= 0.0205 <= effect.parameters["point_x"].high
+
+
 def test_a_pull_at_the_centre_of_mass_needs_no_point(robot):
     (effect,) = diagnose(robot, simulate(force=lambda t: PULL)).findings
     assert (effect.family, effect.place.name) == ("constant_force", "lower")
@@ -96,14 +104,6 @@ def test_effects_that_do_only_together_what_they_do_are_entangled():
     # They undo each other, all but a little.
     assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
     assert entangled(*beside(x)) is None
-
-
-def test_what_is_left_of_a_force_on_the_next_link_is_of_the_same_force():
-    x, y = np.eye(2) * 30.0
-    pool, effects = beside(x, x + 0.3 * y)
-    assert entangled(pool, effects) is not None
-    effects[1].family = effects[0].family
-    assert entangled(pool, effects) is None
 
 
 def test_effects_are_swapped_for_what_costs_less():

@@ -81,8 +81,7 @@ def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
 
     Where the sum is far more, each takes what the others could take as well; where it is far less, they undo each
     other. Either way they draw one cause that is none of them. Not so beside one that is a cause by itself, leaving
-    little, where the others are none: what a small effect explains alone is what it resembles of that. Nor where all
-    are of its own kind: a force on a link and what is left of it on the next are one force.
+    little, where the others are none: what a small effect explains alone is what it resembles of that.
     """
     if len(chosen) < 2:
         return None
@@ -90,8 +89,7 @@ def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
     whole = max(nothing - misfit(pool, chosen), 1e-300)
     alone = [(nothing - misfit(pool, [c])) / whole for c in chosen]
     *others, most = sorted(alone)
-    alike = len({c.family.name for c in chosen}) == 1
-    by_itself = most > 1.0 - DOUBT**2 and (alike or others[-1] < HALF)
+    by_itself = most > 1.0 - DOUBT**2 and others[-1] < HALF
     share = sum(alone)
     return share if abs(share - 1.0) > ENTANGLED and not by_itself else None
 

@@ -114,6 +114,9 @@ class ConstantForceAtAPoint(Lasting, AtAPoint):
 
 class ConstantForce(Lasting):
     equation, freer = "Jᵀ f, f fixed in the world", ConstantForceAtAPoint()
+    # A force has a point, and a centre of mass that is off by a millimetre is not it. What a hard force at the wrong
+    # point leaves would be taken for another force on the next link.
+    leeway = 0.0
 
 
 class Drag(Family):
