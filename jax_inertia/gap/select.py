@@ -115,21 +115,23 @@ def _toll(chosen: list[Candidate], floor: float) -> float:
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
     """Drop of the misfit from `fewer` effects to `more` that errors of the shared effects' equations cannot buy.
 
-    Row by row, and while what passes lasts: what rattles at one joint excuses nothing at another, nor what is there
-    all along what happens once.
+    Row by row, and while what passes lasts: what rattles at one joint excuses nothing at another, nor what is off
+    all along what happens once. What a joint's law misses comes in bursts, where it turns round: at any time.
     """
     unflatten = pool.evidence.unflatten
     before, after = (unflatten(remaining(pool, chosen)) ** 2 for chosen in (fewer, more))
-    drop = before - after
     keys, had = {c.key for c in more}, {c.key for c in fewer}
-    for c in fewer:
-        if c.key in keys:
-            drop -= c.family.form_error**2 * unflatten(c.effect) ** 2
     added = [c for c in more if c.key not in had]
+    when = np.ones(len(before), bool)
     if added and all(c.family.passing for c in added):
         lasts = np.sum([unflatten(c.effect) ** 2 for c in added], axis=(0, 2))
-        drop = drop[lasts > LASTS * lasts.max()]
-    return float(np.sum(np.maximum(np.sum(drop, axis=0), 0.0)))
+        when = lasts > LASTS * lasts.max()
+    drop = np.sum((before - after)[when], axis=0)
+    for c in fewer:
+        if c.key in keys:
+            there = slice(None) if c.family.kind == "joint" else when
+            drop -= c.family.form_error**2 * np.sum(unflatten(c.effect)[there] ** 2, axis=0)
+    return float(np.sum(np.maximum(drop, 0.0)))
 
 
 # What passes is there where its energy is more than this share of its highest.
