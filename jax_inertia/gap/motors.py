@@ -73,8 +73,10 @@ def hidden_noise(
     )
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
-    before, after = sensors + gain @ (taken[rows] / unit) ** 2, sensors + gain @ shares
-    factor = after[seen] / before[seen]
+    before, after = (
+        np.maximum(sensors + gain @ h2, 1e-300)[seen] for h2 in ((taken[rows] / unit) ** 2, shares)
+    )
+    factor = after / before
     return out, float(np.max(np.maximum(factor, 1.0 / factor), initial=1.0))
 
 

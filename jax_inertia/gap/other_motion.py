@@ -24,7 +24,8 @@ from jax_inertia.gap.motors import with_motors
 from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
-from jax_inertia.gap.search import Search
+from jax_inertia.gap.search import LEAST, Search
+from jax_inertia.gap.select import ACTS
 from jax_inertia.gap.shrink import Sight
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.log import Log
@@ -32,8 +33,6 @@ from jax_inertia.robot import Robot
 
 # Of the shape of what happened at another time.
 TRIES = 60
-# An effect acts on rows that have more than this share of its energy on the row where it has most.
-ACTS = 0.05
 # Rows with more than this share of what is left on the row where most is are told of.
 LOUD = 0.1
 
@@ -101,19 +100,21 @@ class OtherMotion:
         Effects that fit in the rows where they act are causes, whatever the others show that the first log did not.
         """
         seen = second_look(verdict, trial.misfit)
+        if seen is not Verdict.UNKNOWN or seen is verdict or any(c.family.passing for c in chosen):
+            return seen, []
         acts = self._rows_of(chosen)
-        passing = any(c.family.passing for c in chosen)
-        if seen is not Verdict.UNKNOWN or seen is verdict or passing or acts.all():
+        used = self._evidence.used & acts
+        if acts.all() or used.sum() < LEAST:
             return seen, []
         own = copy.copy(self)
-        own._judge_by(self._of_rows(self._evidence.used & acts))
+        own._judge_by(self._of_rows(used))
         misfit = own._predicted(chosen).misfit
         # Not only uncontradicted there: seen again.
         again = misfit.after - misfit.floor < 0.5 * (misfit.before - misfit.floor)
         if not again or second_look(verdict, misfit) is Verdict.UNKNOWN:
             return seen, []
-        left = np.sum(self._evidence.unflatten(self._predicted(chosen).left) ** 2, axis=0)
-        loud = np.flatnonzero(~acts & (left > LOUD * left.max()))
+        left = np.sum(self._evidence.unflatten(self._predicted(chosen).left) ** 2, axis=0) * ~acts
+        loud = np.flatnonzero(left > LOUD * left.max())
         names = {dof: name for name, dof in self._context.joint_dofs.items()}
         where = " and ".join(dict.fromkeys(names.get(j, "the base") for j in loud.tolist()))
         return Verdict.PARTLY, [

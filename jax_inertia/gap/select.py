@@ -41,8 +41,9 @@ def _with_one_more(
     if not step or faint(pool, step[0], floor):
         return []
     if step[0].score < _toll(chosen, floor):
-        alone = bool(chosen) or max_effects < 2
-        return [] if alone else _hidden_by_each_other(pool, step[0], floor)
+        if chosen or max_effects < 2:
+            return []
+        return _hidden_by_each_other(pool, step[0], floor)
     trial = settle(pool, [*chosen, step[0]], floor)
     if len(trial) > 1:
         trial = swap(pool, prune(pool, trial, floor), floor)
@@ -144,6 +145,10 @@ def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
     return [material(pool, rest, chosen) for rest in rests]
 
 
+# An effect acts on rows that have more than this share of its energy on the row where it has most.
+ACTS = 0.05
+
+
 def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
     """Energy of an effect on each row, in units of the row's noise."""
     return np.mean(effect_torque(pool.context, c) ** 2, axis=0) / pool.evidence.whitener.sigma**2
@@ -235,6 +240,6 @@ def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
     count = 0
     for c in chosen:
         energy = row_energy(pool, c)
-        acts = energy > 0.05 * energy.max()
+        acts = energy > ACTS * energy.max()
         count += bool(after[acts].sum() < share * before[acts].sum())
     return count
