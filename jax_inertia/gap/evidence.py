@@ -68,6 +68,11 @@ class Evidence:
         out._take(scales, self.pinned)
         return out
 
+    def among(self, used: Bool[np.ndarray, "R nv"]) -> "Evidence":
+        """The same log where only some samples count."""
+        out = Evidence(self.prepared, self.whitener, self._nuisances, self.scales, used)
+        return out.pinning(self.pinned)
+
     def pinning(self, columns: Iterable[int]) -> "Evidence":
         """The same log where some of the model's numbers are taken for exact: what is beside them is an effect's."""
         out = copy.copy(self)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy.optimize
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
@@ -25,7 +25,7 @@ from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import LEAST, Search
-from jax_inertia.gap.select import ACTS
+from jax_inertia.gap.select import acting
 from jax_inertia.gap.shrink import Sight
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.log import Log
@@ -43,6 +43,8 @@ class Trial:
 
     shrink: Shrink
     misfit: Tried
+    left: Float[np.ndarray, " n"]
+    """What they leave, charged."""
     grown: float
     """Missing torque of all rows with the effects, over that without."""
 
@@ -71,11 +73,8 @@ class OtherMotion:
         doubts = nuisances(context, tolerance, log)
         self._prepared, self._context = prepared, context
         first = search.pool.evidence
-        self._of_rows = lambda used: Evidence(prepared, own, doubts, first.scales, used).pinning(
-            first.pinned
-        )
         self._known, self._replicas = search.known, replicas
-        self._judge_by(self._of_rows(None))
+        self._judge_by(Evidence(prepared, own, doubts, first.scales).pinning(first.pinned))
 
     def _judge_by(self, evidence: Evidence) -> None:
         self._evidence, self._floor = evidence, evidence.noise_energy(self._replicas)
@@ -89,6 +88,7 @@ class OtherMotion:
         return Trial(
             shrink=sight.shrink(evidence, sight.energies(evidence, y, after, self._replicas)),
             misfit=predicted.misfit,
+            left=predicted.left,
             grown=grown(evidence, y, after),
         )
 
@@ -102,32 +102,25 @@ class OtherMotion:
         seen = second_look(verdict, trial.misfit)
         if seen is not Verdict.UNKNOWN or seen is verdict or any(c.family.passing for c in chosen):
             return seen, []
-        acts = self._rows_of(chosen)
+        sigma = self._evidence.whitener.sigma
+        acts = np.any([acting(self._finished(c), sigma) for c in chosen], axis=0)
         used = self._evidence.used & acts
         if acts.all() or used.sum() < LEAST:
             return seen, []
         own = copy.copy(self)
-        own._judge_by(self._of_rows(used))
+        own._judge_by(self._evidence.among(used))
         misfit = own._predicted(chosen).misfit
         # Not only uncontradicted there: seen again.
         again = misfit.after - misfit.floor < 0.5 * (misfit.before - misfit.floor)
         if not again or second_look(verdict, misfit) is Verdict.UNKNOWN:
             return seen, []
-        left = np.sum(self._evidence.unflatten(self._predicted(chosen).left) ** 2, axis=0) * ~acts
+        left = np.sum(self._evidence.unflatten(trial.left) ** 2, axis=0) * ~acts
         loud = np.flatnonzero(left > LOUD * left.max())
         names = {dof: name for name, dof in self._context.joint_dofs.items()}
         where = " and ".join(dict.fromkeys(names.get(j, "the base") for j in loud.tolist()))
         return Verdict.PARTLY, [
             f"the effects fit the other motion where they act; its gap at {where} is another, and not in this log"
         ]
-
-    def _rows_of(self, chosen: list[Candidate]) -> Bool[np.ndarray, " nv"]:
-        """Where any of the effects acts."""
-        energies = [
-            np.sum(self._finished(c) ** 2, axis=0) / self._evidence.whitener.sigma**2
-            for c in chosen
-        ]
-        return np.any([x > ACTS * x.max() for x in energies], axis=0)
 
     def _predicted(self, chosen: list[Candidate]) -> Predicted:
         """The effects, and what they leave."""

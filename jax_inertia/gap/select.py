@@ -1,6 +1,7 @@
 """Which effects: forward with joint refits, then backward and swaps."""
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
@@ -17,9 +18,7 @@ def select(
 
     `floor` is the J that noise alone would have.
     """
-    y = pool.evidence.y
     chosen: list[Candidate] = []
-    misfits = [float(y @ y)]
     ranking: list[Candidate] = []
     while len(chosen) < max_effects:
         pool.look_again(_windows(pool, chosen, floor))
@@ -30,8 +29,7 @@ def select(
         if not more:
             break
         chosen = more
-        misfits = misfits[:1] + [misfit(pool, chosen[: k + 1]) for k in range(len(chosen))]
-    return chosen, ranking, misfits
+    return chosen, ranking, [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
 
 
 def _with_one_more(
@@ -149,9 +147,12 @@ def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
 ACTS = 0.05
 
 
-def row_energy(pool: Pool, c: Candidate) -> np.ndarray:
-    """Energy of an effect on each row, in units of the row's noise."""
-    return np.mean(effect_torque(pool.context, c) ** 2, axis=0) / pool.evidence.whitener.sigma**2
+def acting(
+    torque: Float[np.ndarray, "T nv"], sigma: Float[np.ndarray, " nv"]
+) -> Bool[np.ndarray, " nv"]:
+    """The rows on which an effect's torque acts, in units of their noise."""
+    energy = np.sum(torque**2, axis=0) / sigma**2
+    return energy > ACTS * energy.max()
 
 
 # Numbers have settled when another round brings less of the misfit than this share.
@@ -239,7 +240,6 @@ def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
     after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
     count = 0
     for c in chosen:
-        energy = row_energy(pool, c)
-        acts = energy > ACTS * energy.max()
+        acts = acting(effect_torque(pool.context, c), evidence.whitener.sigma)
         count += bool(after[acts].sum() < share * before[acts].sum())
     return count
