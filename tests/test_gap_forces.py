@@ -234,3 +234,32 @@ def test_what_errors_of_the_feets_sensors_come_to_does_not_speak_alone(monkeypat
     assert better_than(pool, [], 900.0) == ([], held)
     monkeypatch.setattr("jax_inertia.gap.doubt.outsiders", lambda pool: [floating])
     assert better_than(pool, [], 900.0) is None
+
+
+def test_a_soft_stop_is_no_push(robot):
+    def rubber(t, q, v, u):
+        depth = max(q[1] - 2.3, 0.0)
+        return np.array([0.0, -max(0.1 * depth * (1.0 + 0.3 * v[1]), 0.0)])
+
+    found = diagnose(robot, simulate(torque=rubber))
+    assert found.verdict is Verdict.UNKNOWN
+    assert any("a soft stop that elbow runs into fits better than push" in x for x in found.doubts)
+
+
+def test_of_two_effects_that_a_log_cannot_tell_the_one_that_another_motion_refutes_does_not_stand(
+    robot,
+):
+    """Moved one way only, a shoulder that rubs is one that is pushed; the other motion turns round."""
+
+    def rubs(t, q, v, u):
+        return np.array([-0.4 * np.tanh(v[0] / 0.003), 0.0])
+
+    log = simulate(torque=rubs, seed=2, seconds=5.0, pace=0.1)
+    (alone,) = diagnose(robot, log).findings
+    assert (alone.family, alone.place.name) == ("torque_bias", "shoulder")
+    assert ("coulomb_friction", "motion_limited") in {(t.family, t.kind) for t in alone.equivalent}
+    found = diagnose(robot, log, test_log=simulate(torque=rubs, seed=5))
+    (effect,) = found.findings
+    assert (effect.family, found.verdict) == ("coulomb_friction", Verdict.EXPLAINED)
+    assert effect.parameters["coulomb"].value == pytest.approx(0.4, rel=0.03)
+    assert any("the other motion speaks against the first" in note for note in found.notes)

@@ -25,13 +25,14 @@ from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.propose import STOP, propose
+from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search, find, finder
 from jax_inertia.gap.shrink import rows_of_gap, what_is_left
+from jax_inertia.gap.tied import kind_of_tie, rivals, tied
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
-from jax_inertia.gap.verdict import Verdict, probabilities, ties
+from jax_inertia.gap.verdict import Verdict, probabilities
 from jax_inertia.gap.words import named, number, percent
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -84,7 +85,8 @@ def diagnose(
     evidence = first.pool.evidence
     rows = rows_of_gap(evidence, search.replicas)
     other = None if test_log is None else OtherMotion(robot, test_log, tolerance, search)
-    chosen, heldout, sight, trial = without_harm(search, other, rows)
+    checked = without_harm(search, other, rows)
+    chosen, trial = checked.chosen, checked.trial
     beside: list[str] = []
     if len(chosen) < len(search.chosen):
         verdict = Verdict.UNKNOWN
@@ -108,11 +110,11 @@ def diagnose(
         per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
         share=dict(zip(label, evidence.share.tolist(), strict=True)),
         findings=findings,
-        heldout=heldout,
+        heldout=checked.heldout,
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=(*log.notes, *_unmeasured(prepared), *_unstated(search)),
+        notes=(*log.notes, *_unmeasured(prepared), *_unstated(search), *checked.notes),
         doubts=(*beside, *_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
@@ -123,7 +125,7 @@ def diagnose(
             reaches,
             search.motors,
             search.replicas,
-            sight,
+            checked.sight,
         ),
     )
 
@@ -136,20 +138,18 @@ def _finding(
 ) -> Finding:
     """The i-th effect beside its rivals, given the others."""
     pool, c = search.pool, chosen[i]
-    others = [x for k, x in enumerate(chosen) if k != i]
-    rivals = propose(pool, others, search.noise) if others else search.ranking
+    others = rivals(search, chosen, i)
     equivalent = {
-        t.key: Tie(t.family.name, t.place, _tie_kind(pool, c, t))
-        for t in ties(c, rivals, search.misfits, search.noise)
+        t.key: Tie(t.family.name, t.place, kind_of_tie(pool, c, t)) for t in tied(search, c, others)
     }
     # The same torque under another name takes nothing from the odds.
-    rivals = [r for r in rivals if r.key not in equivalent or equivalent[r.key].kind != "exact"]
+    others = [r for r in others if r.key not in equivalent or equivalent[r.key].kind != "exact"]
     return Finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
         explained=_explained(pool, chosen, i, search.floor),
-        probability=probabilities(rivals).get(c.key, 0.5),
+        probability=probabilities(others).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
         equation=c.family.equation,
     )
@@ -225,16 +225,6 @@ def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> flo
     y = pool.evidence.y
     gap = max(float(y @ y) - floor, 1e-300)
     return float(np.clip((misfit(pool, rest) - misfit(pool, chosen)) / gap, 0.0, 1.0))
-
-
-def _tie_kind(pool: Pool, a: Candidate, b: Candidate) -> str:
-    """'exact' where the two effects are the same torque whatever the motion: a load on bodies welded to each other."""
-    if a.family is b.family and a.family.rigid:
-        moved = pool.context.robot.topology.body_dof
-        if np.array_equal(moved[a.place.index], moved[b.place.index]):
-            return "exact"
-    gap = np.linalg.norm(a.effect - b.effect) / max(np.linalg.norm(a.effect), 1e-300)
-    return "exact" if gap < 1e-6 else "motion_limited"
 
 
 def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:

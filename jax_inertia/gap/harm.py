@@ -1,15 +1,48 @@
 """Effects that fit worse than the model alone are no causes: held out on the log itself, or on another motion."""
 
+import dataclasses
+
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.other_motion import OtherMotion, Trial, grown
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search
 from jax_inertia.gap.shrink import Sight, held_out, misfit_held_out, what_is_left
+from jax_inertia.gap.tied import instead
+from jax_inertia.gap.together import misfit
+from jax_inertia.gap.verdict import Verdict, second_look
+from jax_inertia.gap.words import named
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
 # effect may be true and yet undo some of them. More is no cause.
 WORSE, WORSE_TORQUE = 0.1, 1.3
+
+
+@dataclasses.dataclass(frozen=True)
+class Checked:
+    """Effects tried where they were not fitted."""
+
+    chosen: list[Candidate]
+    harm: float
+    """Above one where they fit worse than the model alone."""
+    heldout: Shrink
+    """On the log itself, each fifth of it predicted from the other four."""
+    sight: Sight
+    """Where that was measured."""
+    trial: Trial | None
+    """On the other motion."""
+    notes: tuple[str, ...] = ()
+    """What the other motion told of effects that the log could not tell from each other."""
+
+    def seconded(self, verdict: Verdict) -> Verdict:
+        """What the other motion leaves of the log's own verdict on them."""
+        return verdict if self.trial is None else second_look(verdict, self.trial.misfit)
+
+    def refuted(self, verdict: Verdict) -> bool:
+        """Whether the other motion speaks against effects that the log's own verdict lets stand."""
+        if self.trial is None or verdict is Verdict.UNKNOWN:
+            return False
+        return self.harm > 1.0 or self.seconded(verdict) is Verdict.UNKNOWN
 
 
 def _harm_of(growth: float, before: float, after: float, floor: float) -> float:
@@ -20,19 +53,18 @@ def _harm_of(growth: float, before: float, after: float, floor: float) -> float:
     return 0.0 if after - floor < 0.5 * (before - floor) else growth / WORSE_TORQUE
 
 
-def without_harm(
-    search: Search, other: OtherMotion | None, rows: list[int]
-) -> tuple[list[Candidate], Shrink, Sight, Trial | None]:
+def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> Checked:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
-    With them, the shrink on the log itself, each fifth of it predicted from the other four, where that was measured,
-    and the trial on the other motion.
+    Where the other motion refutes one that the log could not tell from another, and not that other, that other stands:
+    it is fitted to the log as all are, and the other motion has only to bear it out.
     """
-    pool, chosen, prepared = search.pool, search.chosen, search.pool.context.prepared
+    pool, prepared = search.pool, search.pool.context.prepared
     before = prepared.finish_torque(prepared.missing)
     alone = float(pool.evidence.y @ pool.evidence.y)
+    noise = max(1.0, search.misfits[-1] / max(search.noise, 1.0))
 
-    def tried(effects: list[Candidate]) -> tuple[float, Shrink, Sight, Trial | None]:
+    def tried(effects: list[Candidate]) -> Checked:
         after = what_is_left(pool, effects)
         own, sight = held_out(pool, rows, effects, before, after, search.replicas)
         trial = None if other is None else other.trial(effects, sight)
@@ -49,10 +81,28 @@ def without_harm(
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
                 _harm_of(trial.grown, j.before, j.after, j.floor),
             ]
-        return max(harm), own, sight, trial
+        return Checked(effects, max(harm), own, sight, trial)
 
-    now = tried(chosen)
-    while chosen and now[0] > 1.0:
-        fewer = [[x for k, x in enumerate(chosen) if k != i] for i in range(len(chosen))]
-        chosen, now = min(((rest, tried(rest)) for rest in fewer), key=lambda x: x[1][0])
-    return chosen, *now[1:]
+    def order(checked: Checked) -> tuple[bool, float]:
+        """Those that the other motion bears out wholly first; then by what the log itself says of them."""
+        wholly = checked.seconded(search.verdict) is search.verdict
+        price = sum(c.price(pool.evidence.rows) for c in checked.chosen)
+        return not wholly, misfit(pool, checked.chosen) / noise + price
+
+    now = tried(search.chosen)
+    if now.refuted(search.verdict):
+        borne_out = [
+            dataclasses.replace(trial, notes=(_told(c, x),))
+            for c, x, effects in instead(search, now.chosen)
+            if not (trial := tried(effects)).refuted(search.verdict)
+        ]
+        now = min(borne_out, key=order, default=now)
+    while now.chosen and now.harm > 1.0:
+        fewer = ([x for x in now.chosen if x is not c] for c in now.chosen)
+        now = min(map(tried, fewer), key=lambda x: x.harm)
+    return now
+
+
+def _told(refuted: Candidate, stands: Candidate) -> str:
+    one, two = (named(c.family.name, c.place) for c in (refuted, stands))
+    return f"this log cannot tell {one} from {two}: the other motion speaks against the first, not the second"

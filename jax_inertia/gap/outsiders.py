@@ -21,6 +21,9 @@ from jax_inertia.slopes import derivative
 KNOTS = 24
 # Angles over which a hose or a cable yields [rad]: dry friction turns within a hundredth of them.
 YIELDS = (0.15, 0.3, 0.6)
+# Of a joint's range, how much may be on rubber; and the speed at which that has lost what it loses [rad/s].
+DEPTHS = (0.03, 0.05, 0.075, *(0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4))
+SLOW = 0.1
 # Of a joint's angle, what its encoder may read wrong.
 WARPS = 6
 # Samples of the fast grid by which a sensor of wrenches may be late: its filter's and its bus's milliseconds.
@@ -52,6 +55,10 @@ def outsiders(pool: Pool) -> list[Outsider]:
 
     for name, columns in _at_joints(context):
         add(name, columns)
+    for joint, row in context.joint_dofs.items():
+        gain = _hats(context.joint_position[:, row]) * context.inverse[:, row, None]
+        # What a floating base's legs need holds the noise of the wrenches under them.
+        add(f"a gain at {joint} that changes with its angle", Columns(gain, row), alone=held)
     for name, columns in _of_poses(context):
         # A floating base's sensors put their noise into these columns: little of it where the motion is.
         add(name, columns if held else Columns(context.below(context.slow_band, columns.values)))
@@ -81,6 +88,8 @@ def _at_joints(context: Context) -> Iterator[tuple[str, Columns]]:
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
+        for columns in _stops(q, v):
+            yield f"a soft stop that {joint} runs into", Columns(columns, row)
 
 
 def _of_poses(context: Context) -> Iterator[tuple[str, Columns]]:
@@ -95,6 +104,18 @@ def _hats(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
     """Hat functions over the range of x."""
     place = (x - x.min()) / max(float(np.ptp(x)), 1e-12) * (KNOTS - 1)
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
+
+
+def _stops(
+    q: Float[np.ndarray, " T"], v: Float[np.ndarray, " T"]
+) -> Iterator[Float[np.ndarray, "T 4"]]:
+    """A progressive spring with losses, dry and by its speed, before either end of a joint's range."""
+    low, high = q.min(), q.max()
+    for share in DEPTHS:
+        depth = share * (high - low)
+        for into in (q - high + depth, low + depth - q):
+            x = np.maximum(into, 0.0) / max(depth, 1e-12)
+            yield np.stack([x, x**2, x * np.tanh(v / SLOW), x * v], axis=1)
 
 
 def _waves(x: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:

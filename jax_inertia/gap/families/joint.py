@@ -15,6 +15,8 @@ CREEPING = (1.0, 0.3, 0.1, 0.03)
 # Of its own, that level is so close.
 ITS_OWN = 2.0
 
+# What all friction laws that turn with the direction are laws of.
+DRY = "dry friction"
 # Of Stribeck's curve: Armstrong-Hélouvry's (1991) and Tustin's (1947). Both are in use, what lies between hardly.
 EXPONENTS = (2.0, 1.0)
 
@@ -41,7 +43,7 @@ class DryFriction(Joint):
 
     free_shape = 0
     form_error = 0.1
-    law_of = "dry friction"
+    law_of = DRY
 
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
