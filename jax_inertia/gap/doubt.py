@@ -30,6 +30,8 @@ def better_than(
     Where nothing was found, an outsider that does better than nothing.
     """
     others = outsiders(pool)
+    if not chosen:
+        others = [o for o in others if o.beyond.shape[1]]
     now = float(np.sum(remaining(pool, chosen) ** 2))
     unit = max(1.0, now / max(noise, 1.0))
     best, most = None, 0.0
@@ -43,8 +45,6 @@ def better_than(
             allowed = min(allowed, max(now - noise, 0.0))
         for o in others:
             columns = o.columns if replaced else o.beyond
-            if not columns.shape[1]:
-                continue
             free = rest.free(columns)
             left = np.linalg.lstsq(free, rest.target, rcond=None)
             after = float(np.sum((rest.target - free @ left[0]) ** 2))

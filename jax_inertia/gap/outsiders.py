@@ -55,6 +55,9 @@ def outsiders(pool: Pool) -> list[Outsider]:
 
     for name, columns in _at_joints(context):
         add(name, columns)
+    for name, columns in _at_ends(context):
+        # At the ends joints turn round, and friction there errs by itself: that is no cause where nothing else is.
+        add(name, columns, alone=False)
     for joint, row in context.joint_dofs.items():
         gain = _hats(context.joint_position[:, row]) * context.inverse[:, row, None]
         # What a floating base's legs need holds the noise of the wrenches under them.
@@ -88,7 +91,11 @@ def _at_joints(context: Context) -> Iterator[tuple[str, Columns]]:
         yield f"a free function of {joint}'s speed", Columns(_hats(v), row)
         yields = np.stack([context.bristle(row, reach) for reach in YIELDS], axis=1)
         yield f"a hysteresis at {joint} that yields over tenths of a radian", Columns(yields, row)
-        for columns in _stops(q, v):
+
+
+def _at_ends(context: Context) -> Iterator[tuple[str, Columns]]:
+    for joint, row in context.joint_dofs.items():
+        for columns in _stops(context.joint_position[:, row], context.v[:, row]):
             yield f"a soft stop that {joint} runs into", Columns(columns, row)
 
 
