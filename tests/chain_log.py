@@ -53,13 +53,14 @@ def simulate(
     creep=np.inf,
     soft=0.0,
     encoder=QPOS,
+    listens=False,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
     `motors`: torque noise that the log does not show, of a log that states none; `gain` of all motors; `reach` of the
     friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
     bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint;
-    `encoder`: noise of the positions logged [rad].
+    `encoder`: noise of the positions logged [rad]; `listens`: the controller's speeds are those positions' differences.
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
@@ -78,10 +79,11 @@ def simulate(
                 later, faster = wave(clock, seed)
                 target[1:], speed[1:] = later[1:], pace * faster[1:]
                 clock += pace * 8 * 0.0005
-            u = GAINS * (target - data.qpos) + braking * GAINS * (speed - data.qvel)
-            u += data.qfrc_bias
             time.append(data.time)
             qpos.append(data.qpos + encoder * rng.standard_normal(JOINTS))
+            v = (qpos[-1] - qpos[-2]) / 0.004 if listens and len(qpos) > 1 else data.qvel
+            u = GAINS * (target - data.qpos) + braking * GAINS * (speed - v)
+            u += data.qfrc_bias
             if motors is None:
                 tau.append(u + TAU * rng.standard_normal(JOINTS))
             else:

@@ -1,13 +1,14 @@
-"""Motors that miss their command at random, by as much as the log does not say; a chain in MuJoCo C."""
+"""Torque noise that a log does not state, and its samples do not show; a chain in MuJoCo C."""
 
 import mujoco
 import numpy as np
 import pytest
-from chain_log import JOINTS, chain_xml, simulate
+from chain_log import JOINTS, TAU, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.motors import with_motors
+from jax_inertia.gap.motors import with_torque_noise
+from jax_inertia.gap.sensors import sensor_noise
 
 MISSED = np.array([0.3, 0.3, 0.15, 0.05, 0.03])
 # A controller that answers every jolt writes them into its commands.
@@ -24,7 +25,7 @@ def test_what_motors_miss_is_told_joint_by_joint(robot):
     assert found.verdict is Verdict.NO_GAP
     assert found.noise_floor == pytest.approx(found.chi2, rel=0.3)
     # The last joints' share stands on what the encoders leave of it.
-    assert found.trace.motors[:4] == pytest.approx(MISSED[:4], rel=0.2)
+    assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.2)
 
 
 def test_a_gain_stands_out_of_the_noise_of_motors(robot):
@@ -35,14 +36,35 @@ def test_a_gain_stands_out_of_the_noise_of_motors(robot):
     assert (effect.family, effect.place.name) == ("torque_gain", "axis4")
     number = effect.parameters["gain"]
     assert number.low < 0.9 < number.high
-    assert found.trace.motors[:4] == pytest.approx(MISSED[:4], rel=0.25)
+    assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.25)
+
+
+def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
+    """It moves the robot. Taken for noise of the torque it hides a gain that is off by a thousandth."""
+    log = simulate(
+        motors=np.zeros(JOINTS),
+        braking=0.03,
+        listens=True,
+        gain=np.array([1.0, 1.0, 0.9988, 1.0, 1.0]),
+    )
+    rough = sensor_noise(log.tau)
+    assert np.all(rough > TAU)
+    found = diagnose(robot, log)
+    assert np.all(found.trace.torque_noise < 0.5 * rough)
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("torque_gain", "axis3")
+    number = effect.parameters["gain"]
+    assert number.low < 0.9988 < number.high
 
 
 def test_a_log_that_states_its_noise_is_believed(robot):
-    assert not diagnose(robot, simulate()).trace.motors.any()
+    assert diagnose(robot, simulate()).trace.torque_noise is None
 
 
-def test_a_log_with_motors_states_both(robot):
+def test_what_a_log_states_is_no_less():
     log = simulate(seconds=2.0)
-    louder = with_motors(log, robot, MISSED)
-    assert louder.sigma_tau == pytest.approx(np.hypot(log.sigma_tau, MISSED))
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
+    assert with_torque_noise(log, robot, None) is log
+    louder = with_torque_noise(log, robot, MISSED)
+    assert louder.sigma_tau == pytest.approx(np.maximum(log.sigma_tau, MISSED))

@@ -22,6 +22,7 @@ from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.harm import without_harm
 from jax_inertia.gap.intervals import Interval, intervals
+from jax_inertia.gap.motors import by_samples
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.pool import Pool
@@ -114,7 +115,7 @@ def diagnose(
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
-        notes=(*log.notes, *_unmeasured(prepared), *_unstated(search), *checked.notes),
+        notes=(*log.notes, *_unmeasured(prepared), *_unstated(search, log), *checked.notes),
         doubts=(*beside, *_what_it_leans_on(search, chosen, verdict)),
         trace=collect(
             first.pool,
@@ -123,7 +124,7 @@ def diagnose(
             pool.evidence.excused(remaining(pool, chosen)),
             pool.evidence.excused(pool.evidence.charged(turned)),
             reaches,
-            search.motors,
+            search.torque_noise,
             search.replicas,
             checked.sight,
         ),
@@ -206,16 +207,21 @@ def _unmeasured(prepared: Prepared) -> list[str]:
     ]
 
 
-def _unstated(search: Search) -> list[str]:
+def _unstated(search: Search, log: Log) -> list[str]:
     """What was learned of noise that the log does not state, joint by joint."""
-    names = search.pool.context.joint_dofs.items()
-    louder = [(name, float(search.motors[row])) for name, row in names if search.motors[row] > 0]
-    if not louder:
+    noise = search.torque_noise
+    if noise is None:
         return []
-    listed = ", ".join(f"{name} {number(size)}" for name, size in louder)
+    context = search.pool.context
+    rough = by_samples(log, context.robot)
+    listed = ", ".join(
+        f"{name} {number(noise[row]) if noise[row] > 0.01 * rough[row] else 0} (not {number(rough[row])})"
+        for name, row in context.joint_dofs.items()
+        if abs(noise[row] - rough[row]) > 0.1 * rough[row]
+    )
     return [
-        f"the log states no noise; what is left is at random and as loud as if motors missed their torque by {listed} "
-        "N m from sample to sample: taken for noise"
+        "the log states no noise; from what is left, and not from how rough its samples are, torques are taken to be "
+        f"off at random by {listed} N m from sample to sample"
     ]
 
 

@@ -1,12 +1,13 @@
-"""Torque noise that no sensor shows: a motor misses its command at random, and the log does not say by how much.
+"""Torque noise that a log does not state, as it shows in what effects leave.
 
-A command is exact, and a current is what the drive believes; what the motor makes of it moves the robot. So where a log
-states no noise and what effects leave looks like noise, but is louder than the samples say, each motor's share h² of it
-is estimated from the energy on each row,
+The roughness of a torque's samples does not tell it. A command is exact, and what the motor makes of it moves the
+robot: a motor that misses it at random makes more noise than the samples show. A controller writes its encoders' noise
+into its commands: that moves the robot too, and is no noise of the torque at all. So where a log states none, each
+joint's share h² is estimated from the energy on each row,
 
     e_i − s_i = Σ_j G_ij h_j²,   h ≥ 0
 
-s_i what the sensors' own noise leaves there, G_ij what unit torque noise of joint j does, all in the metric in which
+s_i what the other sensors' noise leaves there, G_ij what unit torque noise of joint j does, all in the metric in which
 effects are judged.
 """
 
@@ -18,6 +19,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.noise import arithmetic
 from jax_inertia.gap.sensors import sensor_noise
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -27,25 +29,41 @@ DRAWS = 3
 UNIT = 1e-3
 
 
-def with_motors(log: Log, robot: Robot, hidden: Float[np.ndarray, " nv"]) -> Log:
-    """The log, stating torque noise of its samples and what its motors add, by row [N m]."""
-    rows = _rows(log, robot)
+def by_samples(log: Log, robot: Robot) -> Float[np.ndarray, " nv"]:
+    """Standard deviation of each row's torque noise as the log states it or its samples show it [N m]."""
     stated = None if log.sigma_tau is None else np.asarray(log.sigma_tau, float)
-    own = sensor_noise(np.asarray(log.tau, float), stated)
-    return dataclasses.replace(log, sigma_tau=np.hypot(own, hidden[rows]))
+    out = np.zeros(robot.nv)
+    out[_rows(log, robot)] = sensor_noise(np.asarray(log.tau, float), stated)
+    return out
 
 
-def hidden_noise(
+def with_torque_noise(log: Log, robot: Robot, noise: Float[np.ndarray, " nv"] | None) -> Log:
+    """The log, stating `noise` of each row's torque [N m]; as it is where nothing was learned of it (None).
+
+    What the log states itself is believed: it is no less than that.
+    """
+    if noise is None:
+        return log
+    own = noise[_rows(log, robot)]
+    if log.sigma_tau is not None:
+        own = np.maximum(own, np.asarray(log.sigma_tau, float))
+    return dataclasses.replace(log, sigma_tau=own)
+
+
+def torque_noise(
     evidence: Evidence,
     left: Float[np.ndarray, " n"],
     replicas: Float[np.ndarray, "K R nv"],
     log: Log,
     prepared: Prepared,
     taken: Float[np.ndarray, " nv"],
+    *,
+    louder: bool,
 ) -> tuple[Float[np.ndarray, " nv"], float]:
-    """Standard deviation of each row's torque noise beyond the samples' own, by what effects leave [N m].
+    """Standard deviation of each row's torque noise, by what effects leave [N m].
 
-    With it, by which factor the noise of some row becomes louder or quieter, where it was `taken` for so much [N m].
+    With it, by which factor the noise of some row becomes louder or quieter, where its torque's was `taken` for so much
+    in `replicas` [N m]. `louder`: whether what is left may be all noise; else it only says how loud that is at most.
     """
     rows, robot = _rows(log, prepared.robot), prepared.robot
 
@@ -63,20 +81,24 @@ def hidden_noise(
             alone = np.zeros_like(torque)
             alone[:, row] = torque[:, row]
             gain[:, k] += energy(evidence.charged(prepared.finish_torque(alone))) / DRAWS
-    sensors = np.mean([energy(evidence.charged(x)) for x in replicas], axis=0)
+
+    def energies(draws: Float[np.ndarray, "K R nv"]) -> Float[np.ndarray, " nv"]:
+        return np.mean([energy(evidence.charged(x)) for x in draws], axis=0)
+
+    now, chain = energies(replicas), energies(arithmetic(prepared, rng, replicas.shape))
+    before = (taken[rows] / unit) ** 2
+    # The chain's arithmetic is seldom as bad as it is taken for.
+    others = np.maximum(now - chain - gain @ before, 0.0)
     there = energy(left)
-    seen = there > 0
+    seen = (there > 0) & (now > 0)
     # Each row's energy is known to about the same share of itself.
-    scale = 1.0 / np.maximum(there, sensors)[seen, None]
-    shares, _ = scipy.optimize.nnls(
-        scale * gain[seen], (scale[:, 0] * np.maximum(there - sensors, 0.0)[seen])
-    )
+    scale = 1.0 / np.maximum(there, others)[seen, None]
+    target = scale[:, 0] * np.maximum(there - others, 0.0)[seen]
+    most = np.inf if louder else np.maximum(before, 1e-12)
+    shares = scipy.optimize.lsq_linear(scale * gain[seen], target, (0.0, most)).x
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
-    before, after = (
-        np.maximum(sensors + gain @ h2, 1e-300)[seen] for h2 in ((taken[rows] / unit) ** 2, shares)
-    )
-    factor = after / before
+    factor = (others + chain + gain @ shares)[seen] / now[seen]
     return out, float(np.max(np.maximum(factor, 1.0 / factor), initial=1.0))
 
 

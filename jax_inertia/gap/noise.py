@@ -132,12 +132,19 @@ def whitener(
         )
         draws.append(noisy.finish_torque(noisy.missing) - own)
     noise = np.array(draws)
-    size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
-    floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
-    noise = noise + floor * rng.standard_normal(noise.shape)
+    noise = noise + arithmetic(prepared, rng, noise.shape)
     sigma = np.sqrt(np.mean(noise**2, axis=(0, 1)))
     everywhere = np.ones(noise.shape[1:], bool)
     return Whitener(sigma, (stage_of(noise, everywhere),)), noise, noisy
+
+
+def arithmetic(
+    prepared: Prepared, rng: np.random.Generator, shape: tuple[int, ...]
+) -> Float[np.ndarray, "K R nv"]:
+    """Draws of what the chain's own arithmetic adds to finished torques at most [N m]."""
+    size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
+    floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
+    return floor * rng.standard_normal(shape)
 
 
 def motion_band(

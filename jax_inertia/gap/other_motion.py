@@ -20,7 +20,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
-from jax_inertia.gap.motors import with_motors
+from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
@@ -65,7 +65,7 @@ class OtherMotion:
 
     def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
         prepared = prepare(robot, log)
-        log = with_motors(log, robot, search.motors)
+        log = with_torque_noise(log, robot, search.torque_noise)
         own, replicas, _ = whitener(prepared, log)
         context = Context(prepared, motion_band(prepared, own, replicas))
         # The errors that the first log showed beyond its sensors' are there on this one too.

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from jax_inertia._mujoco_types import MjSpec
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.correct import Correction
-from jax_inertia.gap.motors import with_motors
+from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.plant import Plant, Recording
 from jax_inertia.gap.sensors import perturbed
 from jax_inertia.gap.trace import Trace
@@ -77,7 +77,7 @@ def rollouts(
     clean = Recording(robot, log, effects)
     noisy = Recording(
         robot,
-        perturbed(with_motors(log, robot, trace.motors), np.random.default_rng(seed)),
+        perturbed(with_torque_noise(log, robot, trace.torque_noise), np.random.default_rng(seed)),
         effects,
     )
     prepared = clean.prepared

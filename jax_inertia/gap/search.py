@@ -10,6 +10,7 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
@@ -18,7 +19,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, share_in_doubt
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
-from jax_inertia.gap.motors import hidden_noise, with_motors
+from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
 from jax_inertia.gap.noise import Whitener, at_random, motion_band, whitener
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
@@ -49,8 +50,8 @@ class Search:
     """J that noise alone would leave."""
     known: bool
     """Whether the log states its noise, or what is left is at random and as loud as it was taken for."""
-    motors: np.ndarray
-    """Torque noise of each row that no sensor shows [N m]."""
+    torque_noise: np.ndarray | None
+    """Of each row, where the log states none and shows another than its samples do [N m]."""
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
     verdict: Verdict
@@ -79,7 +80,7 @@ class Finder:
     max_effects: int
     log: Log
     tolerance: Tolerance
-    motors: np.ndarray
+    torque_noise: np.ndarray | None
 
     def search(self, white: Whitener, noise: float | None = None) -> Search:
         """One pass, against the noise of a whitener."""
@@ -161,7 +162,7 @@ class Finder:
             in_doubt = share_in_doubt(pool, chosen, rival, changing)
             verdict = doubted(verdict, in_doubt)
         return Search(
-            pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.motors,
+            pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.torque_noise,
             against, verdict, rival, changing, in_doubt, bare, strains,
         )  # fmt: skip
 
@@ -188,31 +189,38 @@ class Finder:
         period = 1.0 / self.context.prepared.settings.decimated
         return at_random(evidence.unflatten(left), period)
 
-    def by_its_motors(self) -> tuple["Finder", Search]:
-        """The first pass, against the noise that the log's motors turn out to have where it states none.
+    def by_its_torques(self) -> tuple["Finder", Search]:
+        """The first pass, against the noise that the log's torques turn out to have where it states none.
 
         Effects hide in noise that is taken for less than it is, and stand out of it once it is known; so the two are
         found in turn.
         """
-        finder, found = self, self.search(self.white)
         if stated(self.log):
-            return finder, found
-        prepared = self.context.prepared
+            return self, self.search(self.white)
+        evidence = Evidence(self.context.prepared, self.white, self.nuisances)
+        finder = self._as_loud_as(evidence, evidence.y, louder=False)
+        found = finder.search(finder.white)
         for _ in range(ROUNDS):
-            ratio = found.misfits[-1] / found.floor
             evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
-            if 1.0 / LOUDER < ratio < LOUDER or not self._at_random(evidence, left):
+            other = finder._as_loud_as(evidence, left, louder=self._at_random(evidence, left))
+            if other is finder:
                 break
-            motors, factor = hidden_noise(
-                evidence, left, self.replicas, self.log, prepared, finder.motors
-            )
-            if factor < LOUDER:
-                break
-            finder = _made(
-                prepared, self.log, self.tolerance, self.library, self.max_effects, motors
-            )
-            found = finder.search(finder.white)
+            finder, found = other, other.search(other.white)
         return finder, found
+
+    def _as_loud_as(
+        self, evidence: Evidence, left: Float[np.ndarray, " n"], *, louder: bool
+    ) -> "Finder":
+        """This finder, or one for as much torque noise as what is left shows."""
+        log, prepared, taken = self.log, self.context.prepared, self.torque_noise
+        if taken is None:
+            taken = by_samples(log, prepared.robot)
+        noise, factor = torque_noise(
+            evidence, left, self.replicas, log, prepared, taken, louder=louder
+        )
+        if factor < LOUDER:
+            return self
+        return _made(prepared, log, self.tolerance, self.library, self.max_effects, noise)
 
     def _selected(self, pool: Pool, noise: float | None):
         """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""
@@ -234,7 +242,7 @@ def finder(
             f"{count} samples are of joints that move, at least {LEAST} are needed: friction at rest is whatever "
             "balances, so a robot that stands still tells nothing"
         )
-    return _made(prepared, log, tolerance, library, max_effects, np.zeros(prepared.robot.nv))
+    return _made(prepared, log, tolerance, library, max_effects, None)
 
 
 def _made(
@@ -243,20 +251,18 @@ def _made(
     tolerance: Tolerance,
     library: list[Family],
     max_effects: int,
-    motors: np.ndarray,
+    noise: np.ndarray | None,
 ) -> Finder:
-    """A finder that takes a log's torque noise for as loud as its samples show, and `motors` beside [N m]."""
-    white, replicas, again = whitener(prepared, with_motors(log, prepared.robot, motors))
+    """A finder that takes torques for as noisy as told [N m], or as the log's samples show."""
+    white, replicas, again = whitener(prepared, with_torque_noise(log, prepared.robot, noise))
     context = Context(prepared, motion_band(prepared, white, replicas))
     own = nuisances(context, tolerance, log)
-    return Finder(
-        context, white, replicas, again, own, library, max_effects, log, tolerance, motors
-    )
+    return Finder(context, white, replicas, again, own, library, max_effects, log, tolerance, noise)
 
 
 def find(finder: Finder) -> tuple[Search, Search]:
     """The first pass and the last, which are one where the sensors' noise is all there is."""
-    finder, first = finder.by_its_motors()
+    finder, first = finder.by_its_torques()
     if (
         first.verdict in (Verdict.EXPLAINED, Verdict.NO_GAP)
         or first.misfits[-1] < WORSE * first.noise
@@ -293,6 +299,5 @@ WELL, MOSTLY, SEVERAL = 0.1, 0.3, 4
 ROUNDS = 3
 # A second pass where more than this multiple of the noise's misfit is left.
 WORSE = 3.0
-# The motors' noise is estimated anew where what is left is this many times what was taken for noise, or as much less,
-# and counts where it makes some row's noise so.
+# Torque noise learned from what is left counts where some row's noise becomes this many times as loud, or as quiet.
 LOUDER = 1.3

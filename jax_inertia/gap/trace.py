@@ -42,8 +42,8 @@ class Trace:
     """y after one, two ... findings, each stretch predicted from the others [N m]."""
     noise: Float[np.ndarray, " nv"]
     """Standard deviation of y's noise [N m]."""
-    motors: Float[np.ndarray, " nv"]
-    """Of that in torque, what no sensor shows: a motor misses its command at random [N m]."""
+    torque_noise: Float[np.ndarray, " nv"] | None
+    """Of each sample of the torque, where the log states none and shows another than its samples do [N m]."""
     turning: Float[np.ndarray, " nv"]
     """Over which displacement each joint's dry friction turns round after a reversal [rad], or `turning.CREEPS`."""
     excused: Float[np.ndarray, "R nv"]
@@ -67,7 +67,7 @@ def collect(
     excused: Float[np.ndarray, "R nv"],
     erring: Float[np.ndarray, "R nv"],
     turning: Float[np.ndarray, " nv"],
-    motors: Float[np.ndarray, " nv"],
+    torque_noise: Float[np.ndarray, " nv"] | None,
     replicas: Float[np.ndarray, "K R nv"],
     sight: Sight,
 ) -> Trace:
@@ -88,7 +88,7 @@ def collect(
         effects=effects,
         left=left,
         noise=noise,
-        motors=motors,
+        torque_noise=torque_noise,
         turning=turning,
         excused=excused,
         erring=erring,
