@@ -76,6 +76,28 @@ def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor)
     assert effect.parameters["coulomb"].value == pytest.approx(0.2, rel=0.1)
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_an_encoder_that_is_degrees_off_is_all_there_is(robot, joint):
+    """To first order in the angle two per cent of it would be left, for a force or a shifted mass to explain."""
+    wrong = 0.08 * np.eye(2)[joint]
+    (effect,) = diagnose(robot, simulate(encoder=lambda q: q + wrong, noise=0.1, seed=3)).findings
+    assert (effect.family, effect.place.name) == ("encoder_offset", ("shoulder", "elbow")[joint])
+    assert effect.parameters["offset"].value == pytest.approx(0.08, rel=0.005)
+
+
+def test_gravity_that_is_degrees_off_is_all_there_is(robot):
+    def tilt(model):
+        model.opt.gravity[:] = 9.81 * np.array([-np.sin(0.07), 0.0, -np.cos(0.07)])
+
+    # About the shoulder's own axis it is an offset of that joint's encoder, exactly.
+    (effect,) = diagnose(robot, simulate(edit=tilt, noise=0.1, seed=3)).findings
+    assert {effect.family, *(tie.family for tie in effect.equivalent)} >= {
+        "encoder_offset",
+        "gravity_tilt",
+    }
+    assert effect.parameters["offset"].value == pytest.approx(0.07, rel=0.005)
+
+
 def test_payload_is_found_on_its_body(robot):
     found = diagnose(robot, simulate(edit=loaded(0.4, (0.0, 0.0, -0.3))))
     effect = found.findings[0]

@@ -5,6 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
+from arm_log import ARM
+from arm_log import simulate as simulate_arm
 from chain_log import DAMPING, FRICTION, JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
@@ -119,4 +121,19 @@ def test_a_model_whose_own_friction_creeps_has_no_gap(encoder):
     friction = FRICTION + np.array([0.0, 0.0, 0.0, 1.0, 1.0])
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(friction)))
     found = diagnose(robot, simulate(soft=friction, stops=True, encoder=encoder))
+    assert found.verdict is Verdict.NO_GAP
+
+
+@pytest.mark.parametrize("friction", [(1.0, 0.5), (2.0, 1.0)])
+def test_joints_that_halt_as_they_turn_round_have_no_gap(friction):
+    """For some hundredths of a second the model's own friction holds them, and is then whatever balances."""
+    shoulder, elbow = friction
+    own = ARM.replace('damping="0.3"', f'damping="0.3" frictionloss="{shoulder}"')
+    own = own.replace('damping="0.2"', f'damping="0.2" frictionloss="{elbow}"')
+    robot = load_model(mujoco.MjModel.from_xml_string(own))
+
+    def turning(t, q, v, u):
+        return -np.array(friction) * np.tanh(v / 0.004)
+
+    found = diagnose(robot, simulate_arm(turning, noise=0.3, seed=2))
     assert found.verdict is Verdict.NO_GAP

@@ -16,7 +16,13 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(ARM))
 
 
-def late(lag=0.0, delay=0, seed=0, seconds=8.0):
+def quick_and_slow(t, seed):
+    """A wide slow motion, nine tenths of its torque below 1 Hz, with a small quick one on it."""
+    parts = [(1.0, wave(t, seed, 0.3)), (0.06, wave(t, seed + 7, 2.5))]
+    return tuple(sum(size * x[k] for size, x in parts) for k in range(2))
+
+
+def late(lag=0.0, delay=0, seed=0, seconds=8.0, wave=wave, encoder=ENCODER):
     """A log of a loop that feeds its encoders' noise back; torque comes late by a lag [s] or by steps of 1 ms."""
     model = mujoco.MjModel.from_xml_string(ARM)
     data = mujoco.MjData(model)
@@ -26,7 +32,7 @@ def late(lag=0.0, delay=0, seed=0, seconds=8.0):
     for k in range(round(seconds * 1000)):
         target, speed = wave(data.time, seed)
         if k % 2 == 0:
-            seen = data.qpos + ENCODER * rng.standard_normal(2)
+            seen = data.qpos + encoder * rng.standard_normal(2)
             slope = (seen - (seen if before is None else before)) / 0.002
             u = asked(target, speed, seen, slope)
             before = seen
@@ -39,7 +45,7 @@ def late(lag=0.0, delay=0, seed=0, seconds=8.0):
             data.qfrc_applied[:] = u - apart * np.expm1(-x) / x
             state = u + apart * np.exp(-x)
         mujoco.mj_step(model, data, 2)
-    return logged(rows, ENCODER, TORQUE)
+    return logged(rows, encoder, TORQUE)
 
 
 @pytest.mark.parametrize(
@@ -54,6 +60,17 @@ def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family, p
     (effect,) = diagnose(robot, late(**how, seed=1)).findings
     assert (effect.family, effect.place.kind) == (family, "global")
     assert effect.parameters[parameter].value == pytest.approx(0.006, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("how", "family"), [({"lag": 0.008}, "actuator_lag"), ({"delay": 8}, "time_delay")]
+)
+def test_a_lag_and_a_delay_of_a_slow_motion(robot, how, family):
+    """They part where the motion is quick, however little of it is."""
+    found = diagnose(robot, late(**how, seed=4, wave=quick_and_slow, encoder=2e-5))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.kind) == (family, "global")
+    assert effect.probability > 0.9
 
 
 @pytest.mark.parametrize(

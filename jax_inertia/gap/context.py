@@ -10,10 +10,16 @@ from jaxtyping import Float
 from scipy import signal
 
 from jax_inertia import dynamics
-from jax_inertia.gap.chain import Prepared, below, needed_torque, without_friction
+from jax_inertia.gap.chain import (
+    Prepared,
+    below,
+    needed_torque,
+    needed_torques,
+    without_friction,
+)
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import DAMPING, softness
-from jax_inertia.gap.dry import direction
+from jax_inertia.gap.dry import direction, stillness
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE
@@ -21,7 +27,13 @@ from jax_inertia.robot import HINGE, SLIDE
 Coupling = tuple[float, float, float]
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
+# Share of its level from which such a friction counts as turned round.
+TURNED = 0.95
 
+# Over which step second derivatives are taken [rad].
+BENT = 0.05
+# Into how many parts a sample's period is divided to see how long a joint is slow.
+PARTS = 8
 # Above this [Hz] accelerations may be the encoders' noise more than what a joint creeps by.
 CREEP_BAND = 40.0
 
@@ -54,12 +66,14 @@ class Context:
         self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
         self._bristles: dict[tuple[int, float], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}
+        self._bends: dict[int, np.ndarray] = {}
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
         out = Context(again, self.band)
         # A cached property lives in the instance's dictionary.
         out.__dict__["sensitivity"] = self.sensitivity
+        out._bends = self._bends
         return out
 
     @functools.cached_property
@@ -73,11 +87,16 @@ class Context:
     def joint_position(self) -> np.ndarray:
         """Position of each hinge and slide row; zero elsewhere (T, nv)."""
         out = np.zeros_like(self.v)
-        r = self.robot
-        for kind, qadr, dof in zip(r.joint_type, r.joint_qposadr, r.joint_dofadr, strict=True):
-            if kind in (HINGE, SLIDE):
-                out[:, dof] = self.q[:, qadr]
+        for dof, qadr in self._qpos_of.items():
+            out[:, dof] = self.q[:, qadr]
         return out
+
+    @functools.cached_property
+    def _qpos_of(self) -> dict[int, int]:
+        """Where in q each hinge and slide row's position stands."""
+        r = self.robot
+        every = zip(r.joint_type, r.joint_qposadr, r.joint_dofadr, strict=True)
+        return {int(dof): int(qadr) for kind, qadr, dof in every if kind in (HINGE, SLIDE)}
 
     @functools.cached_property
     def peak(self) -> np.ndarray:
@@ -125,6 +144,21 @@ class Context:
         """
         return _sensitivity(without_friction(self.robot), self.prepared.observation)
 
+    def bend(self, row: int) -> np.ndarray:
+        """∂²(needed torque)/∂q² along a hinge or slide row, dry friction apart (T, nv)."""
+        if row not in self._bends:
+            observation = self.prepared.observation
+            at = self._qpos_of[row]
+
+            def moved(by: float) -> np.ndarray:
+                q = jnp.asarray(self.q).at[:, at].add(by)
+                other = eqx.tree_at(lambda o: o.motion.q, observation, q)
+                return needed_torques(without_friction(self.robot), other)
+
+            middle = self.inverse - self.prepared.dry
+            self._bends[row] = (moved(BENT) - 2.0 * middle + moved(-BENT)) / BENT**2
+        return self._bends[row]
+
     @functools.cached_property
     def link_torque(self) -> np.ndarray:
         """What each joint's link alone needs (T, nv): the rotor's inertia, damping and dry friction apart.
@@ -140,9 +174,15 @@ class Context:
 
     @functools.cached_property
     def tilt(self) -> np.ndarray:
-        """∂(needed torque)/∂(rotation of gravity about world x and y) (T, nv, 2)."""
+        """∂(needed torque)/∂(rotation θ of gravity about world x and y), and ∂² by xx, xy and yy (T, nv, 5).
+
+        A rotated gravity is g + θ × g + ½ θ × (θ × g), to second order.
+        """
         g = np.asarray(self.robot.gravity)
-        turns = np.stack([np.cross(e, g) for e in np.eye(3)[:2]], axis=1)
+        x, y, _ = np.eye(3)
+        xx, yy = (np.cross(e, np.cross(e, g)) for e in (x, y))
+        xy = 0.5 * (np.cross(x, np.cross(y, g)) + np.cross(y, np.cross(x, g)))
+        turns = np.stack([np.cross(x, g), np.cross(y, g), xx, xy, yy], axis=1)
         return -np.einsum("b,tbjc,ck->tjk", self.pi[:, 0], self.force_rows, turns)
 
     @functools.cached_property
@@ -209,6 +249,19 @@ class Context:
         return self._slides[band]
 
     @functools.cached_property
+    def held(self) -> np.ndarray:
+        """Share of each sample's period in which a row is so slow that its own friction may hold it (T, nv).
+
+        Held, friction is whatever balances: not the sign of a velocity that is nothing but noise.
+        """
+        still = stillness(self.frictionloss * self._softness)
+        at = np.arange(len(self.v))
+        parts = (np.arange(len(at) * PARTS) + 0.5) / PARTS - 0.5
+        within = np.stack([np.interp(parts, at, v) for v in self.v.T], axis=1)
+        slow = (np.abs(within) < still) & (self.frictionloss > 0)
+        return slow.reshape(len(at), PARTS, -1).mean(axis=1)
+
+    @functools.cached_property
     def _softness(self) -> np.ndarray:
         return softness(self.robot)
 
@@ -245,6 +298,10 @@ class Context:
         friction = self.frictionloss[row]
         turning = self.bristle(row, TURNS_OVER) if friction > 0 else 0.0
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
+        # Where that friction may hold the motor, or turns round, it is not known; and what a spring carries is smooth.
+        known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))
+        if 0 < known.sum() < len(known):
+            carried = np.interp(self.time, self.time[known], carried[known])
         return self.below(self.prepared.settings.after, carried)
 
 

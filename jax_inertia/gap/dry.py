@@ -22,11 +22,16 @@ def sign(v: Float[np.ndarray, "T *n"]) -> Float[np.ndarray, "T *n"]:
     return np.tanh(v / SIGN_VELOCITY)
 
 
+def stillness(creeping: Float[np.ndarray, " n"] | float) -> Float[np.ndarray, " n"]:
+    """Speed below which friction may hold a joint [rad/s]; `creeping`: how fast it lets the joint creep."""
+    return np.clip(CREEPING * np.asarray(creeping), STILL, FASTEST)
+
+
 def at_rest(
     v: Float[np.ndarray, "T n"], rate: float, creeping: Float[np.ndarray, " n"] | float = 0.0
 ) -> Bool[np.ndarray, "T n"]:
-    """Where a joint stands still, in velocities at `rate` [Hz]; `creeping`: how fast its friction lets it creep."""
-    still = np.abs(v) < np.clip(CREEPING * np.asarray(creeping), STILL, FASTEST)
+    """Where a joint stands still, in velocities at `rate` [Hz]; `creeping` as of `stillness`."""
+    still = np.abs(v) < stillness(creeping)
     width = max(1, round(DWELL * rate))
     # Erode, then dilate: stretches shorter than the width disappear.
     kernel = np.ones((width, 1))

@@ -28,6 +28,9 @@ T = TypeVar("T")
 
 # Shapes that go through filters and products at once: more would leave the cache.
 WIDE = 16
+# A torque acts on rows that have more than this share of its energy on the row where it has most, and is louder than
+# noise where it has this many times its energy.
+ACTS, LOUDER = 0.05, 2.0
 
 
 class Evidence:
@@ -247,8 +250,24 @@ class Evidence:
 
     def slow(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
         """The part in the motion's own band, by its cosines; lengths are kept."""
-        cosines = np.asarray(scipy.fft.dct(self.unflatten(x), axis=0, norm="ortho"))
-        return cosines[: self.slow_modes].reshape(-1, x.shape[-1])
+        return self._cosines(x)[: self.slow_modes].reshape(-1, x.shape[-1])
+
+    def heard(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m k"]:
+        """The part in the band in which the first column's torque is louder than noise; that is `slow`'s at least.
+
+        Over every hertz of it, on the rows where the torque acts.
+        """
+        cosines = self._cosines(x)
+        energy = cosines[:, :, 0] ** 2
+        acts = energy.sum(axis=0)
+        energy = energy[:, acts > ACTS * acts.max()].mean(axis=1)
+        hertz = 2 * len(energy) / self.prepared.settings.decimated
+        quiet = np.flatnonzero(ndimage.uniform_filter1d(energy, round(hertz)) < LOUDER)
+        modes = max(self.slow_modes, int(quiet[0]) if len(quiet) else len(energy))
+        return cosines[:modes].reshape(-1, x.shape[-1])
+
+    def _cosines(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "R nv k"]:
+        return np.asarray(scipy.fft.dct(self.unflatten(x), axis=0, norm="ortho"))
 
     def unflatten(self, x: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "R nv *k"]:
         """Whitened samples back on their rows; zero where not used."""

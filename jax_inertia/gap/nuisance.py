@@ -13,6 +13,7 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from jax_inertia._findings import run_bounds
 from jax_inertia.gap.context import Context
@@ -108,8 +109,8 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             creeping = [context.creeping(row, friction, band) for band in CREEP_BANDS]
             turned = [z - context.side[:, row] for z in (*late, *early, *creeping)]
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
-            if departures := _departures(context, row):
-                brief.append(Columns(friction * np.stack(departures, axis=1), row))
+            if moments := [*_departures(context, row), *_halts(context, row)]:
+                brief.append(Columns(friction * np.stack(moments, axis=1), row))
     sampled = log.tau_kind is TorqueKind.SENSOR
     late, most = (tolerance.sampled, 0.25) if sampled else (tolerance.period, 0.5)
     shifts = _shifts(context.time, context.tau, late / log.rate, most / log.rate)
@@ -151,6 +152,19 @@ def _departures(context: Context, row: int) -> list[Float[np.ndarray, " T"]]:
     departures = [stop for _, stop in run_bounds(context.at_rest[:, row]) if stop < len(path)]
     moved = [np.where(path >= path[k], path - path[k], np.inf) for k in departures]
     return [np.exp(-x / reach) for x in moved for reach in STRAIGHTENS]
+
+
+# Halts that are no further apart than this [s] are one.
+APART = 0.02
+
+
+def _halts(context: Context, row: int) -> list[Float[np.ndarray, " T"]]:
+    """Moments in which friction may hold a joint that turns round, too short to be a rest: shares of samples."""
+    share = context.held[:, row] * ~context.at_rest[:, row]
+    near = np.ones(round(APART * context.prepared.rate) + 1)
+    at = np.arange(len(share))
+    halts = run_bounds(ndimage.binary_closing(share > 0, near))
+    return [np.where((start <= at) & (at < stop), share, 0.0) for start, stop in halts]
 
 
 # Friction at rest under a foot may change within this time [s], or as fast as this many numbers in all can tell.

@@ -44,7 +44,7 @@ def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate
     freed = _freed(pool, lead, left, floor)
     # Six free numbers draw some of anything: they are a cause where little else is left.
     freed = [f for f in freed if before - f.gain - floor < max(0.2 * floor, DOUBT**2 * before)]
-    _told_in_band(lead, noise)
+    _told_in_band(lead, left)
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
         ranked = [*ranked, *freed]
@@ -71,17 +71,22 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
     return lead
 
 
-def _told_in_band(lead: list[Candidate], noise: float) -> None:
-    """Causes of a given size at one place, both judged in the motion's own band, are told apart by what they do there.
+def _told_in_band(lead: list[Candidate], left: Beside) -> None:
+    """Causes of a given size at one place, both judged in the motion's own band, are told apart where they are heard.
 
-    Above it a controller's torque follows the encoders' noise, and a delay passes on more of that than a lag does.
+    Above, a controller's torque follows the encoders' noise, and a delay passes on more of that than a lag does; in
+    the motion's own band alone a slow motion tells a delay from a lag by next to nothing.
     """
     given = [c for c in lead if c.family.slow and c.family.whole is not None]
     for place in {c.place for c in given}:
         twins = [c for c in given if c.place == place]
-        gain, aim = max(c.gain for c in twins), max(c.aim for c in twins)
-        for c in twins:
-            c.score += (gain - c.gain - (aim - c.aim)) / noise
+        effects = left.free(np.stack([c.effect for c in twins], axis=1))
+        *heard, target = left.evidence.heard(np.column_stack([effects, left.target])).T
+        # A size between two of those that were tried costs neither.
+        seen = [float(e @ target) ** 2 / max(float(e @ e), 1e-300) for e in heard]
+        gain, most = max(c.gain for c in twins), max(seen)
+        for c, own in zip(twins, seen, strict=True):
+            c.score += (gain - c.gain - (most - own)) / left.noise
 
 
 def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> list[Candidate]:

@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.evidence import ACTS
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP, faint, noise_of, propose
 from jax_inertia.gap.together import misfit, remaining, solved, stacked
@@ -141,10 +142,6 @@ def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
     """What each effect brings materially beside the others."""
     rests = ([x for x in chosen if x is not c] for c in chosen)
     return [material(pool, rest, chosen) for rest in rests]
-
-
-# An effect acts on rows that have more than this share of its energy on the row where it has most.
-ACTS = 0.05
 
 
 def acting(

@@ -51,11 +51,14 @@ def separation(
     rate = derivative(time, carried)
     signals = jnp.asarray(np.stack([needed, rate, inertia, damping, stiffness]))
     period = float(time[1] - time[0])
-    return np.asarray(_separation(signals, jnp.asarray(coupling), period, substeps))
+    first = jnp.asarray([carried[0], rate[0]])
+    return np.asarray(_separation(signals, first, jnp.asarray(coupling), period, substeps))
 
 
 @eqx.filter_jit
-def _separation(signals: Array, coupling: Array, period: float, substeps: int) -> Array:
+def _separation(
+    signals: Array, first: Array, coupling: Array, period: float, substeps: int
+) -> Array:
     k, ratio, gap = coupling.T
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[2]))
     d, drawn = ratio * critical, OBSERVED * critical
@@ -80,8 +83,8 @@ def _separation(signals: Array, coupling: Array, period: float, substeps: int) -
         state, _ = jax.lax.scan(substep, state, inner)
         return state, state[0]
 
-    n0 = signals[0, 0]
-    start = n0 / k + jnp.sign(n0) * half
+    # A log may begin in the middle of a motion.
+    start = first[0] / k + jnp.sign(first[0]) * half
     pairs = (signals.T[:-1], signals.T[1:])
-    _, path = jax.lax.scan(sample, (start, jnp.zeros_like(start)), pairs)
+    _, path = jax.lax.scan(sample, (start, first[1] / k), pairs)
     return jnp.concatenate([start[None], path]).T

@@ -71,6 +71,10 @@ class ComShift(Inertial):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
 
 
+# No link has this many times more rotational inertia than its model: what a motor adds about its own axis can be more.
+MOST = 9.0
+
+
 class LinkInertia(Inertial):
     name, equation, size = (
         "link_inertia",
@@ -89,7 +93,7 @@ class LinkInertia(Inertial):
         return np.array([0.0, 0.0, 0.0, 0.0, *(theta[0] * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
     def physical(self, context, place, shape, theta):
-        return bool(theta[0] > -0.98)
+        return bool(-0.98 < theta[0] < MOST)
 
     def parameters(self, context, place, shape, theta):
         return {"inertia_scale": Parameter(1.0 + theta[0], "1")}

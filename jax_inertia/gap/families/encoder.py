@@ -55,10 +55,21 @@ class Encoder(Family):
 
 
 class EncoderOffset(Encoder):
-    name, equation = "encoder_offset", "q_logged = q + o"
+    name, equation, size = "encoder_offset", "q_logged = q + o", 1
 
     def path(self, context, place, shape):
         return np.ones(len(context.time))
+
+    def columns(self, context, place, shape):
+        # ID(q + o) − ID(q) to second order in o: of degrees, what is beyond the first order is no noise.
+        first = super().columns(context, place, shape).values
+        return Columns(np.concatenate([first, -context.bend(place.index)[..., None]], axis=-1))
+
+    def weights(self, context, place, theta):
+        return np.array([theta[0], 0.5 * theta[0] ** 2])
+
+    def starts(self, context, place, free):
+        return [np.zeros(1) if free is None else free[:1]]
 
     def physical(self, context, place, shape, theta):
         return abs(theta[0]) < 0.3

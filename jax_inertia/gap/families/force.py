@@ -1,30 +1,32 @@
 """Forces on a body: for good, for a while, or of the air."""
 
+import abc
 from types import ModuleType
-from typing import ClassVar
 
 import numpy as np
 
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
-# What holds a robot up, or weighs it down [N].
-HARDEST_HOIST = 2000.0
+# What holds a robot up, or weighs it down: so many times its weight, and a hand's pull beside it [N].
+HARDEST_HOIST, HAND = 3.0, 50.0
 
 
 class Force(Family):
     """Jᵀ f, f fixed in the world, on a body's centre of mass."""
 
     kind = "body"
-    hardest: ClassVar[float]
-    """[N]"""
+
+    @abc.abstractmethod
+    def hardest(self, context: Context) -> float:
+        """More than this it cannot be [N]."""
 
     def rows(self, context: Context, place: Place) -> np.ndarray:
         """Torque of unit weights (T, nv, k)."""
         return context.force_rows[:, place.index]
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta) < self.hardest)
+        return bool(np.linalg.norm(theta) < self.hardest(context))
 
     def parameters(self, context, place, shape, theta):
         return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
@@ -101,7 +103,11 @@ def _centre(context: Context, place: Place) -> np.ndarray:
 class Lasting(Force):
     """A force for good."""
 
-    name, hardest = "constant_force", HARDEST_HOIST
+    name = "constant_force"
+
+    def hardest(self, context):
+        weight = context.pi[:, 0].sum() * np.linalg.norm(np.asarray(context.robot.gravity))
+        return float(HARDEST_HOIST * weight + HAND)
 
     def columns(self, context, place, shape):
         return Columns(self.rows(context, place))
@@ -152,8 +158,11 @@ def push_window(xp: ModuleType, time, start: float, end: float, flank: float, sk
 class Passing(Force):
     """A force for a while, f w(t)."""
 
-    name, hardest = "push", HARDEST_PUSH
+    name = "push"
     passing, smooth, form_error = True, True, 0.1
+
+    def hardest(self, context):
+        return HARDEST_PUSH
 
     # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
     # by how much more it is in the first half: so that each hardly moves the others.

@@ -7,10 +7,18 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter
 
 class GravityTilt(Family):
     name, equation, kind = "gravity_tilt", "gravity turned about world x and y", "global"
+    size = 2
 
     def columns(self, context, place, shape):
         # The real robot needs more torque for its own gravity; what is missing is what it did not need to give.
         return Columns(-context.tilt)
+
+    def weights(self, context, place, theta):
+        x, y = theta
+        return np.array([x, y, 0.5 * x * x, x * y, 0.5 * y * y])
+
+    def starts(self, context, place, free):
+        return [np.zeros(2) if free is None else free[:2]]
 
     def physical(self, context, place, shape, theta):
         return np.hypot(*theta) < 0.25
