@@ -22,9 +22,9 @@ def sign(v: Float[np.ndarray, "T *n"]) -> Float[np.ndarray, "T *n"]:
     return np.tanh(v / SIGN_VELOCITY)
 
 
-def stillness(creeping: Float[np.ndarray, " n"] | float) -> Float[np.ndarray, " n"]:
+def stillness(creeping: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"]:
     """Speed below which friction may hold a joint [rad/s]; `creeping`: how fast it lets the joint creep."""
-    return np.clip(CREEPING * np.asarray(creeping), STILL, FASTEST)
+    return np.asarray(np.clip(CREEPING * np.asarray(creeping), STILL, FASTEST))
 
 
 def at_rest(
