@@ -18,6 +18,7 @@ from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import _likelier, split
 from jax_inertia.gap.together import solved
+from jax_inertia.gap.verdict import Tried
 
 PULL = np.array([4.0, 0.0, -7.0])
 TIP = (0.03, 0.0, -0.33)
@@ -104,6 +105,16 @@ def test_effects_that_do_only_together_what_they_do_are_entangled():
     # They undo each other, all but a little.
     assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
     assert entangled(*beside(x)) is None
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "borne_out"),
+    [(50e3, 1.1e3, True), (3e3, 1.0e3, False), (50e3, 2.5e3, False)],
+)
+def test_a_loud_other_motion_of_which_nothing_is_left_bears_effects_out(before, after, borne_out):
+    """Of a faint gap, or of one that is not all explained, a wrong cause would leave as much."""
+    tried = Tried(before, after, floor=1e3, allowed=100.0, known=True)
+    assert tried.borne_out is borne_out
 
 
 def test_effects_are_swapped_for_what_costs_less():

@@ -16,7 +16,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.doubt import better_than, entangled, leans_on
+from jax_inertia.gap.doubt import better_than, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
@@ -95,6 +95,9 @@ def diagnose(
             stands_out = better_than(first.pool, [], first.noise) is not None
             verdict = Verdict.of_nothing(first.bare, stands_out)
     elif other is not None and trial is not None and chosen:
+        if trial.misfit.borne_out:
+            # Each alone may draw what the others do; together they foretell what one cause behind them would not.
+            verdict = search.apart
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
@@ -177,9 +180,9 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         beyond.append(
             f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
         )
-    if (share := entangled(search.pool, search.chosen)) is not None:
+    if search.entangled is not None and verdict is Verdict.UNKNOWN:
         beyond.append(
-            f"each alone, the effects explain {share:.1f} times what they explain together: "
+            f"each alone, the effects explain {search.entangled:.1f} times what they explain together: "
             "likelier than as many causes is one that is none of them"
         )
     if search.rival is not None:

@@ -100,9 +100,7 @@ def share_in_doubt(
     rival: tuple[list[Candidate], Outsider] | None,
     changing: Inconstant | None,
 ) -> float:
-    """Share of the misfit explained that effects brought which do not stand."""
-    if entangled(pool, chosen) is not None:
-        return 1.0
+    """Share of the misfit explained that effects brought which do not stand, each by itself."""
     fallen = [
         *(rival[0] if rival else ()),
         *([changing.effect] if changing else ()),

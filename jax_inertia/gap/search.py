@@ -16,7 +16,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, inconstant
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.doubt import better_than, share_in_doubt
+from jax_inertia.gap.doubt import better_than, entangled, share_in_doubt
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
@@ -60,7 +60,11 @@ class Search:
     inconstant: Inconstant | None
     """A found effect whose size would have to change."""
     in_doubt: float
-    """Share of what was explained that effects brought which do not stand."""
+    """Share of what was explained that effects brought which do not stand, each by itself."""
+    entangled: float | None
+    """What the effects explain each alone over what they do together, where that is not about the same (`doubt`)."""
+    apart: Verdict
+    """The verdict if they were not entangled."""
     bare: Strangeness
     """What the log shows without any effect."""
     strains: list[Strained]
@@ -148,7 +152,8 @@ class Finder:
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
         changing = inconstant(pool, chosen, against)
-        verdict, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
+        apart = verdict = Verdict.of_nothing(bare, rival is not None)
+        in_doubt, tangle = 0.0, entangled(pool, chosen)
         if chosen:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
             verdict = judge(misfits, floor, allowed, known)
@@ -160,10 +165,11 @@ class Finder:
                 mostly = rows_explained(pool, chosen, MOSTLY) >= enough
                 verdict = Verdict.PARTLY if mostly else verdict
             in_doubt = share_in_doubt(pool, chosen, rival, changing)
-            verdict = doubted(verdict, in_doubt)
+            apart = doubted(verdict, in_doubt)
+            verdict = apart if tangle is None else doubted(apart, 1.0)
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.torque_noise,
-            against, verdict, rival, changing, in_doubt, bare, strains,
+            against, verdict, rival, changing, in_doubt, tangle, apart, bare, strains,
         )  # fmt: skip
 
     def _noisier(self, pool: Pool) -> Callable[[list[Candidate]], Callable[[], Left]] | None:
@@ -285,8 +291,9 @@ def find(finder: Finder) -> tuple[Search, Search]:
     verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
     if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
-    verdict = doubted(verdict, second.in_doubt)
-    return first, dataclasses.replace(second, verdict=verdict)
+    apart = doubted(verdict, second.in_doubt)
+    verdict = apart if second.entangled is None else doubted(apart, 1.0)
+    return first, dataclasses.replace(second, verdict=verdict, apart=apart)
 
 
 # Samples below which a search would fit noise.
