@@ -80,6 +80,8 @@ def _told_in_band(lead: list[Candidate], left: Beside) -> None:
     given = [c for c in lead if c.family.slow and c.family.whole is not None]
     for place in {c.place for c in given}:
         twins = [c for c in given if c.place == place]
+        if len(twins) < 2:
+            continue
         effects = left.free(np.stack([c.effect for c in twins], axis=1))
         *heard, target = left.evidence.heard(np.column_stack([effects, left.target])).T
         # A size between two of those that were tried costs neither.

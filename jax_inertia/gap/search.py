@@ -54,7 +54,6 @@ class Search:
     """Of each row, where the log states none and shows another than its samples do [N m]."""
     noise: float
     """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
-    verdict: Verdict
     rival: tuple[list[Candidate], Outsider] | None
     """Found effects, and what fits better in their place and is no family."""
     inconstant: Inconstant | None
@@ -64,11 +63,16 @@ class Search:
     entangled: float | None
     """What the effects explain each alone over what they do together, where that is not about the same (`doubt`)."""
     apart: Verdict
-    """The verdict if they were not entangled."""
+    """The verdict if they were not entangled (`verdict`)."""
     bare: Strangeness
     """What the log shows without any effect."""
     strains: list[Strained]
     """Numbers of the model that are beyond their tolerances, beside the effects."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What can be said of the effects together."""
+        return self.apart if self.entangled is None else doubted(self.apart, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,24 +156,22 @@ class Finder:
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
         changing = inconstant(pool, chosen, against)
-        apart = verdict = Verdict.of_nothing(bare, rival is not None)
-        in_doubt, tangle = 0.0, entangled(pool, chosen)
+        apart, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
         if chosen:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
-            verdict = judge(misfits, floor, allowed, known)
+            apart = judge(misfits, floor, allowed, known)
             enough = max(2, len(chosen) / 2)
-            if verdict is Verdict.UNKNOWN and rows_explained(pool, chosen, WELL) >= enough:
-                verdict = Verdict.PARTLY
-            verdict = with_strain(verdict, strains, misfits[0] - misfits[-1], allowed)
-            if verdict is Verdict.UNKNOWN and len(chosen) >= SEVERAL:
+            if apart is Verdict.UNKNOWN and rows_explained(pool, chosen, WELL) >= enough:
+                apart = Verdict.PARTLY
+            apart = with_strain(apart, strains, misfits[0] - misfits[-1], allowed)
+            if apart is Verdict.UNKNOWN and len(chosen) >= SEVERAL:
                 mostly = rows_explained(pool, chosen, MOSTLY) >= enough
-                verdict = Verdict.PARTLY if mostly else verdict
+                apart = Verdict.PARTLY if mostly else apart
             in_doubt = share_in_doubt(pool, chosen, rival, changing)
-            apart = doubted(verdict, in_doubt)
-            verdict = apart if tangle is None else doubted(apart, 1.0)
+            apart = doubted(apart, in_doubt)
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.torque_noise,
-            against, verdict, rival, changing, in_doubt, tangle, apart, bare, strains,
+            against, rival, changing, in_doubt, entangled(pool, chosen), apart, bare, strains,
         )  # fmt: skip
 
     def _noisier(self, pool: Pool) -> Callable[[list[Candidate]], Callable[[], Left]] | None:
@@ -291,9 +293,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
     if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
-    apart = doubted(verdict, second.in_doubt)
-    verdict = apart if second.entangled is None else doubted(apart, 1.0)
-    return first, dataclasses.replace(second, verdict=verdict, apart=apart)
+    return first, dataclasses.replace(second, apart=doubted(verdict, second.in_doubt))
 
 
 # Samples below which a search would fit noise.

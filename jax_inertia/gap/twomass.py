@@ -51,13 +51,14 @@ def separation(
     rate = derivative(time, carried)
     signals = jnp.asarray(np.stack([needed, rate, inertia, damping, stiffness]))
     period = float(time[1] - time[0])
-    first = jnp.asarray([carried[0], rate[0]])
-    return np.asarray(_separation(signals, first, jnp.asarray(coupling), period, substeps))
+    # As an array: a number would be compiled in, and every log has another.
+    first = jnp.asarray(carried[0])
+    return np.asarray(_separation(signals, jnp.asarray(coupling), first, period, substeps))
 
 
 @eqx.filter_jit
 def _separation(
-    signals: Array, first: Array, coupling: Array, period: float, substeps: int
+    signals: Array, coupling: Array, first: Array, period: float, substeps: int
 ) -> Array:
     k, ratio, gap = coupling.T
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[2]))
@@ -84,7 +85,7 @@ def _separation(
         return state, state[0]
 
     # A log may begin in the middle of a motion.
-    start = first[0] / k + jnp.sign(first[0]) * half
+    start = first / k + jnp.sign(first) * half
     pairs = (signals.T[:-1], signals.T[1:])
-    _, path = jax.lax.scan(sample, (start, first[1] / k), pairs)
+    _, path = jax.lax.scan(sample, (start, signals[1, 0] / k), pairs)
     return jnp.concatenate([start[None], path]).T
