@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from jax_inertia._spec import flatten
 from jax_inertia.mjcf import (
     ModelError,
     body_pi,
@@ -58,11 +59,28 @@ def loadable(spec: mujoco.MjSpec, model: Path) -> str:
         spec.meshdir = str(root / spec.meshdir)
     if spec.textures:
         spec.texturedir = str(root / spec.texturedir)
-    text = spec.to_xml()
     try:
-        mujoco.MjModel.from_xml_string(text)
+        return _loaded(spec.to_xml())
     except ValueError as error:
-        raise ModelError(
-            f"{model}: MuJoCo cannot load what it wrote of this model: {' '.join(str(error).split())}"
-        ) from None
+        if "balanceinertia" not in str(error):
+            raise _unloadable(model, error) from None
+    flatten(spec, DIGITS)
+    try:
+        return _loaded(spec.to_xml())
+    except ValueError as error:
+        raise _unloadable(model, error) from None
+
+
+# MuJoCo writes numbers with six digits: up to this share of one is lost.
+DIGITS = 5e-6
+
+
+def _loaded(text: str) -> str:
+    """The text, once MuJoCo has read it."""
+    mujoco.MjModel.from_xml_string(text)
     return text
+
+
+def _unloadable(model: Path, error: ValueError) -> ModelError:
+    reason = " ".join(str(error).split())
+    return ModelError(f"{model}: MuJoCo cannot load what it wrote of this model: {reason}")

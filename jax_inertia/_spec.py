@@ -96,6 +96,21 @@ def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray
         body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
+def flatten(spec: MjSpec, rounding: float) -> None:
+    """Lessen the largest moment of bodies that are all but flat, so that A + B ≥ C outlives `rounding` of each."""
+    model = spec.compile()
+    for body in spec.bodies:
+        moments = model.body_inertia[body.id].copy()
+        large = int(np.argmax(moments))
+        most = (moments.sum() - moments[large]) * (1.0 - 3.0 * rounding)
+        if not body.explicitinertial or moments[large] <= most:
+            continue
+        moments[large] = most
+        body.inertia, body.iquat = moments, model.body_iquat[body.id]
+        body.fullinertia = np.full(6, np.nan)
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
 def check_pi(
     name: str, pi: Float[Array, "10"] | np.ndarray, known: Sequence[str]
 ) -> tuple[float, np.ndarray, np.ndarray]:

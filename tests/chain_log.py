@@ -54,13 +54,15 @@ def simulate(
     soft=0.0,
     encoder=QPOS,
     listens=False,
+    jitter=None,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
     `motors`: torque noise that the log does not show, of a log that states none; `gain` of all motors; `reach` of the
     friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
     bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint;
-    `encoder`: noise of the positions logged [rad]; `listens`: the controller's speeds are those positions' differences.
+    `encoder`: noise of the positions logged [rad]; `listens`: the controller's speeds are those positions' differences;
+    `jitter`: noise of the commands of a loop twice as quick as the log, which holds every other one.
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
@@ -84,11 +86,16 @@ def simulate(
             v = (qpos[-1] - qpos[-2]) / 0.004 if listens and len(qpos) > 1 else data.qvel
             u = GAINS * (target - data.qpos) + braking * GAINS * (speed - v)
             u += data.qfrc_bias
+            smooth = u.copy()
+            if jitter is not None:
+                u += jitter * rng.standard_normal(JOINTS)
             if motors is None:
                 tau.append(u + TAU * rng.standard_normal(JOINTS))
             else:
                 tau.append(u.copy())
                 u += motors * rng.standard_normal(JOINTS)
+        elif k % 8 == 4 and jitter is not None:
+            u = smooth + jitter * rng.standard_normal(JOINTS)
         # A bristle's law, not the sign of the velocity that the model's friction is taken for.
         bristle = np.clip(bristle + data.qvel * 0.0005 / reach, -1, 1)
         bristle *= np.where(np.abs(data.qvel) < 0.01, np.exp(-0.0005 / creep), 1.0)

@@ -1,5 +1,7 @@
 """Torque noise that a log does not state, and its samples do not show; a chain in MuJoCo C."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -60,6 +62,36 @@ def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
 
 def test_a_log_that_states_its_noise_is_believed(robot):
     assert diagnose(robot, simulate()).trace.torque_noise is None
+
+
+JITTER = 20.0 * TAU
+
+
+def test_commands_between_a_logs_samples_are_no_gap(robot):
+    """A loop twice as quick as the log: half of its rough commands are not in it, whatever noise the sensor states."""
+    found = diagnose(robot, simulate(jitter=JITTER, braking=SOFT))
+    assert found.verdict is Verdict.NO_GAP
+    # The mean of two commands, of which the log has one.
+    assert found.trace.torque_noise == pytest.approx(JITTER / np.sqrt(2.0), rel=0.3)
+    assert any("louder than the noise that the log states" in note for note in found.notes)
+
+
+def test_a_gain_stands_out_of_the_commands_between_samples(robot):
+    gain = np.array([1.0, 1.0, 1.0, 0.8, 1.0])
+    found = diagnose(robot, simulate(jitter=JITTER, braking=SOFT, gain=gain))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("torque_gain", "axis4")
+    number = effect.parameters["gain"]
+    assert number.low < 0.8 < number.high
+
+
+def test_noise_that_samples_do_not_show_is_a_gap(robot):
+    """What a log states of its torques is believed where they are no rougher."""
+    log = simulate(motors=MISSED, braking=SOFT)
+    stated = dataclasses.replace(log, sigma_qpos=np.full(JOINTS, 2e-5), sigma_tau=TAU)
+    assert np.all(sensor_noise(log.tau) < 0.3 * MISSED)
+    assert diagnose(robot, stated).verdict is Verdict.UNKNOWN
 
 
 def test_what_a_log_states_is_no_less():

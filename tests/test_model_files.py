@@ -10,7 +10,7 @@ import pytest
 from bodies import random_bodies
 
 import jax_inertia as ji
-from jax_inertia._model_output import changed_inertials, write_with_inertials
+from jax_inertia._model_output import changed_inertials, loadable, write_with_inertials
 from jax_inertia.mjcf import (
     ModelError,
     body_pi,
@@ -257,6 +257,23 @@ def test_a_model_goes_back_in_the_form_that_it_came_in(leg, arm, tmp_path):
 
 
 # --- models by name ----------------------------------------------------------------------------------------------
+
+
+FLAT = """<mujoco><compiler angle="radian"/><worldbody><body name="vane">
+  <inertial pos="0.063989 0.022546 -0.014608" mass="2.083078"
+    fullinertia="0.003060504572 0.008630326004 0.00934775753 0.002364723186 0.001495245689 0.0005225404235"/>
+  <joint name="turn"/></body></worldbody></mujoco>"""
+
+
+def test_a_flat_body_outlives_the_six_digits_that_mujoco_writes():
+    """Its moments keep A + B = C to 2e-12, and break it once they are rounded."""
+    spec = mujoco.MjSpec.from_string(FLAT)
+    before = spec.compile()
+    with pytest.raises(ValueError, match="A \\+ B >= C"):
+        mujoco.MjModel.from_xml_string(spec.to_xml())
+    after = mujoco.MjModel.from_xml_string(loadable(spec, Path("vane.xml")))
+    assert after.body_inertia[1] == pytest.approx(before.body_inertia[1], rel=3e-5)
+    assert body_pi(after, 1) == pytest.approx(body_pi(before, 1), rel=1e-4, abs=1e-7)
 
 
 @pytest.fixture

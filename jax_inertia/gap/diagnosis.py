@@ -28,7 +28,8 @@ from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import Search, find, finder
-from jax_inertia.gap.shrink import rows_of_gap, what_is_left
+from jax_inertia.gap.sensors import stated
+from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
 from jax_inertia.gap.tied import kind_of_tie, rivals, tied
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
@@ -100,6 +101,15 @@ def diagnose(
             verdict = search.apart
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
+    # A force in passing that is not known for the cause foretells nothing: each stretch is predicted without it.
+    foretold = verdict is Verdict.UNKNOWN
+    steps = tuple(
+        what_is_left(pool, chosen[: k + 1], foretold=foretold) for k in range(len(chosen))
+    )
+    heldout = checked.heldout
+    if foretold and any(c.family.passing for c in chosen):
+        before = prepared.finish_torque(prepared.missing)
+        heldout, _ = held_out(pool, rows, chosen, before, steps[-1], search.replicas)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
     reaches, turned = turning(pool, chosen)
@@ -114,7 +124,7 @@ def diagnose(
         per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
         share=dict(zip(label, evidence.share.tolist(), strict=True)),
         findings=findings,
-        heldout=checked.heldout,
+        heldout=heldout,
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
@@ -123,7 +133,7 @@ def diagnose(
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
-            tuple(what_is_left(pool, chosen[: k + 1]) for k in range(len(chosen))),
+            steps,
             pool.evidence.excused(remaining(pool, chosen)),
             pool.evidence.excused(pool.evidence.charged(turned)),
             reaches,
@@ -211,7 +221,7 @@ def _unmeasured(prepared: Prepared) -> list[str]:
 
 
 def _unstated(search: Search, log: Log) -> list[str]:
-    """What was learned of noise that the log does not state, joint by joint."""
+    """What was learned of noise that the log does not state, or more than it states, joint by joint."""
     noise = search.torque_noise
     if noise is None:
         return []
@@ -222,9 +232,14 @@ def _unstated(search: Search, log: Log) -> list[str]:
         for name, row in context.joint_dofs.items()
         if abs(noise[row] - rough[row]) > 0.1 * rough[row]
     )
+    off = f"torques are taken to be off at random by {listed} N m from sample to sample"
+    if stated(log):
+        return [
+            "what is left is at random, louder than the noise that the log states and no louder than its torques are "
+            f"rough: {off}"
+        ]
     return [
-        "the log states no noise; from what is left, and not from how rough its samples are, torques are taken to be "
-        f"off at random by {listed} N m from sample to sample"
+        f"the log states no noise; from what is left, and not from how rough its samples are, {off}"
     ]
 
 

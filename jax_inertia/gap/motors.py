@@ -9,6 +9,10 @@ joint's share h² is estimated from the energy on each row,
 
 s_i what the other sensors' noise leaves there, G_ij what unit torque noise of joint j does, all in the metric in which
 effects are judged.
+
+What a log states is the least there is: it is of the sensor. A command that changes between two samples of the log,
+as a loop's does that is quicker than its log, acts as the robot's torque and is not in it; such noise is no louder than
+the samples are rough.
 """
 
 import dataclasses
@@ -62,8 +66,9 @@ def torque_noise(
 ) -> tuple[Float[np.ndarray, " nv"], float]:
     """Standard deviation of each row's torque noise, by what effects leave [N m].
 
-    With it, by which factor the noise of some row becomes louder or quieter, where its torque's was `taken` for so much
-    in `replicas` [N m]. `louder`: whether what is left may be all noise; else it only says how loud that is at most.
+    With it, by which factor the noise of some row becomes louder, or quieter where the log states none of its torques:
+    they were `taken` for so much in `replicas` [N m]. `louder`: whether what is left may be all noise; else it only
+    says how loud that is at most.
     """
     rows, robot = _rows(log, prepared.robot), prepared.robot
 
@@ -94,12 +99,17 @@ def torque_noise(
     # Each row's energy is known to about the same share of itself.
     scale = 1.0 / np.maximum(there, others)[seen, None]
     target = scale[:, 0] * np.maximum(there - others, 0.0)[seen]
-    most = np.inf if louder else np.maximum(before, 1e-12)
-    shares = scipy.optimize.lsq_linear(scale * gain[seen], target, (0.0, most)).x
+    least, most = 0.0, np.inf if louder else np.maximum(before, 1e-12)
+    if log.sigma_tau is not None:
+        least = (sensor_noise(tau, log.sigma_tau) / unit) ** 2
+        rough = (sensor_noise(tau) / unit) ** 2
+        most = np.maximum(np.minimum(most, rough), least + 1e-12)
+    shares = scipy.optimize.lsq_linear(scale * gain[seen], target, (least, most)).x
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
     factor = (others + chain + gain @ shares)[seen] / now[seen]
-    return out, float(np.max(np.maximum(factor, 1.0 / factor), initial=1.0))
+    quieter = 1.0 / factor if log.sigma_tau is None else 0.0
+    return out, float(np.max(np.maximum(factor, quieter), initial=1.0))
 
 
 def _rows(log: Log, robot: Robot) -> list[int]:

@@ -203,14 +203,17 @@ class Finder:
         Effects hide in noise that is taken for less than it is, and stand out of it once it is known; so the two are
         found in turn.
         """
-        if stated(self.log):
-            return self, self.search(self.white)
-        evidence = Evidence(self.context.prepared, self.white, self.nuisances)
-        finder = self._as_loud_as(evidence, evidence.y, louder=False)
+        finder = self
+        if not stated(self.log):
+            evidence = Evidence(self.context.prepared, self.white, self.nuisances)
+            finder = self._as_loud_as(evidence, evidence.y, louder=False)
         found = finder.search(finder.white)
         for _ in range(ROUNDS):
             evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
-            other = finder._as_loud_as(evidence, left, louder=self._at_random(evidence, left))
+            louder = self._at_random(evidence, left)
+            if stated(self.log) and not louder:
+                break
+            other = finder._as_loud_as(evidence, left, louder=louder)
             if other is finder:
                 break
             finder, found = other, other.search(other.white)

@@ -78,11 +78,18 @@ def held_out(
     return dataclasses.replace(shrink, interval=interval), sight
 
 
-def what_is_left(pool: Pool, chosen: list[Candidate]) -> np.ndarray:
-    """Missing torque that remains (R, nv), each fold predicted from the others; a push as it was fitted."""
+def what_is_left(pool: Pool, chosen: list[Candidate], *, foretold: bool = False) -> np.ndarray:
+    """Missing torque that remains (R, nv), each fold predicted from the others.
+
+    A push is taken as it was fitted; where only what is `foretold` counts, not at all: nothing foretells it.
+    """
     prepared = pool.context.prepared
     y = prepared.finish_torque(prepared.missing)
-    parts = [prepared.finish_torque(effect_torque(pool.context, c)) for c in chosen]
+    parts = [
+        prepared.finish_torque(effect_torque(pool.context, c))
+        * (0.0 if foretold and c.family.passing else 1.0)
+        for c in chosen
+    ]
     return y - _predicted(pool, chosen, parts, np.zeros_like(y))
 
 
