@@ -94,9 +94,11 @@ class Candidate:
         return self.size * np.log(n) + (2 * np.log(self.grid) if self.grid > 1 else 0.0)
 
 
-def effect_torque(context: Context, c: Candidate) -> Float[np.ndarray, "T nv"]:
-    """A found effect's torque on the fast grid of any log."""
-    columns = c.family.columns(context, c.place, c.shape)
+def effect_torque(
+    context: Context, c: Candidate, shape: Shape | None = None
+) -> Float[np.ndarray, "T nv"]:
+    """A found effect's torque on the fast grid of any log; with other nonlinear numbers than its own, if given."""
+    columns = c.family.columns(context, c.place, c.shape if shape is None else shape)
     values = columns.values @ c.family.weights(context, c.place, c.theta)
     if columns.row is None:
         return values

@@ -53,6 +53,11 @@ def _harm_of(growth: float, before: float, after: float, floor: float) -> float:
     return 0.0 if after - floor < 0.5 * (before - floor) else growth / WORSE_TORQUE
 
 
+def _grown_beyond(there: Shrink) -> float:
+    """Harm of the gap's energy that another motion has more of, beyond what the model's errors and noise may add."""
+    return there.after**2 / max((1.0 + WORSE) * there.before**2 + there.noise**2, 1e-300)
+
+
 def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> Checked:
     """The effects but for those that fit worse than the model alone, held out or on another motion.
 
@@ -81,7 +86,12 @@ def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> 
                 j.after / (j.before + chance + j.allowed + WORSE * max(j.before - j.floor, 0.0)),
                 _harm_of(trial.grown, j.before, j.after, j.floor),
             ]
-        return Checked(effects, max(harm), own, sight, trial)
+        checked = Checked(effects, max(harm), own, sight, trial)
+        if trial is None or checked.seconded(search.verdict) is not Verdict.UNKNOWN:
+            return checked
+        # Causes that this log knows may be true though another motion hardly shows them; guesses have to help there.
+        there = _grown_beyond(trial.shrink)
+        return dataclasses.replace(checked, harm=max(checked.harm, there))
 
     def order(checked: Checked) -> tuple[bool, float]:
         """Those that the other motion bears out wholly first; then by what the log itself says of them."""

@@ -20,6 +20,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
+from jax_inertia.gap.families.joint import DryFriction
 from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
@@ -27,6 +28,7 @@ from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import LEAST, Search
 from jax_inertia.gap.select import acting
 from jax_inertia.gap.shrink import Sight
+from jax_inertia.gap.turning import REACHES
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -126,9 +128,13 @@ class OtherMotion:
         """The effects, and what they leave."""
         evidence = self._evidence
         torques, left, allowed = [], evidence.y, 0.0
-        for c in sorted(chosen, key=lambda c: c.family.passing):
-            torque = self._finished(c)
-            charged = evidence.charged(torque)
+        for c in sorted(
+            chosen, key=lambda c: (c.family.passing, isinstance(c.family, DryFriction))
+        ):
+            torque, charged = min(
+                ((x, evidence.charged(x)) for x in self._ways(c)),
+                key=lambda way: float(np.sum((left - way[1]) ** 2)),
+            )
             if c.family.passing:
                 again = self._again(c, charged, left)
                 if again is not charged:
@@ -141,6 +147,17 @@ class OtherMotion:
 
     def _finished(self, c: Candidate) -> Float[np.ndarray, "R nv"]:
         return self._prepared.finish_torque(effect_torque(self._context, c))
+
+    def _ways(self, c: Candidate) -> Iterator[Float[np.ndarray, "R nv"]]:
+        """An effect as it was; a dry friction also as it turns round over other displacements.
+
+        A log that dwells where it turns round does not tell how soon its friction does.
+        """
+        yield self._finished(c)
+        if isinstance(c.family, DryFriction):
+            for reach in REACHES:
+                torque = effect_torque(self._context, c, (*c.shape[:-1], reach))
+                yield self._prepared.finish_torque(torque)
 
     def _again(
         self, c: Candidate, same: Float[np.ndarray, " n"], left: Float[np.ndarray, " n"]
