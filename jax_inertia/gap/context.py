@@ -3,23 +3,20 @@
 import functools
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy import signal
 
-from jax_inertia import dynamics
+from jax_inertia.gap import derivatives
 from jax_inertia.gap.chain import (
     Prepared,
     below,
-    needed_torque,
     needed_torques,
     without_friction,
 )
-from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import DAMPING, softness
-from jax_inertia.gap.dry import direction, stillness
+from jax_inertia.gap.dry import bristle, direction, share_below, stillness
 from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE
@@ -32,8 +29,6 @@ TURNED = 0.95
 
 # Over which step second derivatives are taken [rad].
 BENT = 0.05
-# Into how many parts a sample's period is divided to see how long a joint is slow.
-PARTS = 8
 # Above this [Hz] accelerations may be the encoders' noise more than what a joint creeps by.
 CREEP_BAND = 40.0
 
@@ -134,7 +129,7 @@ class Context:
     @functools.cached_property
     def regressor(self) -> np.ndarray:
         """Torque regressor of all bodies, with `acceleration` (T, nv, nb, 10)."""
-        return _regressor(self.robot, (self.q, self.v, self.acceleration))
+        return derivatives.regressor(self.robot, (self.q, self.v, self.acceleration))
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -142,7 +137,7 @@ class Context:
 
         Dry friction apart: it depends on the side of a velocity, whose error does not change it.
         """
-        return _sensitivity(without_friction(self.robot), self.prepared.observation)
+        return derivatives.sensitivity(without_friction(self.robot), self.prepared.observation)
 
     def bend(self, row: int) -> np.ndarray:
         """∂²(needed torque)/∂q² along a hinge or slide row, dry friction apart (T, nv)."""
@@ -204,7 +199,7 @@ class Context:
         still, out = np.zeros_like(self.v), []
         for axis in np.eye(3):
             robot = eqx.tree_at(lambda r: r.gravity, self.robot, jnp.asarray(axis))
-            out.append(np.array(_regressor(robot, (self.q, still, still))[..., :4]))
+            out.append(np.array(derivatives.regressor(robot, (self.q, still, still))[..., :4]))
         return out
 
     @functools.cached_property
@@ -220,7 +215,7 @@ class Context:
 
     def contact_torques(self, wrench: Float[np.ndarray, "T C 6"]) -> np.ndarray:
         """Torque of each contact's wrench (T, C, nv)."""
-        return _contact_rows((self.robot, self.contacts), (self.q, wrench))
+        return derivatives.contact_rows((self.robot, self.contacts), (self.q, wrench))
 
     def bristle(self, row: int, reach: float) -> np.ndarray:
         """Friction direction of a joint with presliding (Dahl 1968): dz/dx = (1 − z sign ẋ)/reach, z in [−1, 1] (T,).
@@ -228,7 +223,7 @@ class Context:
         After a reversal the direction turns over a displacement of about `reach` [rad], not at once.
         """
         if (row, reach) not in self._bristles:
-            self._bristles[row, reach] = _bristle(
+            self._bristles[row, reach] = bristle(
                 self.joint_position[:, row], float(np.sign(self.v[0, row])), reach
             )
         return self._bristles[row, reach]
@@ -255,11 +250,7 @@ class Context:
         Held, friction is whatever balances: not the sign of a velocity that is nothing but noise.
         """
         still = stillness(self.frictionloss * self._softness)
-        at = np.arange(len(self.v))
-        parts = (np.arange(len(at) * PARTS) + 0.5) / PARTS - 0.5
-        within = np.stack([np.interp(parts, at, v) for v in self.v.T], axis=1)
-        slow = (np.abs(within) < still) & (self.frictionloss > 0)
-        return slow.reshape(len(at), PARTS, -1).mean(axis=1)
+        return share_below(self.v, still) * (self.frictionloss > 0)
 
     @functools.cached_property
     def _softness(self) -> np.ndarray:
@@ -303,49 +294,3 @@ class Context:
         if 0 < known.sum() < len(known):
             carried = np.interp(self.time, self.time[known], carried[known])
         return self.below(self.prepared.settings.after, carried)
-
-
-def _bristle(x: np.ndarray, start: float, reach: float) -> np.ndarray:
-    out = np.empty(len(x))
-    out[0] = z = start
-    moves = np.diff(x)
-    sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
-    for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
-        z = side + (z - side) * stay
-        out[k + 1] = z
-    return out
-
-
-@over_samples
-def _regressor(robot, x):
-    return dynamics.torque_regressor(robot, *x)
-
-
-@over_samples
-def _sensitivity(robot, o):
-    rows = np.array(
-        [
-            [d, k]
-            for kind, d, k in zip(
-                robot.joint_type, robot.joint_dofadr, robot.joint_qposadr, strict=True
-            )
-            if kind in (HINGE, SLIDE)
-        ]
-    ).reshape(-1, 2)
-    dofs, adrs = rows[:, 0], rows[:, 1]
-
-    def needed(dq, v, a):
-        return needed_torque(robot, o.motion.q.at[adrs].add(dq), v, a, o)
-
-    wide, dv, da = jax.jacfwd(needed, argnums=(0, 1, 2))(
-        jnp.zeros(len(adrs), o.motion.q.dtype), o.motion.v, o.a
-    )
-    return jnp.zeros_like(da).at[:, dofs].set(wide), dv, da
-
-
-@over_samples
-def _contact_rows(shared, x):
-    robot, bodies = shared
-    q, w = x
-    alone = jnp.eye(len(bodies))[:, :, None] * w
-    return jax.vmap(lambda x: dynamics.contact_torque(robot, q, x, bodies))(alone)

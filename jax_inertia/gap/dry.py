@@ -12,6 +12,8 @@ from scipy import signal
 SIGN_VELOCITY = 0.003
 # Slower than this [rad/s] for longer than this [s] is standing still.
 STILL, DWELL = 0.012, 0.04
+# Into how many parts a sample's period is divided to see how long a joint is slow.
+PARTS = 8
 # A joint whose model creeps by its own friction stands still where it is no faster than this many times that speed; but
 # not where it is faster than this [rad/s]: beside a link that weighs nothing a model creeps for radians a second.
 CREEPING, FASTEST = 1.3, 0.06
@@ -44,3 +46,25 @@ def direction(
 ) -> Float[np.ndarray, "T n"]:
     """What multiplies a level of friction: the sign of velocity, zero at rest."""
     return np.where(rest, 0.0, sign(v))
+
+
+def share_below(
+    v: Float[np.ndarray, "T n"], still: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "T n"]:
+    """Share of each sample's period in which velocities, linear from sample to sample, are below a speed."""
+    at = np.arange(len(v))
+    parts = (np.arange(len(at) * PARTS) + 0.5) / PARTS - 0.5
+    within = np.stack([np.interp(parts, at, x) for x in v.T], axis=1)
+    return (np.abs(within) < still).reshape(len(at), PARTS, -1).mean(axis=1)
+
+
+def bristle(x: Float[np.ndarray, " T"], start: float, reach: float) -> Float[np.ndarray, " T"]:
+    """z in [−1, 1] along a path x, dz/dx = (1 − z sign ẋ)/reach from z = start (Dahl 1968)."""
+    out = np.empty(len(x))
+    out[0] = z = start
+    moves = np.diff(x)
+    sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
+    for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
+        z = side + (z - side) * stay
+        out[k + 1] = z
+    return out

@@ -103,7 +103,7 @@ def torque_noise(
     if log.sigma_tau is not None:
         least = (sensor_noise(tau, log.sigma_tau) / unit) ** 2
         rough = (sensor_noise(tau) / unit) ** 2
-        most = np.maximum(np.minimum(most, rough), least + 1e-12)
+        most = np.maximum(np.minimum(most, rough), (1.0 + 1e-6) * least + 1e-12)
     shares = scipy.optimize.lsq_linear(scale * gain[seen], target, (least, most)).x
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)

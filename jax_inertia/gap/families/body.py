@@ -71,8 +71,8 @@ class ComShift(Inertial):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
 
 
-# No link has this many times more rotational inertia than its model: what a motor adds about its own axis can be more.
-MOST = 9.0
+# No link has so many times more rotational inertia than its model, or less: a motor about its own axis may.
+MOST = 10.0
 
 
 class LinkInertia(Inertial):
@@ -93,7 +93,7 @@ class LinkInertia(Inertial):
         return np.array([0.0, 0.0, 0.0, 0.0, *(theta[0] * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
     def physical(self, context, place, shape, theta):
-        return bool(-0.98 < theta[0] < MOST)
+        return bool(1.0 / MOST < 1.0 + theta[0] < MOST)
 
     def parameters(self, context, place, shape, theta):
         return {"inertia_scale": Parameter(1.0 + theta[0], "1")}
