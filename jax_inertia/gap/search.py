@@ -211,13 +211,22 @@ class Finder:
         for _ in range(ROUNDS):
             evidence, left = found.pool.evidence, remaining(found.pool, found.chosen)
             louder = self._at_random(evidence, left)
-            if stated(self.log) and not louder:
+            if stated(self.log) and not (louder and finder._more_than_noise(evidence, left)):
                 break
             other = finder._as_loud_as(evidence, left, louder=louder)
             if other is finder:
                 break
             finder, found = other, other.search(other.white)
         return finder, found
+
+    def _more_than_noise(self, evidence: Evidence, left: Float[np.ndarray, " n"]) -> bool:
+        """Whether some row has more energy left than its noise, so that there is noise to learn."""
+
+        def energy(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
+            return np.sum(evidence.unflatten(x) ** 2, axis=0)
+
+        noise = np.mean([energy(evidence.charged(x)) for x in self.replicas], axis=0)
+        return bool(np.any(energy(left) > LOUDER * noise))
 
     def _as_loud_as(
         self, evidence: Evidence, left: Float[np.ndarray, " n"], *, louder: bool
