@@ -137,3 +137,16 @@ def test_joints_that_halt_as_they_turn_round_have_no_gap(friction):
 
     found = diagnose(robot, simulate_arm(turning, noise=0.3, seed=2))
     assert found.verdict is Verdict.NO_GAP
+
+
+def test_a_found_friction_may_turn_round_over_another_displacement_elsewhere():
+    """A log does not always tell over which; a cold gearbox has another than a warm one."""
+    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
+    friction = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+    log = simulate(friction=friction, reach=1e-4)
+    found = diagnose(robot, log, test_log=simulate(friction=friction, reach=3e-3, seed=4))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("coulomb_friction", "axis3")
+    assert found.test is not None
+    assert found.test.after < 0.06 * found.test.before

@@ -1,4 +1,4 @@
-"""What DIAGNOSES.md stands on: models and logs as prepared, the published fits, the comparison; no diagnosis is run."""
+"""What DIAGNOSES.md stands on: models and logs as prepared, the published fits, the comparison; and one diagnosis."""
 
 import sys
 from pathlib import Path
@@ -15,6 +15,8 @@ import diagnosis_summary as summary
 import logs
 
 import jax_inertia as ji
+from jax_inertia import _diagnose_run as pipeline
+from jax_inertia.gap import Verdict
 
 pytestmark = pytest.mark.skipif(
     not logs.SHARED.is_dir(),
@@ -96,3 +98,15 @@ def test_what_no_robot_has_is_called_so(found, physical):
     assert (doubt == "") == physical
     if found["family"] == "armature":
         assert summary._doubt(CASES["panda"], found, peak={"j": 1.0}, inertia={"j": 1.0})
+
+
+def test_guesses_that_the_other_run_speaks_against_are_withdrawn(tmp_path):
+    """A servo whose friction is no effect of the library: a force that adds to the gap of the other run is left out."""
+    case = CASES["xl330"]
+    files = case.prepare(tmp_path)
+    inputs = pipeline.read(files.model, files.log, files.test, ())
+    found = pipeline.diagnosis(inputs, (), case.max_effects, lambda stage: None).found
+    assert found.verdict is Verdict.UNKNOWN
+    assert [f.family for f in found.findings] == ["viscous_friction"]
+    assert found.test is not None
+    assert found.test.after < 0.85 * found.test.before
