@@ -18,11 +18,16 @@ class ModelWarning(UserWarning):
 def repair(spec: mujoco.MjSpec, path: Path) -> None:
     """Make inertials of a URDF's links such that MuJoCo compiles them; what that changes is warned of by name.
 
-    A moment of inertia that is negative is raised to the least that a body can have. Links that move and have no
-    mass (three hinges in one place stand for a ball joint) are given a nanogram.
+    A moment of inertia that is negative is raised to the least that a body can have. A link that states no inertial
+    beside others that do has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
+    move and have no mass (three hinges in one place stand for a ball joint) are given a nanogram.
     """
     raised, weightless = [], []
+    some = any(body.explicitinertial for body in spec.bodies)
     for body in spec.bodies:
+        if some and body.name != "world" and not body.explicitinertial:
+            for geom in body.geoms:
+                geom.mass = 0.0
         if body.explicitinertial and _without_negative(body):
             raised.append(body.name)
         if body.name == "world" or not body.joints:

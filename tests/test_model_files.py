@@ -4,6 +4,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from bodies import random_bodies
 
 import jax_inertia as ji
 from jax_inertia._model_output import changed_inertials, loadable, write_with_inertials
+from jax_inertia.dynamics import inverse_dynamics
 from jax_inertia.mjcf import (
     ModelError,
     body_pi,
@@ -236,6 +238,27 @@ def test_a_urdf_with_links_that_mujoco_refuses_is_read_and_said(tmp_path):
     xx, xy, xz, yy, yz, zz = np.asarray(robot.pi)[2, 4:]
     about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - np.diag([0.01, 0.01, 0])
     np.testing.assert_allclose(np.linalg.eigvalsh(about), [0.001, 0.02, 0.021], rtol=1e-6)
+
+
+BUMPER = """<robot name="r"><link name="base"/>
+  <link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.002"/></inertial></link>
+  <link name="bumper"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="j1" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+  <joint name="bolt" type="fixed"><parent link="arm"/><child link="bumper"/><origin xyz="0 0 0.3"/></joint></robot>"""
+
+
+def test_a_urdf_s_link_without_an_inertial_has_no_mass(tmp_path):
+    """MuJoCo would make the bumper a ball of water of 4 kg; a robot that came with Pinocchio weighed 132 kg for 36."""
+    pinocchio = pytest.importorskip("pinocchio")
+    (tmp_path / "r.urdf").write_text(BUMPER)
+    robot = ji.load_model(tmp_path / "r.urdf")
+    other = pinocchio.buildModelFromXML(BUMPER)
+    q, v, a = np.array([0.4]), np.array([0.7]), np.array([1.3])
+    want = pinocchio.rnea(other, other.createData(), np.array([np.cos(0.4), np.sin(0.4)]), v, a)
+    np.testing.assert_allclose(
+        inverse_dynamics(robot, *map(jnp.asarray, (q, v, a))), want, rtol=1e-9
+    )
 
 
 def test_a_model_goes_back_in_the_form_that_it_came_in(leg, arm, tmp_path):
