@@ -59,28 +59,25 @@ def loadable(spec: mujoco.MjSpec, model: Path) -> str:
         spec.meshdir = str(root / spec.meshdir)
     if spec.textures:
         spec.texturedir = str(root / spec.texturedir)
-    try:
-        return _loaded(spec.to_xml())
-    except ValueError as error:
-        if "balanceinertia" not in str(error):
-            raise _unloadable(model, error) from None
-    flatten(spec, DIGITS)
-    try:
-        return _loaded(spec.to_xml())
-    except ValueError as error:
-        raise _unloadable(model, error) from None
+    text = spec.to_xml()
+    refused = _refusal(text)
+    if "balanceinertia" in refused:
+        flatten(spec, DIGITS)
+        text = spec.to_xml()
+        refused = _refusal(text)
+    if refused:
+        raise ModelError(f"{model}: MuJoCo cannot load what it wrote of this model: {refused}")
+    return text
 
 
 # MuJoCo writes numbers with six digits: up to this share of one is lost.
 DIGITS = 5e-6
 
 
-def _loaded(text: str) -> str:
-    """The text, once MuJoCo has read it."""
-    mujoco.MjModel.from_xml_string(text)
-    return text
-
-
-def _unloadable(model: Path, error: ValueError) -> ModelError:
-    reason = " ".join(str(error).split())
-    return ModelError(f"{model}: MuJoCo cannot load what it wrote of this model: {reason}")
+def _refusal(text: str) -> str:
+    """Why MuJoCo does not load a model, in one line; nothing if it does."""
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return ""

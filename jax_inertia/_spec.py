@@ -91,9 +91,8 @@ def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray
     for name, (mass, com, moments, quat) in inertials.items():
         body = known[name]
         body.explicitinertial = True
-        body.mass, body.ipos, body.iquat, body.inertia = mass, com, quat, moments
-        body.fullinertia = np.full(6, np.nan)
-        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        body.mass, body.ipos = mass, com
+        _set_moments(body, moments, quat)
 
 
 def flatten(spec: MjSpec, rounding: float) -> None:
@@ -106,9 +105,14 @@ def flatten(spec: MjSpec, rounding: float) -> None:
         if not body.explicitinertial or moments[large] <= most:
             continue
         moments[large] = most
-        body.inertia, body.iquat = moments, model.body_iquat[body.id]
-        body.fullinertia = np.full(6, np.nan)
-        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        _set_moments(body, moments, model.body_iquat[body.id])
+
+
+def _set_moments(body: mujoco.MjsBody, moments: np.ndarray, quat: np.ndarray) -> None:
+    """Principal moments about axes turned by `quat`, in place of whatever form of inertia was written."""
+    body.inertia, body.iquat = moments, quat
+    body.fullinertia = np.full(6, np.nan)
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def check_pi(

@@ -22,6 +22,14 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
 
 
+def assert_only_a_gain(found, joint, gain):
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("torque_gain", joint)
+    number = effect.parameters["gain"]
+    assert number.low < gain < number.high
+
+
 def test_what_motors_miss_is_told_joint_by_joint(robot):
     found = diagnose(robot, simulate(motors=MISSED, braking=SOFT))
     assert found.verdict is Verdict.NO_GAP
@@ -33,11 +41,7 @@ def test_what_motors_miss_is_told_joint_by_joint(robot):
 def test_a_gain_stands_out_of_the_noise_of_motors(robot):
     gain = np.array([1.0, 1.0, 1.0, 0.9, 1.0])
     found = diagnose(robot, simulate(motors=MISSED, braking=SOFT, gain=gain))
-    assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
-    assert (effect.family, effect.place.name) == ("torque_gain", "axis4")
-    number = effect.parameters["gain"]
-    assert number.low < 0.9 < number.high
+    assert_only_a_gain(found, "axis4", 0.9)
     assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.25)
 
 
@@ -53,11 +57,7 @@ def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
     assert np.all(rough > TAU)
     found = diagnose(robot, log)
     assert np.all(found.trace.torque_noise < 0.5 * rough)
-    assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
-    assert (effect.family, effect.place.name) == ("torque_gain", "axis3")
-    number = effect.parameters["gain"]
-    assert number.low < 0.9988 < number.high
+    assert_only_a_gain(found, "axis3", 0.9988)
 
 
 def test_a_log_that_states_its_noise_is_believed(robot):
@@ -79,11 +79,7 @@ def test_commands_between_a_logs_samples_are_no_gap(robot):
 def test_a_gain_stands_out_of_the_commands_between_samples(robot):
     gain = np.array([1.0, 1.0, 1.0, 0.8, 1.0])
     found = diagnose(robot, simulate(jitter=JITTER, braking=SOFT, gain=gain))
-    assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
-    assert (effect.family, effect.place.name) == ("torque_gain", "axis4")
-    number = effect.parameters["gain"]
-    assert number.low < 0.8 < number.high
+    assert_only_a_gain(found, "axis4", 0.8)
 
 
 def test_noise_that_samples_do_not_show_is_a_gap(robot):

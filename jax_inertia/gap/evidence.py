@@ -227,6 +227,10 @@ class Evidence:
         """Charged misfit of noise alone: the mean over its replicas, finished but not whitened."""
         return float(np.mean([np.sum(self.charged(x) ** 2) for x in replicas]))
 
+    def noise_by_row(self, replicas: Float[np.ndarray, "K R nv"]) -> Float[np.ndarray, " nv"]:
+        """Charged energy of noise alone on each row, likewise."""
+        return np.mean([self.by_row(self.charged(x)) for x in replicas], axis=0)
+
     @functools.cached_property
     def slow_modes(self) -> int:
         """Cosines in time that hold nine tenths of the needed torque, between 1 and 5 Hz."""
@@ -274,6 +278,10 @@ class Evidence:
         out = np.zeros((*self.used.shape, *x.shape[1:]))
         out[self.used] = x
         return out
+
+    def by_row(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
+        """Energy of whitened samples on each row."""
+        return np.sum(self.unflatten(x) ** 2, axis=0)
 
     def part(self, count: int) -> Int[np.ndarray, " n"]:
         """Which of `count` equal stretches of the log each sample lies in."""

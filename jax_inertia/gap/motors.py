@@ -72,9 +72,6 @@ def torque_noise(
     """
     rows, robot = _rows(log, prepared.robot), prepared.robot
 
-    def energy(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
-        return np.sum(evidence.unflatten(x) ** 2, axis=0)
-
     tau = np.asarray(log.tau, float)
     unit = UNIT * np.maximum(np.nanstd(tau, axis=0), 1e-9)
     rng = np.random.default_rng(0)
@@ -85,16 +82,13 @@ def torque_noise(
         for k, row in enumerate(rows):
             alone = np.zeros_like(torque)
             alone[:, row] = torque[:, row]
-            gain[:, k] += energy(evidence.charged(prepared.finish_torque(alone))) / DRAWS
-
-    def energies(draws: Float[np.ndarray, "K R nv"]) -> Float[np.ndarray, " nv"]:
-        return np.mean([energy(evidence.charged(x)) for x in draws], axis=0)
-
-    now, chain = energies(replicas), energies(arithmetic(prepared, rng, replicas.shape))
+            gain[:, k] += evidence.by_row(evidence.charged(prepared.finish_torque(alone))) / DRAWS
+    now = evidence.noise_by_row(replicas)
+    chain = evidence.noise_by_row(arithmetic(prepared, rng, replicas.shape))
     before = (taken[rows] / unit) ** 2
     # The chain's arithmetic is seldom as bad as it is taken for.
     others = np.maximum(now - chain - gain @ before, 0.0)
-    there = energy(left)
+    there = evidence.by_row(left)
     seen = (there > 0) & (now > 0)
     # Each row's energy is known to about the same share of itself.
     scale = 1.0 / np.maximum(there, others)[seen, None]

@@ -28,7 +28,7 @@ from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import LEAST, Search
 from jax_inertia.gap.select import acting
 from jax_inertia.gap.shrink import Sight
-from jax_inertia.gap.turning import REACHES
+from jax_inertia.gap.turning import REACHES, turning_over
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -116,7 +116,7 @@ class OtherMotion:
         again = misfit.after - misfit.floor < 0.5 * (misfit.before - misfit.floor)
         if not again or second_look(verdict, misfit) is Verdict.UNKNOWN:
             return seen, []
-        left = np.sum(self._evidence.unflatten(trial.left) ** 2, axis=0) * ~acts
+        left = self._evidence.by_row(trial.left) * ~acts
         loud = np.flatnonzero(left > LOUD * left.max())
         names = {dof: name for name, dof in self._context.joint_dofs.items()}
         where = " and ".join(dict.fromkeys(names.get(j, "the base") for j in loud.tolist()))
@@ -156,8 +156,7 @@ class OtherMotion:
         yield self._finished(c)
         if isinstance(c.family, DryFriction):
             for reach in REACHES:
-                torque = effect_torque(self._context, c, (*c.shape[:-1], reach))
-                yield self._prepared.finish_torque(torque)
+                yield self._prepared.finish_torque(turning_over(self._context, c, reach))
 
     def _again(
         self, c: Candidate, same: Float[np.ndarray, " n"], left: Float[np.ndarray, " n"]

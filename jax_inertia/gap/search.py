@@ -221,12 +221,7 @@ class Finder:
 
     def _more_than_noise(self, evidence: Evidence, left: Float[np.ndarray, " n"]) -> bool:
         """Whether some row has more energy left than its noise, so that there is noise to learn."""
-
-        def energy(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
-            return np.sum(evidence.unflatten(x) ** 2, axis=0)
-
-        noise = np.mean([energy(evidence.charged(x)) for x in self.replicas], axis=0)
-        return bool(np.any(energy(left) > LOUDER * noise))
+        return bool(np.any(evidence.by_row(left) > LOUDER * evidence.noise_by_row(self.replicas)))
 
     def _as_loud_as(
         self, evidence: Evidence, left: Float[np.ndarray, " n"], *, louder: bool

@@ -233,8 +233,8 @@ def _likelier(
 def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
     """How many effects leave less than a share of the energy on the rows where they act."""
     evidence = pool.evidence
-    before = np.sum(evidence.unflatten(evidence.y) ** 2, axis=0)
-    after = np.sum(evidence.unflatten(remaining(pool, chosen)) ** 2, axis=0)
+    before = evidence.by_row(evidence.y)
+    after = evidence.by_row(remaining(pool, chosen))
     count = 0
     for c in chosen:
         acts = acting(effect_torque(pool.context, c), evidence.whitener.sigma)

@@ -85,12 +85,8 @@ def what_is_left(pool: Pool, chosen: list[Candidate], *, foretold: bool = False)
     """
     prepared = pool.context.prepared
     y = prepared.finish_torque(prepared.missing)
-    parts = [
-        prepared.finish_torque(effect_torque(pool.context, c))
-        * (0.0 if foretold and c.family.passing else 1.0)
-        for c in chosen
-    ]
-    return y - _predicted(pool, chosen, parts, np.zeros_like(y))
+    parts = [prepared.finish_torque(effect_torque(pool.context, c)) for c in chosen]
+    return y - _predicted(pool, chosen, parts, np.zeros_like(y), once=0.0 if foretold else 1.0)
 
 
 def misfit_held_out(pool: Pool, chosen: list[Candidate]) -> float:
@@ -102,9 +98,14 @@ def misfit_held_out(pool: Pool, chosen: list[Candidate]) -> float:
 
 
 def _predicted(
-    pool: Pool, chosen: list[Candidate], parts: list[np.ndarray], out: np.ndarray, folds: int = 5
+    pool: Pool,
+    chosen: list[Candidate],
+    parts: list[np.ndarray],
+    out: np.ndarray,
+    once: float = 1.0,
+    folds: int = 5,
 ) -> np.ndarray:
-    """Σ effects, each as large on a fifth of the log as the other four say."""
+    """Σ effects, each as large on a fifth of the log as the other four say, and `once` as large if it happened once."""
     if not chosen:
         return out
     columns, target = stacked(pool, chosen)
@@ -116,7 +117,7 @@ def _predicted(
         theta = solved(columns[train], target[train], own)
         for part, c, share in zip(parts, chosen, _share_of(theta, own, chosen), strict=True):
             # What happened once, in this fold, cannot be predicted from the others.
-            out[fold_of == fold] += (1.0 if c.family.passing else share) * part[fold_of == fold]
+            out[fold_of == fold] += (once if c.family.passing else share) * part[fold_of == fold]
     return out
 
 

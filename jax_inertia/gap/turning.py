@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.joint import DryFriction, turned_round
 from jax_inertia.gap.pool import Pool
 
@@ -50,14 +51,13 @@ def turning(
             z = turned_round(context, row, reach)
             rubbed = own * (context.side[:, row] - z)
             for c in found:
-                rubbed = rubbed + _torque(pool, c, reach)
+                rubbed = rubbed + turning_over(context, c, reach)[:, row]
             tried.append(left[:, seen] - prepared.finish_torque(rubbed, row))
         best = int(np.argmin([np.sum(x[used[:, seen]] ** 2) for x in tried]))
         reaches[row], left[:, seen] = ways[best] if ways[best] >= 0 else CREEPS, tried[best]
     return reaches, left
 
 
-def _torque(pool: Pool, c: Candidate, reach: float) -> Float[np.ndarray, " T"]:
-    """A found friction's torque on its row where it turns over `reach`."""
-    columns = c.family.columns(pool.context, c.place, (*c.shape[:-1], reach))
-    return columns.values @ c.family.weights(pool.context, c.place, c.theta)
+def turning_over(context: Context, c: Candidate, reach: float) -> Float[np.ndarray, "T nv"]:
+    """A found friction's torque on the fast grid of any log, where it turns round over `reach`."""
+    return effect_torque(context, c, (*c.shape[:-1], reach))
