@@ -3,8 +3,9 @@
     python benchmarks/gap/evaluate.py DATA --jobs 2 --out DATA/results [--baselines with|only]
 
 DATA holds STRATUM/logs and STRATUM/truth. Only this file reads both truth and diagnosis; the diagnosis itself sees
-a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md. `--baselines with` scores
-what an engineer would try on the same logs; `only` adds that to the results.json of an earlier run.
+a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md; logs that an earlier call's
+results.json holds are not diagnosed again. `--baselines with` scores what an engineer would try on the same logs; `only`
+adds that to the results.json of an earlier run.
 """
 
 from __future__ import annotations
@@ -208,13 +209,17 @@ def _words(effects: list) -> str:
 
 
 def diagnosed(jobs: list[tuple[str, str, str]], workers: int, results: Path) -> list[dict]:
-    """A row for each log, by the diagnosis; what is done so far is in `results`."""
-    rows = []
+    """A row for each log, by the diagnosis; what is done so far is in `results`, and is not done again."""
+    rows = json.loads(results.read_text()) if results.exists() else []
+    done = {(r["stratum"], r["log"]) for r in rows}
+    left = [job for job in jobs if job[1:] not in done]
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        for k, row in enumerate(pool.imap_unordered(run, jobs)):
+        for row in pool.imap_unordered(run, left):
             rows.append(row)
-            print(f"\r{k + 1} of {len(jobs)}", end="", flush=True)
-            results.write_text(json.dumps(rows))
+            print(f"\r{len(rows)} of {len(jobs)}", end="", flush=True)
+            part = results.with_suffix(".part")
+            part.write_text(json.dumps(rows))
+            part.replace(results)
     return sorted(rows, key=lambda r: (r["stratum"], r["log"]))
 
 

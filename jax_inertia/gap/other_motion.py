@@ -38,6 +38,9 @@ TRIES = 60
 # Rows with more than this share of what is left on the row where most is are told of.
 LOUD = 0.1
 
+Way = tuple[Float[np.ndarray, "R nv"], Float[np.ndarray, " n"]]
+"""An effect's torque here, finished, and the same charged."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
@@ -80,6 +83,7 @@ class OtherMotion:
 
     def _judge_by(self, evidence: Evidence) -> None:
         self._evidence, self._floor = evidence, evidence.noise_energy(self._replicas)
+        self._seen: dict[int, tuple[Candidate, list[Way]]] = {}
 
     def trial(self, chosen: list[Candidate], sight: Sight) -> Trial:
         """Missing torque, where the first log's gap is measured, and misfit with and without the effects."""
@@ -132,8 +136,7 @@ class OtherMotion:
             chosen, key=lambda c: (c.family.passing, isinstance(c.family, DryFriction))
         ):
             torque, charged = min(
-                ((x, evidence.charged(x)) for x in self._ways(c)),
-                key=lambda way: float(np.sum((left - way[1]) ** 2)),
+                self._ways(c), key=lambda way: float(np.sum((left - way[1]) ** 2))
             )
             if c.family.passing:
                 again = self._again(c, charged, left)
@@ -148,15 +151,20 @@ class OtherMotion:
     def _finished(self, c: Candidate) -> Float[np.ndarray, "R nv"]:
         return self._prepared.finish_torque(effect_torque(self._context, c))
 
-    def _ways(self, c: Candidate) -> Iterator[Float[np.ndarray, "R nv"]]:
+    def _ways(self, c: Candidate) -> list[Way]:
         """An effect as it was; a dry friction also as it turns round over other displacements.
 
-        A log that dwells where it turns round does not tell how soon its friction does.
+        A log that dwells where it turns round does not tell how soon its friction does. Kept: an effect is tried in
+        one set of effects after another.
         """
-        yield self._finished(c)
-        if isinstance(c.family, DryFriction):
-            for reach in REACHES:
-                yield self._prepared.finish_torque(turning_over(self._context, c, reach))
+        if id(c) not in self._seen:
+            torques = [self._finished(c)]
+            if isinstance(c.family, DryFriction):
+                over = (turning_over(self._context, c, reach) for reach in REACHES)
+                torques += [self._prepared.finish_torque(x) for x in over]
+            # With the effect itself, which keeps its `id` its own.
+            self._seen[id(c)] = c, [(x, self._evidence.charged(x)) for x in torques]
+        return self._seen[id(c)][1]
 
     def _again(
         self, c: Candidate, same: Float[np.ndarray, " n"], left: Float[np.ndarray, " n"]

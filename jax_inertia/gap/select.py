@@ -205,14 +205,19 @@ def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
             if not options or options[0].same_as(chosen[i]):
                 continue
             trial = settle(pool, [*others[:i], options[0], *others[i:]], floor)
-            # Beside the others, the same cause at its place may do with fewer numbers.
-            same = options[0].key == chosen[i].key
-            fewer = same and options[0].family.freer is chosen[i].family
-            if fewer or _likelier(pool, trial, chosen, floor):
+            # Beside the others, the same cause at its place may do with fewer numbers, or a law that it contains.
+            if _contained(options[0], chosen[i]) or _likelier(pool, trial, chosen, floor):
                 chosen, improved = trial, True
         if not improved:
             break
     return chosen
+
+
+def _contained(these: Candidate, those: Candidate) -> bool:
+    """Whether one is the other with fewer numbers, at its place."""
+    if these.place != those.place:
+        return False
+    return these.family.freer is those.family or these.family.name in those.family.simpler
 
 
 # By how much likelier (twice the log of the odds) effects are than those they are swapped for.
