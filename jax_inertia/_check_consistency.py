@@ -17,11 +17,15 @@ from jax_inertia.motion import body_rates
 _WINDOW = 0.03
 _MAX_LAG = 0.1
 _MOVED = 1e-2
+_ABOVE = 3.0
 _DEGREE = np.pi / 180
 
 
 def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
-    """`qvel` against dqpos/dt, joint by joint: sign, scale, delay, swapped columns."""
+    """`qvel` against dqpos/dt, joint by joint: sign, scale, delay, swapped columns.
+
+    Joints that hardly move show their encoder's noise, and how others shake them: they are not judged.
+    """
     if log.qvel is None:
         return
     window = _window(time)
@@ -29,10 +33,13 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
     rate = _mean(np.asarray(log.qvel), time, window)
     period = float(np.median(np.diff(time)))
     spread = np.std(slope, axis=0)
+    noise = np.sqrt(2.0) * _encoder_noise(np.asarray(log.qpos)) / (window * period)
     moving = [
         j
         for j in range(slope.shape[1])
-        if np.ptp(log.qpos[:, j]) > _MOVED and np.std(rate[:, j]) > 0
+        if np.ptp(log.qpos[:, j]) > _MOVED
+        and spread[j] > _ABOVE * noise[j]
+        and np.std(rate[:, j]) > 0
     ]
     for j in moving:
         name = log.joint_names[j]
@@ -178,6 +185,11 @@ def _mean(x: np.ndarray, time: np.ndarray, window: int) -> np.ndarray:
     return _mean_slope(
         np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(steps, axis=0)]), time, window
     )
+
+
+def _encoder_noise(qpos: np.ndarray) -> np.ndarray:
+    """Standard deviation of white noise in each column, by third differences: a motion has next to none."""
+    return np.std(np.diff(qpos, 3, axis=0), axis=0) / np.sqrt(20.0)
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> float:

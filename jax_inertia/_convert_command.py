@@ -97,6 +97,7 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where the log or the model cannot be used."""
     from jax_inertia._console import stages, warn
+    from jax_inertia._model_of_log import afloat
     from jax_inertia.log import LogError, read_log, write_log
     from jax_inertia.mjcf import load_model
     from jax_inertia.preflight import Severity, preflight
@@ -126,6 +127,8 @@ def run(args: argparse.Namespace) -> int:
         robot = None if args.model is None else load_model(args.model)
         stage("reading the log")
         log = read_log(args.log, options=options, names=robot)
+        if robot is not None and args.model is not None:
+            robot, _ = afloat(robot, args.model, log)
         stage("looking at the log")
         found = preflight(log, robot)
         try:

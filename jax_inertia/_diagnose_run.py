@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jax_inertia._console import warn
+from jax_inertia._model_of_log import afloat
 from jax_inertia._model_output import changed_inertials, loadable
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import diagnose
@@ -71,6 +72,9 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
     gains, unit = [], ""
     for path in (log, *([] if test_log is None else [test_log])):
         one = read_log(path, names=robot)
+        if not logs:
+            robot, told = afloat(robot, model, one)
+            quality += told
         found = preflight(one, robot)
         try:
             found.raise_for_errors()
@@ -111,7 +115,8 @@ def diagnosis(
         progress=stage,
     )
     stage("rolling models out in MuJoCo")
-    nominal, wanted = load_spec(inputs.model), load_spec(inputs.model)
+    floats = is_urdf(model_path(inputs.model)) and inputs.robot.has_free_base
+    nominal, wanted = (load_spec(inputs.model, floating_base=floats) for _ in range(2))
     correction = corrected(wanted, effects_of(found))
     rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace)
     report = to_report(found, rollouts=rolled, quality=inputs.quality)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia import batch, charts, logfilter
 from jax_inertia._console import warn
+from jax_inertia._model_of_log import afloat
 from jax_inertia._names import suggestion
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation
@@ -82,14 +83,15 @@ class Result:
 def read(args: argparse.Namespace) -> Inputs:
     """Read model and logs, and look at them before anything is computed."""
     robot = load_model(args.model)
+    log, *references = [read_log(path, names=robot) for path in (args.log, *(args.calibrate or ()))]
+    robot, told = afloat(robot, args.model, log)
     for name in args.bodies:
         if name not in robot.body_names:
             raise ValueError(
                 f"{args.model} has no moving body {name!r}; {suggestion(name, robot.body_names)}"
             )
     resolve_bodies(robot, args.bodies)
-    log, *references = [read_log(path, names=robot) for path in (args.log, *(args.calibrate or ()))]
-    findings = []
+    findings = [*told]
     for path, one in zip((args.log, *(args.calibrate or ())), (log, *references), strict=True):
         found = preflight(one, robot)
         try:

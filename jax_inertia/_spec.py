@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jax_inertia._descriptions import PREFIX, description
 from jax_inertia._model_text import ModelError, check_model
 from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia._urdf_base import with_floating_base
 from jax_inertia._urdf_repair import ModelWarning, repair
 
 # What MuJoCo raises of a model; RuntimeError is what it makes of memory that ran out.
@@ -23,10 +24,10 @@ def model_path(model: str | Path) -> Path:
     return description(name.removeprefix(PREFIX)) if name.startswith(PREFIX) else Path(model)
 
 
-def load_spec(path: str | Path) -> MjSpec:
+def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
     """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot.
 
-    What the file asks for is checked first: it may come from anywhere.
+    What the file asks for is checked first: it may come from anywhere. `floating_base` as of `load_model`.
     """
     path = model_path(path)
     if path.is_dir():
@@ -34,8 +35,12 @@ def load_spec(path: str | Path) -> MjSpec:
     if not path.is_file():
         raise ModelError(f"{path}: no such model file")
     root = check_model(path)
+    if floating_base and root != "robot":
+        raise ModelError(
+            f"{path}: MJCF says itself whether its base floats; give its base a <freejoint/>"
+        )
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
     except _REFUSALS as error:
         raise ModelError(f"{path}: {error}") from None
     # A welded link must stay a body of its own: its parameters may be what is asked for.
@@ -43,6 +48,15 @@ def load_spec(path: str | Path) -> MjSpec:
     _drop_missing_meshes(spec, path)
     if root == "robot":
         repair(spec, path)
+    return spec
+
+
+def _afloat(path: Path) -> MjSpec:
+    """The spec of a URDF whose root link moves freely."""
+    text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+    spec = mujoco.MjSpec.from_string(text)
+    # Meshes lie beside the file, whatever was read.
+    spec.modelfiledir = str(path.parent)
     return spec
 
 

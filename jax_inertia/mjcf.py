@@ -44,8 +44,11 @@ _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARE
 _DISABLE = mujoco.mjtDisableBit
 
 
-def load_model(model: str | Path | MjModel) -> Robot:
+def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> Robot:
     """Read an MJCF or URDF file (or take a compiled `MjModel`) as a `Robot`.
+
+    `floating_base` lets the root link of a URDF move freely, which the file has no usual way to say (unless that link
+    is called "world"); an MJCF says so itself.
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
@@ -59,7 +62,8 @@ def load_model(model: str | Path | MjModel) -> Robot:
     Robot(fixed base, 2 bodies, nq=2, nv=2, 3 kg; joints shoulder, elbow)
     """
     if isinstance(model, str | Path):
-        path, compiled = model, compile_spec(load_spec(model), model)
+        spec = load_spec(model, floating_base=floating_base)
+        path, compiled = model, compile_spec(spec, model)
         if not compiled.nv:
             raise ModelError(
                 f"{path}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"

@@ -13,14 +13,14 @@ LAYERS: dict[str, str] = {
         least_squares""",
     "logs": """_npz _names _files _torque_unit _contract readers log log_chunks _findings slopes signals motion
         differences _check_channels _check_consistency preflight""",
-    "robot": "_mujoco_types robot _geometry _model_text _urdf_repair _descriptions _spec _urdf mjcf robots",
+    "robot": "_mujoco_types robot _geometry _model_text _urdf_base _urdf_repair _descriptions _spec _urdf mjcf robots",
     "dynamics": "kinematics _rows _passes dynamics wrench_axes",
     "estimation and simulation": """measurement fused estimate batch _batch_rows _batch_solve consistency
         handover logfilter priors identifiability motion_limits suggest_motion stream statefile
         simulate""",
     "gap": "gap",
     "control": "control",
-    "command line": """_console _completion _convert_command _model_output _diagnose_command _diagnose_run
+    "command line": """_console _completion _convert_command _model_of_log _model_output _diagnose_command _diagnose_run
         _estimate_command _estimate_run _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }

@@ -314,6 +314,14 @@ def test_velocity_of_the_wrong_sign_scale_column_or_time():
     assert checks(np.random.default_rng(0).normal(size=qvel.shape)) == {"velocity"}
 
 
+def test_a_joint_that_another_shakes_is_not_that_other():
+    log = arm_log()
+    noise = 5e-4 * np.random.default_rng(3).normal(size=log.time.size)
+    qpos, qvel = np.array(log.qpos), np.array(log.qvel)
+    qpos[:, 0], qvel[:, 0] = 0.006 * qpos[:, 1] + noise, 0.006 * qvel[:, 1]
+    assert found(dataclasses.replace(log, qpos=qpos, qvel=qvel)) == []
+
+
 @pytest.mark.parametrize("samples", [4, 10])
 def test_a_late_velocity_is_measured(samples):
     log = arm_log()

@@ -3,9 +3,9 @@
     python benchmarks/gap/evaluate.py DATA --jobs 2 --out DATA/results [--baselines with|only]
 
 DATA holds STRATUM/logs and STRATUM/truth. Only this file reads both truth and diagnosis; the diagnosis itself sees
-a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md; logs that an earlier call's
-results.json holds are not diagnosed again. `--baselines with` scores what an engineer would try on the same logs; `only`
-adds that to the results.json of an earlier run.
+a log, a test log and the nominal model. Writes results.json (a row per log) and RESULTS.md; logs that are in an earlier
+call's results.json are not diagnosed again. `--baselines with` scores what an engineer would try on the same logs;
+`only` adds that to the results.json of an earlier run.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from pathlib import Path
 
 import beside
 import numpy as np
+
+# Strata without a hidden effect.
+QUIET = ("none", "legged_none")
 
 
 def run(job: tuple[str, str, str]) -> dict:
@@ -154,7 +157,7 @@ def table(rows: list[dict]) -> str:
         n = len(good)
         params = [p for r in good for p in r["parameters"]]
         count = {k: sum(r[k] for r in good) for k in ("family", "place", "in_set", "right")}
-        if name == "none":
+        if name in QUIET:
             special = wilson(sum(bool(r["found"]) for r in good), n) + " alarms"
         elif name == "unknown":
             special = wilson(sum(r["verdict"] == "unknown" for r in good), n) + " unknown"
@@ -197,7 +200,7 @@ def table(rows: list[dict]) -> str:
 
 
 def _fine(r: dict) -> bool:
-    if r["stratum"] == "none":
+    if r["stratum"] in QUIET:
         return not r["found"]
     if r["stratum"] == "unknown":
         return r["verdict"] == "unknown"

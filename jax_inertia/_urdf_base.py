@@ -1,0 +1,53 @@
+"""A base that floats, for URDFs: they hang their root link in the world and leave it to each program to let it go."""
+
+from jax_inertia._model_text import ModelError, tags
+
+# A root link of this name is the world itself: a robot that says so is fixed to it.
+WORLD = "world"
+JOINT = "root_joint"
+
+
+def root_link(text: str) -> str:
+    """The link that is no joint's child. Raises ModelError where there is not one."""
+    links: list[str] = []
+    path: list[str] = []
+    children = set()
+    for tag in tags(text):
+        if tag.closes:
+            path = path[:-1]
+            continue
+        if tag.name == "link" and path == ["robot"]:
+            links.append(tag.attributes.get("name", ""))
+        if tag.name == "child" and path == ["robot", "joint"]:
+            children.add(tag.attributes.get("link", ""))
+        if not tag.empty:
+            path.append(tag.name)
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        raise ModelError(
+            f"a URDF has one root link; these are no joint's child: {', '.join(roots)}"
+        )
+    return roots[0]
+
+
+def with_floating_base(text: str) -> str:
+    """A URDF whose root link moves freely in the world; as it is where that link is the world or something floats."""
+    root = root_link(text)
+    floats = any(tag.attributes.get("type") == "floating" for tag in tags(text))
+    if root == WORLD or floats:
+        return text
+    end = [tag for tag in tags(text) if tag.name == "robot" and tag.closes][-1].start
+    taken = {tag.attributes.get("name") for tag in tags(text)}
+    world, joint = _free(WORLD, taken), _free(JOINT, taken)
+    free = (
+        f'<link name="{world}"/><joint name="{joint}" type="floating">'
+        f'<parent link="{world}"/><child link="{root}"/></joint>\n'
+    )
+    return text[:end] + free + text[end:]
+
+
+def _free(name: str, taken: set[str | None]) -> str:
+    """A name that nothing has yet."""
+    while name in taken:
+        name += "_"
+    return name
