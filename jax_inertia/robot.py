@@ -97,6 +97,10 @@ class Topology:
         """0/1 matrix (nb, nv): whether the degree of freedom moves the body."""
         return self.node_dof[list(self.body_node)]
 
+    def welded(self, one: int, other: int) -> bool:
+        """Whether two bodies, by index, move as one."""
+        return bool(np.array_equal(self.body_dof[one], self.body_dof[other]))
+
     @functools.cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The nodes in runs of at most `BLOCK`."""

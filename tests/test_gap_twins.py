@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, TORQUE, asked, logged, simulate, wave
+from arm_log import ARM, TORQUE, asked, loaded, logged, simulate, wave
 
 from jax_inertia import load_model
 from jax_inertia.gap import diagnose
@@ -91,3 +91,14 @@ def test_a_little_more_friction_when_slow_is_stribecks(robot, more, family, numb
     assert (effect.family, effect.place.name) == (family, "elbow")
     for name, value in numbers.items():
         assert effect.parameters[name].value == pytest.approx(value, rel=0.15)
+
+
+def test_a_load_is_of_the_link_that_a_joint_carries():
+    """Frames that are fixed to it would show it alike."""
+    frames = '<body name="flange" pos="0.02 0.05 -0.3"/><body name="tool" pos="0 0.3 -0.3"/></body></body>'
+    model = mujoco.MjModel.from_xml_string(ARM.replace("</body></body>", frames))
+    log = simulate(edit=loaded(0.3, (0.02, 0.05, -0.3)), seed=4)
+    (effect,) = diagnose(load_model(model), log).findings
+    assert (effect.family, effect.place.name) == ("payload", "lower")
+    twins = {e.place.name for e in effect.equivalent if e.kind == "exact"}
+    assert twins == {"flange", "tool"}

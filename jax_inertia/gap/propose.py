@@ -123,6 +123,7 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
 
     What the richer one brings decides, not its price: that is for numbers of which nothing is known before.
     """
+    ranked = _carried(ranked)
     best = ranked[0]
     for c in ranked[1:]:
         if c.place != best.place or c.score <= STOP:
@@ -133,6 +134,25 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
         if simpler or richer:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
+
+
+def _carried(ranked: list[Candidate]) -> list[Candidate]:
+    """With a leader that bodies welded to each other show alike at the one of them that a joint carries.
+
+    Where that weighs nothing (a frame before the link itself), at the first that does.
+    """
+    best = ranked[0]
+    if not best.family.rigid:
+        return ranked
+    robot, at = best.block.evidence.prepared.robot, best.place.index
+    same = (c for c in ranked if c.family is best.family)
+    alike = [c for c in same if robot.topology.welded(c.place.index, at)]
+    first = min(alike, key=lambda c: (robot.pi[c.place.index, 0] < WEIGHTLESS, c.place.index))
+    return [first, *(x for x in ranked if x is not first)]
+
+
+# A body that weighs less than this [kg] is a frame.
+WEIGHTLESS = 1e-6
 
 
 def _set_apart(rich: Candidate, simple: Candidate, noise: float) -> bool:
