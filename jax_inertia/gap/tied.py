@@ -27,9 +27,9 @@ def tied(search: Search, c: Candidate, among: list[Candidate]) -> list[Candidate
 
 def kind_of_tie(pool: Pool, a: Candidate, b: Candidate) -> str:
     """'exact' where the two effects are the same torque whatever the motion: a load on bodies welded to each other."""
-    if a.family is b.family and a.family.rigid:
-        if pool.context.robot.topology.welded(a.place.index, b.place.index):
-            return "exact"
+    welded = pool.context.robot.topology.welded
+    if a.family is b.family and a.family.rigid and welded(a.place.index, b.place.index):
+        return "exact"
     gap = np.linalg.norm(a.effect - b.effect) / max(np.linalg.norm(a.effect), 1e-300)
     if any(c.family.law_of == DRY and not _turns_round(pool, c.place.index) for c in (a, b)):
         return "motion_limited"
