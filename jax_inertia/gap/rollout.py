@@ -23,12 +23,14 @@ from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
 _STEP = 5e-4
+# Draws of the sensors' noise: by one alone a floor of few windows errs by a tenth or two.
+_DRAWS = 3
 _STILL = 0.05  # no joint faster than this, and friction at rest decides what happens [rad/s]
 
 
 @dataclasses.dataclass(frozen=True)
 class Rollouts:
-    """Errors of W windows and n joints, at S times from each window's start."""
+    """Errors of W windows and n joints, at S times from each window's start; of the noise, D: each window's draws."""
 
     horizon: float
     joints: tuple[str, ...]
@@ -36,7 +38,7 @@ class Rollouts:
     time: Float[np.ndarray, " S"]
     nominal: Float[np.ndarray, "W S n"]
     corrected: Float[np.ndarray, "W S n"]
-    noise: Float[np.ndarray, "W S n"]
+    noise: Float[np.ndarray, "D S n"]
     notes: tuple[str, ...]
 
     @property
@@ -63,7 +65,7 @@ def rollouts(
     trace: Trace,
     *,
     horizon: float = 0.25,
-    windows: int = 24,
+    windows: int = 36,
     seed: int = 0,
 ) -> Rollouts | None:
     """Roll both models out from evenly spaced moments of the log; None where nothing moves, or where contacts are
@@ -75,11 +77,8 @@ def rollouts(
         return None
     effects = (*correction.in_model, *correction.by_callback)
     clean = Recording(robot, log, effects)
-    noisy = Recording(
-        robot,
-        perturbed(with_torque_noise(log, robot, trace.torque_noise), np.random.default_rng(seed)),
-        effects,
-    )
+    loud, rng = with_torque_noise(log, robot, trace.torque_noise), np.random.default_rng(seed)
+    noisy = [Recording(robot, perturbed(loud, rng), effects) for _ in range(_DRAWS)]
     prepared = clean.prepared
     passing = [e.values["start"] for e in effects if e.family == "push"]
     starts = _starts(prepared, horizon, windows, passing)
@@ -97,8 +96,9 @@ def rollouts(
         own = after.run(clean, k, samples)
         paths[0].append(before.run(clean, k, samples) - measured)
         paths[1].append(own - measured)
-        drift = _positions(noisy.prepared, before, k, samples) - measured
-        paths[2].append(after.run(noisy, k, samples, trace) - own - drift)
+        for again in noisy:
+            drift = _positions(again.prepared, before, k, samples) - measured
+            paths[2].append(after.run(again, k, samples, trace) - own - drift)
     nominal_, corrected_, noise = (np.nan_to_num(np.array(p), nan=np.pi) for p in paths)
     return Rollouts(
         horizon,
