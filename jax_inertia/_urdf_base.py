@@ -1,18 +1,20 @@
 """A base that floats, for URDFs: they hang their root link in the world and leave it to each program to let it go."""
 
-from jax_inertia._model_text import ModelError, tags
+import html
+
+from jax_inertia._model_text import ModelError, Tag, tags
 
 # A root link of this name is the world itself: a robot that says so is fixed to it.
 WORLD = "world"
 JOINT = "root_joint"
 
 
-def root_link(text: str) -> str:
+def _root_link(found: list[Tag]) -> str:
     """The link that is no joint's child. Raises ModelError where there is not one."""
     links: list[str] = []
     path: list[str] = []
     children = set()
-    for tag in tags(text):
+    for tag in found:
         if tag.closes:
             path = path[:-1]
             continue
@@ -31,19 +33,25 @@ def root_link(text: str) -> str:
 
 
 def with_floating_base(text: str) -> str:
-    """A URDF whose root link moves freely in the world; as it is where that link is the world or something floats."""
-    root = root_link(text)
-    floats = any(tag.attributes.get("type") == "floating" for tag in tags(text))
-    if root == WORLD or floats:
+    """A URDF whose root link moves freely in the world; as it is where that link is the world or something floats.
+
+    Raises ModelError for a URDF that is not closed or has not one root link.
+    """
+    found = list(tags(text))
+    root = _root_link(found)
+    if root == WORLD or any(tag.attributes.get("type") == "floating" for tag in found):
         return text
-    end = [tag for tag in tags(text) if tag.name == "robot" and tag.closes][-1].start
-    taken = {tag.attributes.get("name") for tag in tags(text)}
+    ends = [tag.start for tag in found if tag.name == "robot" and tag.closes]
+    if not ends:
+        raise ModelError("a URDF ends with </robot>; this one does not")
+    taken = {tag.attributes.get("name") for tag in found}
     world, joint = _free(WORLD, taken), _free(JOINT, taken)
+    # A name is read unescaped: as it stands it could close its quotes, and add what was never checked.
     free = (
         f'<link name="{world}"/><joint name="{joint}" type="floating">'
-        f'<parent link="{world}"/><child link="{root}"/></joint>\n'
+        f'<parent link="{world}"/><child link="{html.escape(root)}"/></joint>\n'
     )
-    return text[:end] + free + text[end:]
+    return text[: ends[-1]] + free + text[ends[-1] :]
 
 
 def _free(name: str, taken: set[str | None]) -> str:

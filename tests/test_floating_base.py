@@ -93,6 +93,15 @@ def test_what_does_not_float(tmp_path):
         ji.load_model(mjcf, floating_base=True)
 
 
+def test_a_name_adds_nothing_to_the_file(tmp_path):
+    robot = ji.load_model(leg(tmp_path, root="a&quot;/&gt;&lt;b c=&quot;"), floating_base=True)
+    assert robot.body_names[0] == 'a"/><b c="'
+    path = leg(tmp_path)
+    path.write_text(path.read_text().replace("</robot>", ""))
+    with pytest.raises(ji.ModelError, match="</robot>"):
+        ji.load_model(path, floating_base=True)
+
+
 def test_a_log_says_that_its_base_floats(tmp_path):
     path = leg(tmp_path)
     fixed, log = ji.load_model(path), standing()
