@@ -51,8 +51,8 @@ def logged(rows, encoder, torque):
     )
 
 
-def loaded(mass: float, at: tuple[float, float, float]):
-    """An edit of the arm's model: a point mass [kg] at a point of the lower arm [m]."""
+def loaded(mass: float, at: tuple[float, float, float], radius: float = 0.0):
+    """An edit of the arm's model: a ball [kg] of a radius of gyration [m] at a point of the lower arm [m]."""
 
     def edit(model):
         own, centre, point = model.body_mass[2], model.body_ipos[2].copy(), np.array(at)
@@ -62,6 +62,7 @@ def loaded(mass: float, at: tuple[float, float, float]):
         mujoco.mju_quat2Mat(turn, model.body_iquat[2])
         turn = turn.reshape(3, 3)
         inertia = turn @ np.diag(model.body_inertia[2]) @ turn.T
+        inertia += mass * radius**2 * np.eye(3)
         for m, p in ((own, centre), (mass, point)):
             d = p - model.body_ipos[2]
             inertia += m * (d @ d * np.eye(3) - np.outer(d, d))

@@ -199,6 +199,20 @@ def test_a_push_beside_a_load_is_no_error_of_the_loads_equation(robot):
     ]
 
 
+def test_a_hard_push_excuses_nothing_before_and_after(robot):
+    """Errors of a push's equation are bought while it lasts: a little friction shows all along."""
+
+    def rubs(t, q, v, u):
+        return np.array([0.0, -0.006 * np.tanh(v[1] / 0.003)])
+
+    found = diagnose(robot, simulate(rubs, force=pushed(3.0, 8.0 * PULL), seed=1))
+    assert found.verdict is Verdict.EXPLAINED
+    assert [(x.family, x.place.name) for x in found.findings] == [
+        ("push", "lower"),
+        ("coulomb_friction", "elbow"),
+    ]
+
+
 def test_what_only_the_other_motion_shows_elsewhere_makes_no_wrong_cause(robot):
     """Friction at the shoulder; the elbow's drive has a limit that only the faster motion comes to."""
 

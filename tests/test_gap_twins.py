@@ -93,6 +93,35 @@ def test_a_little_more_friction_when_slow_is_stribecks(robot, more, family, numb
         assert effect.parameters[name].value == pytest.approx(value, rel=0.15)
 
 
+def springy(level, more, slow, reach):
+    """Friction at the elbow [N m] through a spring that is bent over `reach` [rad] before it slips."""
+    bent, before = 0.0, None
+
+    def friction(t, q, v, u):
+        nonlocal bent, before
+        bent = float(np.clip(bent + (0.0 if before is None else q[1] - before) / reach, -1.0, 1.0))
+        before = q[1]
+        return np.array([0.0, -level * (1.0 + more * np.exp(-((v[1] / slow) ** 2))) * bent])
+
+    return friction
+
+
+@pytest.mark.parametrize(
+    ("more", "family", "numbers"),
+    [
+        (0.0, "coulomb_friction", {"coulomb": 1.0}),
+        (0.3, "stribeck_friction", {"coulomb": 1.0, "stiction": 1.3, "stribeck_velocity": 0.03}),
+    ],
+)
+def test_a_spring_that_slips_at_once_is_no_stribeck_curve(robot, more, family, numbers):
+    """Drawn by bristles that bend over, its sharp knee would look like friction that is more when slow."""
+    log = simulate(springy(1.0, more, slow=0.03, reach=1.1e-3), seed=1)
+    (effect,) = diagnose(robot, log).findings
+    assert (effect.family, effect.place.name) == (family, "elbow")
+    for name, value in numbers.items():
+        assert effect.parameters[name].value == pytest.approx(value, rel=0.2)
+
+
 def test_a_load_is_of_the_link_that_a_joint_carries():
     """Frames that are fixed to it would show it alike."""
     frames = '<body name="flange" pos="0.02 0.05 -0.3"/><body name="tool" pos="0 0.3 -0.3"/></body></body>'
@@ -102,3 +131,13 @@ def test_a_load_is_of_the_link_that_a_joint_carries():
     assert (effect.family, effect.place.name) == ("payload", "lower")
     twins = {e.place.name for e in effect.equivalent if e.kind == "exact"}
     assert twins == {"flange", "tool"}
+
+
+def test_a_load_of_some_size_is_one_load(robot):
+    """Its own inertia is no error of a link's."""
+    found = diagnose(robot, simulate(edit=loaded(1.0, (0.02, 0.05, -0.3), radius=0.1), seed=4))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("payload", "lower")
+    values = {"mass": 1.0, "com_x": 0.02, "com_y": 0.05, "com_z": -0.3, "gyration_radius": 0.1}
+    for name, value in values.items():
+        assert effect.parameters[name].value == pytest.approx(value, rel=0.1, abs=0.004)

@@ -16,7 +16,7 @@ TIME = np.arange(0.0, 6.0, 0.004)
 
 def path(needed, carried, stiffness=STIFFNESS, dead_zone=0.0):
     still = np.zeros_like(TIME)
-    coupling = np.array([[stiffness, RATIO, dead_zone]])
+    coupling = np.array([[stiffness, RATIO, dead_zone, np.sign(carried[0])]])
     return separation(TIME, needed, carried, still + MASS, still, still, coupling)[0]
 
 
@@ -91,9 +91,9 @@ SPRING = 'stiffness="60" damping="0.1"'
 TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
 
 
-def log_of(coupling, seed=0, encoder=2e-5, friction=0.0):
+def log_of(coupling, seed=0, encoder=2e-5, friction=0.0, own=APART, wave=wave):
     """A log of the real arm, whose encoders sit on the motors; `friction` of the elbow's motor [N m]."""
-    model = mujoco.MjModel.from_xml_string(APART.replace("COUPLING", coupling))
+    model = mujoco.MjModel.from_xml_string(own.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
     data.qpos[:2], data.qvel[:2] = wave(0.0, seed)
     rng = np.random.default_rng(seed)
@@ -146,3 +146,27 @@ def test_play_between_stops_of_mujoco_is_named_and_sized(half):
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("backlash", "elbow")
     assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.2)
+
+
+def from_rest(t, seed):
+    """From point to point, a second each, after standing for a second."""
+    points = np.random.default_rng(seed).uniform(-0.8, 0.8, (12, 2))
+    k, part = int(t), t % 1.0
+    if k == 0:
+        return points[0], np.zeros(2)
+    step = points[k] - points[k - 1]
+    share = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    return points[k - 1] + step * share, step * 30.0 * part**2 * (1.0 - part) ** 2
+
+
+def test_where_in_its_play_a_link_without_weight_rests_is_found():
+    """It is taken along when the teeth first meet; a hand that pushed it once is not needed for that."""
+    lying = ARM.replace("0 0 -9.81", "0 0 0")
+    robot, real = (
+        load_model(mujoco.MjModel.from_xml_string(lying)),
+        APART.replace("0 0 -9.81", "0 0 0"),
+    )
+    found = diagnose(robot, log_of(TEETH.format(0.02), own=real, wave=from_rest))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("backlash", "elbow")
+    assert effect.parameters["dead_zone"].value == pytest.approx(0.04, rel=0.2)

@@ -21,7 +21,10 @@ from jax_inertia.gap.twomass import separation
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE
 
-Coupling = tuple[float, float, float]
+Coupling = tuple[float, float, float, float]
+"""(K [N m/rad], ζ, b [rad], s), see `twomass`."""
+# Of the most torque on its teeth, what tells on which side they lie.
+LEANS = 0.03
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
 # Share of its level from which such a friction counts as turned round.
@@ -59,7 +62,8 @@ class Context:
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
         self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
-        self._bristles: dict[tuple[int, float], np.ndarray] = {}
+        self._carries: dict[int, np.ndarray] = {}
+        self._bristles: dict[tuple[int, float, bool], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}
         self._bends: dict[int, np.ndarray] = {}
 
@@ -217,16 +221,20 @@ class Context:
         """Torque of each contact's wrench (T, C, nv)."""
         return derivatives.contact_rows((self.robot, self.contacts), (self.q, wrench))
 
-    def bristle(self, row: int, reach: float) -> np.ndarray:
-        """Friction direction of a joint with presliding (Dahl 1968): dz/dx = (1 − z sign ẋ)/reach, z in [−1, 1] (T,).
+    def bristle(self, row: int, reach: float, *, straight: bool = False) -> np.ndarray:
+        """Friction direction of a joint with presliding, z in [−1, 1] (T,), see `dry.bristle`.
 
         After a reversal the direction turns over a displacement of about `reach` [rad], not at once.
         """
-        if (row, reach) not in self._bristles:
-            self._bristles[row, reach] = bristle(
-                self.joint_position[:, row], float(np.sign(self.v[0, row])), reach
+        key = row, reach, straight
+        if key not in self._bristles:
+            self._bristles[key] = bristle(
+                self.joint_position[:, row],
+                float(np.sign(self.v[0, row])),
+                reach,
+                straight=straight,
             )
-        return self._bristles[row, reach]
+        return self._bristles[key]
 
     def creeping(self, row: int, level: float, band: float = CREEP_BAND) -> np.ndarray:
         """Friction direction of a joint that creeps by a `level` of friction [N m], in [−1, 1] (T,), see `creep`.
@@ -257,7 +265,10 @@ class Context:
         return softness(self.robot)
 
     def separation(self, row: int, coupling: Coupling) -> np.ndarray:
-        """How far a joint's motor is ahead of its link through a coupling (K, ζ, b), see `twomass` (T,)."""
+        """How far a joint's motor is ahead of its link through a coupling (K, ζ, b, s), see `twomass` (T,).
+
+        Where the log begins with torque on the teeth that says on which side they lie, whatever s is.
+        """
         self.separate(row, [coupling])
         return self._separations[row, coupling]
 
@@ -269,6 +280,9 @@ class Context:
         dq, dv, da = self.sensitivity
         inertia = np.maximum(da[:, row, row] - self.armature[row], 1e-9)
         damping = dv[:, row, row] - self.damping[row]
+        values = np.array(new)
+        if leans := self.leans(row):
+            values[:, 3] = leans
         paths = separation(
             self.time,
             self.link_torque[:, row],
@@ -276,9 +290,18 @@ class Context:
             inertia,
             damping,
             dq[:, row, row],
-            np.array(new),
+            values,
         )
         self._separations |= {(row, c): x for c, x in zip(new, paths, strict=True)}
+
+    def leans(self, row: int) -> float:
+        """On which side a joint's teeth lie when the log begins, −1 or 1; zero where that is not told.
+
+        A link that no weight turns rests anywhere within its play.
+        """
+        carried = self._carried(row)
+        clear = abs(carried[0]) > LEANS * np.percentile(np.abs(carried), 99.5)
+        return float(np.sign(carried[0])) if clear else 0.0
 
     def _carried(self, row: int) -> np.ndarray:
         """What a joint's coupling carries by its motor: the logged torque less what the rotor takes (T,).
@@ -286,6 +309,8 @@ class Context:
         As far up as the chain looks: above, its rate would be the noise's. A friction that turned at once would jolt
         the link at each reversal.
         """
+        if row in self._carries:
+            return self._carries[row]
         friction = self.frictionloss[row]
         turning = self.bristle(row, TURNS_OVER) if friction > 0 else 0.0
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
@@ -293,4 +318,5 @@ class Context:
         known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))
         if 0 < known.sum() < len(known):
             carried = np.interp(self.time, self.time[known], carried[known])
-        return self.below(self.prepared.settings.after, carried)
+        self._carries[row] = self.below(self.prepared.settings.after, carried)
+        return self._carries[row]

@@ -58,11 +58,20 @@ def share_below(
     return (np.abs(within) < still).reshape(len(at), PARTS, -1).mean(axis=1)
 
 
-def bristle(x: Float[np.ndarray, " T"], start: float, reach: float) -> Float[np.ndarray, " T"]:
-    """z in [−1, 1] along a path x, dz/dx = (1 − z sign ẋ)/reach from z = start (Dahl 1968)."""
+def bristle(
+    x: Float[np.ndarray, " T"], start: float, reach: float, *, straight: bool = False
+) -> Float[np.ndarray, " T"]:
+    """z in [−1, 1] along a path x, dz/dx = (1 − z sign ẋ)/reach from z = start (Dahl 1968).
+
+    `straight`: dz/dx = 1/reach until it slips at ±1 (a spring and a slider; Prandtl 1928).
+    """
     out = np.empty(len(x))
     out[0] = z = start
     moves = np.diff(x)
+    if straight:
+        for k, move in enumerate((moves / reach).tolist()):
+            out[k + 1] = z = min(max(z + move, -1.0), 1.0)
+        return out
     sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
     for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
         z = side + (z - side) * stay

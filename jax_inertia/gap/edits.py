@@ -156,8 +156,8 @@ def _payload(pi: np.ndarray, effect: Effect) -> np.ndarray:
     c = np.array([effect.values[f"com_{k}"] for k in "xyz"])
     m = effect.values["mass"]
     # MuJoCo has no body without rotational inertia; a point on a massless one gets that of a 2 mm ball.
-    own = np.zeros(6) if pi[0] > 0 else 1e-6 * m * np.array([1.0, 0, 0, 1.0, 0, 1.0])
-    return pi + _about_origin(m, c, own)
+    gyration = effect.values.get("gyration_radius", 0.0 if pi[0] > 0 else 1e-3)
+    return pi + _about_origin(m, c, m * gyration**2 * np.array([1.0, 0, 0, 1.0, 0, 1.0]))
 
 
 def _com_shift(pi: np.ndarray, effect: Effect) -> np.ndarray:

@@ -20,7 +20,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
-from jax_inertia.gap.families.joint import PRESLIDING
+from jax_inertia.gap.families.friction import PRESLIDING
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.slopes import derivative
 

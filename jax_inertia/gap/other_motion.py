@@ -20,7 +20,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
-from jax_inertia.gap.families.joint import DryFriction
+from jax_inertia.gap.families.friction import DryFriction
 from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.noise import Whitener, motion_band, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances

@@ -61,7 +61,8 @@ class Recording:
         rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
         for e in effects:
             if e.family in ("joint_elasticity", "backlash"):
-                coupling = e.values["stiffness"], DAMPING_RATIO, e.values.get("dead_zone", 0.0)
+                play = e.values.get("dead_zone", 0.0)
+                coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0
                 ahead = self._context.separation(rows[e.name], coupling)
                 self.twists[e.name] = -ahead, -derivative(self.prepared.time, ahead)
 

@@ -159,10 +159,10 @@ class Pool:
     def refined(self, candidate: Candidate, left: Beside) -> Candidate:
         """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
         best = self._on_all(candidate, left)
-        found = [self._between(c, left) for c in (best, *self._other_peaks(best, left))]
+        found = [self.between(c, left) for c in (best, *self._other_peaks(best, left))]
         return max(found, key=lambda c: c.gain)
 
-    def _between(self, candidate: Candidate, left: Beside) -> Candidate:
+    def between(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate with its shape between the grid points about it."""
         if not candidate.shape:
             return candidate
@@ -221,4 +221,4 @@ class Pool:
         if fitted is None:
             return None
         fitted.score = candidate.score
-        return self._between(self._on_all(fitted, left), left)
+        return self.between(self._on_all(fitted, left), left)

@@ -68,7 +68,22 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
         start.score = c.score + (start.gain - c.gain) / left.noise
         behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
         lead.append(start if behind else pool.refined(start, left))
-    return lead
+    return [_as_another(pool, c, lead, left) for c in lead]
+
+
+def _as_another(pool: Pool, c: Candidate, lead: list[Candidate], left: Beside) -> Candidate:
+    """A refined candidate, or from where the best other law at its place was refined to, whichever is better."""
+    law = c.family.law_of
+    others = [
+        x for x in lead if law and x.family.law_of == law and x.place == c.place and x is not c
+    ]
+    if not others:
+        return c
+    shape = max(others, key=lambda x: x.gain).shape
+    found = _best_at(pool, c.family.as_another(pool.context, c.place, shape), c.family, c, left)
+    for start in found:
+        start.score = c.score + (start.gain - c.gain) / left.noise
+    return max([c, *(pool.between(x, left) for x in found)], key=lambda x: x.gain)
 
 
 def _told_in_band(lead: list[Candidate], left: Beside) -> None:
@@ -125,12 +140,17 @@ def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[
     """
     ranked = _carried(ranked)
     best = ranked[0]
+    laws = [c for c in ranked if best.family.passing and not c.family.passing and c.score > STOP]
+    for c in laws[:1]:
+        if best.gain - c.gain < HAPPENED * best.gain:
+            return [c, *(x for x in ranked if x is not c)]
     for c in ranked[1:]:
         if c.place != best.place or c.score <= STOP:
             continue
-        noise = max(1.0, (before - max(best.gain, c.gain)) / max(floor, 1.0))
-        simpler = c.family.name in best.family.simpler and not _set_apart(best, c, noise)
-        richer = best.family.name in c.family.simpler and _set_apart(c, best, noise)
+        over = max(before - max(best.gain, c.gain) - floor, 0.0)
+        noise = 1.0 + over / max(floor, 1.0)
+        simpler = c.family.name in best.family.simpler and not _set_apart(best, c, noise, over)
+        richer = best.family.name in c.family.simpler and _set_apart(c, best, noise, over)
         if simpler or richer:
             return [c, *(x for x in ranked if x is not c)]
     return ranked
@@ -155,10 +175,20 @@ def _carried(ranked: list[Candidate]) -> list[Candidate]:
 WEIGHTLESS = 1e-6
 
 
-def _set_apart(rich: Candidate, simple: Candidate, noise: float) -> bool:
-    """Whether a family brings more than noise and the inexact equation of the one it contains let it."""
-    margin = max(rich.family.set_apart * noise, simple.family.leeway * rich.gain)
-    return _behind(rich, simple) >= margin
+# What follows from a law that holds all along, but for this share of it, did not just happen at that time.
+HAPPENED = 0.02
+# No curve fits all that a simpler family's inexact equation misses: it brings the richer no more than so many times
+# what that leaves beside the noise, and so much where it leaves none.
+MISSED, UNSEEN = 2.0, 40.0
+
+
+def _set_apart(rich: Candidate, simple: Candidate, noise: float, over: float) -> bool:
+    """Whether a family brings more than noise and the inexact equation of the one it contains let it.
+
+    `over`: misfit that the better of them leaves beyond the noise's.
+    """
+    inexact = min(simple.family.leeway * rich.gain, UNSEEN + MISSED * over)
+    return _behind(rich, simple) >= max(rich.family.set_apart * noise, inexact)
 
 
 def _behind(best: Candidate, simpler: Candidate) -> float:

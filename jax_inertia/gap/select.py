@@ -39,7 +39,7 @@ def _with_one_more(
     """The chosen and the best beside them, or two that hide each other; none where what is left is no further cause."""
     if not step or faint(pool, step[0], floor):
         return []
-    if step[0].score < _toll(chosen, floor):
+    if step[0].score < _toll(pool, chosen, step[0], floor):
         if chosen or max_effects < 2:
             return []
         return _hidden_by_each_other(pool, step[0], floor)
@@ -104,19 +104,25 @@ def _windows(pool: Pool, chosen: list[Candidate], floor: float) -> tuple[tuple[f
     return tuple(sorted({w for x in sides for w in locate.windows(pool.evidence, x, floor)}))
 
 
-def _toll(chosen: list[Candidate], floor: float) -> float:
+def _toll(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
     """The score that an effect must bring, beside noise that is itself estimated.
 
-    Once a cause is found, structure in a hundredth of the noise is none.
+    Once a cause is found, structure in a hundredth of the noise on the rows where an effect acts is none.
     """
-    return STOP + (0.01 * floor if chosen else 0.0)
+    if not chosen:
+        return STOP
+    evidence = pool.evidence
+    energy = evidence.by_row(added.effect)
+    acts = evidence.used[:, energy > ACTS * energy.max()]
+    return STOP + 0.01 * floor * float(acts.sum()) / evidence.rows
 
 
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
     """Drop of the misfit from `fewer` effects to `more` that errors of the shared effects' equations cannot buy.
 
     Row by row, and while what passes lasts: what rattles at one joint excuses nothing at another, nor what is off
-    all along what happens once. What a joint's law misses comes in bursts, where it turns round: at any time.
+    all along what happens once, nor what happens once anything at another time. What a joint's law misses comes in
+    bursts, where it turns round: at any time.
     """
     unflatten = pool.evidence.unflatten
     before, after = (unflatten(remaining(pool, chosen)) ** 2 for chosen in (fewer, more))
@@ -124,14 +130,24 @@ def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float
     added = [c for c in more if c.key not in had]
     when = np.ones(len(before), bool)
     if added and all(c.family.passing for c in added):
-        lasts = np.sum([unflatten(c.effect) ** 2 for c in added], axis=(0, 2))
-        when = lasts > LASTS * lasts.max()
-    drop = np.sum((before - after)[when], axis=0)
+        when = _lasts(np.sum([unflatten(c.effect) ** 2 for c in added], axis=0))
+    drops = (before - after) * when[:, None]
+    drop = np.sum(drops, axis=0)
     for c in fewer:
         if c.key in keys:
+            energy = unflatten(c.effect) ** 2
             there = slice(None) if c.family.kind == "joint" else when
-            drop -= c.family.form_error**2 * np.sum(unflatten(c.effect)[there] ** 2, axis=0)
+            excused = c.family.form_error**2 * np.sum(energy[there], axis=0)
+            if c.family.passing:
+                excused = np.minimum(excused, np.maximum(drops[_lasts(energy)].sum(axis=0), 0.0))
+            drop -= excused
     return float(np.sum(np.maximum(drop, 0.0)))
+
+
+def _lasts(energy: Float[np.ndarray, "T nv"]) -> Bool[np.ndarray, " T"]:
+    """While what passes is there."""
+    at = np.sum(energy, axis=1)
+    return at > LASTS * at.max()
 
 
 # What passes is there where its energy is more than this share of its highest.

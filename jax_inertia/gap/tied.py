@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.families.joint import DRY
+from jax_inertia.gap.families.friction import DRY
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import propose
 from jax_inertia.gap.search import Search

@@ -40,9 +40,11 @@ def separation(
     inertia: Float[np.ndarray, " T"],
     damping: Float[np.ndarray, " T"],
     stiffness: Float[np.ndarray, " T"],
-    coupling: Float[np.ndarray, "L 3"],
+    coupling: Float[np.ndarray, "L 4"],
 ) -> Float[np.ndarray, "L T"]:
-    """δ(t) for each coupling (K [N m/rad], damping ratio ζ, dead zone b [rad]); D = 2 ζ √(K mean M_jj).
+    """δ(t) for each coupling (K [N m/rad], damping ratio ζ, dead zone b [rad], s); D = 2 ζ √(K mean M_jj).
+
+    It begins at s b/2, s from −1 to 1, and what the spring is wound up.
 
     `needed` is n, `carried` s. Trapezoidal rule with the branch (touching or not) fixed at each step's start; teeth
     never pull.
@@ -60,7 +62,7 @@ def separation(
 def _separation(
     signals: Array, coupling: Array, first: Array, period: float, substeps: int
 ) -> Array:
-    k, ratio, gap = coupling.T
+    k, ratio, gap, side = coupling.T
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[2]))
     d, drawn = ratio * critical, OBSERVED * critical
     half, h = 0.5 * gap, period / substeps
@@ -68,11 +70,11 @@ def _separation(
     def substep(state, x):
         delta, rate = state
         n, ds, m, c, kq = x
-        side = jnp.sign(delta)
-        force = k * (delta - side * half) + d * rate
-        touching = (half == 0.0) | ((jnp.abs(delta) > half) & (force * side >= 0.0))
+        tooth = jnp.sign(delta)
+        force = k * (delta - tooth * half) + d * rate
+        touching = (half == 0.0) | ((jnp.abs(delta) > half) & (force * tooth >= 0.0))
         kt, ct = jnp.where(touching, k, 0.0) + kq, jnp.where(touching, d + drawn, 0.0) + c
-        push = n + jnp.where(touching, k * side * half + drawn * ds / k, 0.0)
+        push = n + jnp.where(touching, k * tooth * half + drawn * ds / k, 0.0)
         left = m / h + 0.5 * ct + 0.25 * kt * h
         new = (push + rate * (m / h - 0.5 * ct - 0.25 * kt * h) - kt * delta) / left
         return (delta + 0.5 * h * (rate + new), new), None
@@ -85,7 +87,7 @@ def _separation(
         return state, state[0]
 
     # A log may begin in the middle of a motion.
-    start = first / k + jnp.sign(first) * half
+    start = first / k + side * half
     pairs = (signals.T[:-1], signals.T[1:])
     _, path = jax.lax.scan(sample, (start, signals[1, 0] / k), pairs)
     return jnp.concatenate([start[None], path]).T

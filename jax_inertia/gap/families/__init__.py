@@ -1,14 +1,14 @@
 """Every family of effects that the diagnosis knows."""
 
-from jax_inertia.gap.families import body, drive, encoder, force, joint, world
+from jax_inertia.gap.families import body, drive, encoder, force, friction, joint, world
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 LIBRARY: tuple[Family, ...] = (
     joint.ViscousFriction(),
-    joint.CoulombFriction(),
-    joint.AsymmetricCoulomb(),
-    joint.StribeckFriction(),
-    joint.LoadFriction(),
+    friction.CoulombFriction(),
+    friction.AsymmetricCoulomb(),
+    friction.StribeckFriction(),
+    friction.LoadFriction(),
     joint.FrictionDrift(),
     joint.Armature(),
     joint.JointSpring(),

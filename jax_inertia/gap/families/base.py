@@ -117,6 +117,10 @@ class Family(abc.ABC):
             out.append((points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]))
         return out
 
+    def as_another(self, context: Context, place: Place, shape: Shape) -> Iterable[Shape]:
+        """Shapes to try besides, once another of what its place has but one of (`law_of`) is refined to a shape."""
+        return ()
+
     def band(self, shape: Shape) -> float:
         """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several, else 0."""
         return 0.0

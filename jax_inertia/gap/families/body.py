@@ -24,10 +24,12 @@ class Inertial(Family):
         return context.pi[place.index]
 
 
-class Payload(Inertial):
-    name, equation, size = "payload", "π + [m, m c, m (c·c 1 − c cᵀ)]", 4
+class Load(Inertial):
+    """A mass more, at a point c of the body."""
+
+    name = "payload"
     rigid = True
-    # A real load is no point: its own inertia is left.
+    # A real load is neither a point nor a ball: some of its own inertia is left.
     form_error = 0.05
     bends = ("mass", "centre of mass", "inertia")
 
@@ -50,6 +52,37 @@ class Payload(Inertial):
             "mass": Parameter(theta[0], "kg"),
             **{f"com_{k}": Parameter(x, "m") for k, x in zip("xyz", theta[1:4], strict=True)},
         }
+
+
+class LoadOfSomeSize(Load):
+    equation, size = "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 5
+    simpler = ("payload",)
+
+    def starts(self, context, place, free):
+        return [np.append(theta, SIZE**2) for theta in super().starts(context, place, free)]
+
+    def weights(self, context, place, theta):
+        return super().weights(context, place, theta) + theta[0] * max(theta[4], 0.0) * ROUND
+
+    def tightness(self):
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / SIZE**2])
+
+    def physical(self, context, place, shape, theta):
+        return super().physical(context, place, shape, theta) and 0 < theta[4] < WIDEST**2
+
+    def parameters(self, context, place, shape, theta):
+        own = {"gyration_radius": Parameter(float(np.sqrt(theta[4])), "m")}
+        return super().parameters(context, place, shape, theta) | own
+
+
+# Radius of gyration of what is carried, and of the widest of that [m].
+SIZE, WIDEST = 0.07, 0.3
+# A ball's inertia of one, among a body's parameters.
+ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+
+
+class Payload(Load):
+    equation, size, freer = "π + [m, m c, m (c·c 1 − c cᵀ)]", 4, LoadOfSomeSize()
 
 
 class ComShift(Inertial):

@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.context import Context
+from jax_inertia.gap.context import Context, Coupling
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
 from jax_inertia.slopes import derivative
 
@@ -111,8 +111,8 @@ class TwoMass(Encoder):
         return True
 
     @abc.abstractmethod
-    def coupling(self, shape: Shape) -> tuple[float, float, float]:
-        """(K, ζ, b) of a shape."""
+    def coupling(self, shape: Shape) -> Coupling:
+        """(K, ζ, b, s) of a shape, see `Context.separation`."""
 
     def prepare(self, context, place, shapes):
         context.separate(place.index, [self.coupling(shape) for shape in shapes])
@@ -157,7 +157,7 @@ class JointElasticity(TwoMass):
         return itertools.product(stiffness[1::3], damping[1::2], bands)
 
     def coupling(self, shape):
-        return shape[0], shape[1], 0.0
+        return shape[0], shape[1], 0.0, 0.0
 
     def parameters(self, context, place, shape, theta):
         return {"stiffness": Parameter(shape[0], "N m/rad")}
@@ -172,15 +172,26 @@ class Backlash(TwoMass):
         # From a precision gear's half a minute of arc.
         gaps = np.geomspace(2e-4, 0.05, 13)
         bands = (context.slow_band, ALL)
+        # Where in its play the link is when the log begins; in the middle, as it is told or as good as any.
+        begins = (0.0,) if context.leans(place.index) else (-1.0, 0.0, 1.0)
         # Stiffnesses so close that between two of them the effect is not larger or smaller than `whole` allows.
-        return (gaps, self.stiffnesses(context, place, 19), (0.15,), bands)
+        return (gaps, self.stiffnesses(context, place, 19), (0.15,), begins, bands)
+
+    def shapes(self, context, place):
+        # At either end of its play with as many of the others as are tried first.
+        few = self._few(context, place)
+        every = super().shapes(context, place)
+        return [shape for shape in every if shape[3] == 0.0 or shape in few]
 
     def first(self, context, place):
-        gap, stiffness, damping, bands = self.grid(context, place)
-        return itertools.product(gap[::2], stiffness[2::6], damping, bands)
+        return [shape for shape in self._few(context, place) if shape[3] == 0.0]
+
+    def _few(self, context: Context, place: Place) -> dict[Shape, None]:
+        gap, stiffness, *others = self.grid(context, place)
+        return dict.fromkeys(itertools.product(gap[::2], stiffness[2::6], *others))
 
     def coupling(self, shape):
-        return shape[1], shape[2], shape[0]
+        return shape[1], shape[2], shape[0], shape[3]
 
     def parameters(self, context, place, shape, theta):
         return {
