@@ -8,6 +8,10 @@ from scipy.integrate import solve_ivp
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.search import find, finder
 from jax_inertia.gap.twomass import separation
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
@@ -91,11 +95,15 @@ SPRING = 'stiffness="60" damping="0.1"'
 TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
 
 
-def log_of(coupling, seed=0, encoder=2e-5, friction=0.0, own=APART, wave=wave):
-    """A log of the real arm, whose encoders sit on the motors; `friction` of the elbow's motor [N m]."""
+def log_of(coupling, seed=0, encoder=2e-5, friction=0.0, own=APART, wave=wave, ahead=0.0):
+    """A log of the real arm, whose encoders sit on the motors; `friction` of the elbow's motor [N m].
+
+    `ahead`: how far its link is ahead of the motor when the log begins [rad].
+    """
     model = mujoco.MjModel.from_xml_string(own.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
     data.qpos[:2], data.qvel[:2] = wave(0.0, seed)
+    data.qpos[2] = ahead
     rng = np.random.default_rng(seed)
     rows = []
     for _ in range(4000):
@@ -159,14 +167,16 @@ def from_rest(t, seed):
     return points[k - 1] + step * share, step * 30.0 * part**2 * (1.0 - part) ** 2
 
 
-def test_where_in_its_play_a_link_without_weight_rests_is_found():
-    """It is taken along when the teeth first meet; a hand that pushed it once is not needed for that."""
+@pytest.mark.parametrize("ahead", [-0.018, 0.018])
+def test_where_in_its_play_a_link_without_weight_rests_is_found(ahead):
+    """Of the motor, by up to half the dead zone: it is taken along when the teeth first meet."""
     lying = ARM.replace("0 0 -9.81", "0 0 0")
-    robot, real = (
-        load_model(mujoco.MjModel.from_xml_string(lying)),
-        APART.replace("0 0 -9.81", "0 0 0"),
-    )
-    found = diagnose(robot, log_of(TEETH.format(0.02), own=real, wave=from_rest))
-    (effect,) = found.findings
-    assert (effect.family, effect.place.name) == ("backlash", "elbow")
-    assert effect.parameters["dead_zone"].value == pytest.approx(0.04, rel=0.2)
+    robot = load_model(mujoco.MjModel.from_xml_string(lying))
+    own = APART.replace("0 0 -9.81", "0 0 0")
+    log = log_of(TEETH.format(0.02), own=own, wave=from_rest, ahead=ahead)
+    first, _ = find(finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 3))
+    (play,) = first.chosen
+    assert play.key == ("backlash", "joint", "elbow")
+    gap, _, _, begins, _ = play.shape
+    assert gap == pytest.approx(0.04, rel=0.2)
+    assert begins == pytest.approx(-ahead / 0.02, abs=0.3)

@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -160,7 +160,12 @@ class Pool:
         """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
         best = self._on_all(candidate, left)
         found = [self.between(c, left) for c in (best, *self._other_peaks(best, left))]
-        return max(found, key=lambda c: c.gain)
+        best = max(found, key=lambda c: c.gain)
+        shapes = best.family.restarts(self.context, best.place, best.shape)
+        for c in self.best_at(shapes, best.family, best, left):
+            c.score = best.score + (c.gain - best.gain) / left.noise
+            best = max(best, self.between(c, left), key=lambda c: c.gain)
+        return best
 
     def between(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate with its shape between the grid points about it."""
@@ -214,6 +219,13 @@ class Pool:
         if fitted is not None:
             fitted.grid = candidate.grid
         return fitted
+
+    def best_at(
+        self, shapes: Iterable[Shape], family: Family, candidate: Candidate, left: Beside
+    ) -> list[Candidate]:
+        """A cause at a candidate's place at the best of some shapes; none where it fits at no one."""
+        tried = (self.at(shape, family, candidate, left) for shape in shapes)
+        return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
 
     def fit_again(self, candidate: Candidate, left: Beside) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""

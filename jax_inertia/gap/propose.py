@@ -4,13 +4,11 @@ A candidate's score is the drop of the charged misfit J it brings to those alrea
 still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.families.base import Family, Shape
+from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import misfit, remaining, stacked
 from jax_inertia.gap.verdict import DOUBT
@@ -64,7 +62,7 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
     lead: list[Candidate] = []
     for c in near:
         times = _times(lead) if c.family.passing else []
-        start = max([c, *_best_at(pool, times, c.family, c, left)], key=lambda x: x.aim)
+        start = max([c, *pool.best_at(times, c.family, c, left)], key=lambda x: x.aim)
         start.score = c.score + (start.gain - c.gain) / left.noise
         behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
         lead.append(start if behind else pool.refined(start, left))
@@ -80,7 +78,7 @@ def _as_another(pool: Pool, c: Candidate, lead: list[Candidate], left: Beside) -
     if not others:
         return c
     shape = max(others, key=lambda x: x.gain).shape
-    found = _best_at(pool, c.family.as_another(pool.context, c.place, shape), c.family, c, left)
+    found = pool.best_at(c.family.as_another(pool.context, c.place, shape), c.family, c, left)
     for start in found:
         start.score = c.score + (start.gain - c.gain) / left.noise
     return max([c, *(pool.between(x, left) for x in found)], key=lambda x: x.gain)
@@ -115,7 +113,7 @@ def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> lis
         # More numbers make no event of what is none.
         if c.family.freer is not None and not faint(pool, c, floor):
             shapes = {c.shape, *(_times(lead) if c.family.passing else ())}
-            out += _best_at(pool, shapes, c.family.freer, c, left)
+            out += pool.best_at(shapes, c.family.freer, c, left)
     return out
 
 
@@ -123,14 +121,6 @@ def _times(lead: list[Candidate]) -> list[Shape]:
     """When the best of what passes does; none where nothing does."""
     passing = [x for x in lead if x.family.passing]
     return [max(passing, key=lambda x: x.gain).shape] if passing else []
-
-
-def _best_at(
-    pool: Pool, shapes: Iterable[Shape], family: Family, c: Candidate, left: Beside
-) -> list[Candidate]:
-    """A cause at a candidate's place at the best of some shapes; none where it fits at no one."""
-    tried = (pool.at(shape, family, c, left) for shape in shapes)
-    return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
 
 
 def _parsimonious(ranked: list[Candidate], before: float, floor: float) -> list[Candidate]:

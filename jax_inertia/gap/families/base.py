@@ -121,6 +121,10 @@ class Family(abc.ABC):
         """Shapes to try besides, once another of what its place has but one of (`law_of`) is refined to a shape."""
         return ()
 
+    def restarts(self, context: Context, place: Place, shape: Shape) -> Iterable[Shape]:
+        """Shapes of which the best is refined as well, once it is refined to one: where a number has several optima."""
+        return ()
+
     def band(self, shape: Shape) -> float:
         """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several, else 0."""
         return 0.0

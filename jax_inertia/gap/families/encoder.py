@@ -172,23 +172,24 @@ class Backlash(TwoMass):
         # From a precision gear's half a minute of arc.
         gaps = np.geomspace(2e-4, 0.05, 13)
         bands = (context.slow_band, ALL)
-        # Where in its play the link is when the log begins; in the middle, as it is told or as good as any.
-        begins = (0.0,) if context.leans(place.index) else (-1.0, 0.0, 1.0)
         # Stiffnesses so close that between two of them the effect is not larger or smaller than `whole` allows.
-        return (gaps, self.stiffnesses(context, place, 19), (0.15,), begins, bands)
-
-    def shapes(self, context, place):
-        # At either end of its play with as many of the others as are tried first.
-        few = self._few(context, place)
-        every = super().shapes(context, place)
-        return [shape for shape in every if shape[3] == 0.0 or shape in few]
+        return (gaps, self.stiffnesses(context, place, 19), (0.15,), (0.0,), bands)
 
     def first(self, context, place):
-        return [shape for shape in self._few(context, place) if shape[3] == 0.0]
-
-    def _few(self, context: Context, place: Place) -> dict[Shape, None]:
         gap, stiffness, *others = self.grid(context, place)
-        return dict.fromkeys(itertools.product(gap[::2], stiffness[2::6], *others))
+        return itertools.product(gap[::2], stiffness[2::6], *others)
+
+    def around(self, context, place, shape):
+        bounds = super().around(context, place, shape)
+        # Where in its play the link is when the log begins.
+        bounds[3] = (0.0, 0.0) if context.leans(place.index) else (-1.0, 1.0)
+        return bounds
+
+    def restarts(self, context, place, shape):
+        if context.leans(place.index):
+            return ()
+        _, stiffness, *_, bands = self.grid(context, place)
+        return itertools.product(shape[:1], stiffness[::2], shape[2:3], (-1.0, 1.0), bands)
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0], shape[3]
