@@ -38,7 +38,7 @@ class Entry:
     blocks: list[Block]
     rest: list[Shape]
     count: int
-    """How many shapes there are, tried or not."""
+    """Among how many shapes, tried or not, the best is picked (`Family.count`)."""
 
 
 class Pool:
@@ -78,7 +78,9 @@ class Pool:
                 if blocks is None:
                     blocks = self._sound(family, place, [s for s in shapes if s in first])
                 if blocks:
-                    out.append(Entry(family, place, blocks, rest, len(shapes)))
+                    out.append(
+                        Entry(family, place, blocks, rest, family.count(self.context, place))
+                    )
         return out
 
     def _sound(self, family: Family, place: Place, shapes: list[Shape]) -> list[Block]:

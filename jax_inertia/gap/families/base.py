@@ -108,6 +108,10 @@ class Family(abc.ABC):
         """Those of `shapes` that every log is searched with; the others only where these lead."""
         return self.shapes(context, place)
 
+    def count(self, context: Context, place: Place) -> int:
+        """Among how many shapes the best is picked, details apart: what a search among many costs."""
+        return sum(1 for _ in self.shapes(context, place))
+
     def around(self, context: Context, place: Place, shape: Shape) -> list[tuple[float, float]]:
         """Where each nonlinear number may move when a candidate is refined: up to the grid points beside it."""
         out = []

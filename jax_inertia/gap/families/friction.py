@@ -52,6 +52,9 @@ class DryFriction(Family):
         # Neither what turns at once nor what creeps turns in a way of its own.
         return [s for s in super().shapes(context, place) if s[-2] == BENT or s[-1] > 0]
 
+    def count(self, context, place):
+        return sum(shape[-2] == BENT for shape in self.shapes(context, place))
+
     def first(self, context, place):
         grid = self.grid(context, place)
         return [
