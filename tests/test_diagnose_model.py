@@ -101,6 +101,17 @@ def test_payload_is_a_point_on_its_body():
     np.testing.assert_allclose(torque_of(added(effect).spec), torque_of(by_hand), atol=1e-6)
 
 
+def test_a_payload_of_some_size_brings_a_ball_s_inertia():
+    before = mujoco.MjModel.from_xml_string(ARM)
+    at = dict(zip(("com_x", "com_y", "com_z"), before.body_ipos[2], strict=True))
+    ball = body("payload", mass=2.0, gyration_radius=0.1, **at)
+    after = added(ball).spec.compile()
+    np.testing.assert_allclose(after.body_mass[2] - before.body_mass[2], 2.0)
+    np.testing.assert_allclose(
+        np.sort(after.body_inertia[2]), np.sort(before.body_inertia[2]) + 0.02, rtol=1e-9
+    )
+
+
 def test_mass_and_inertia_about_the_centre_stay_where_only_the_centre_moves():
     before = mujoco.MjModel.from_xml_string(ARM)
     shifted = added(body("com_shift", com_shift_x=0.01, com_shift_y=0.0, com_shift_z=-0.02))
