@@ -2,6 +2,9 @@
 
 import dataclasses
 
+import numpy as np
+from jaxtyping import Float
+
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.other_motion import OtherMotion, Trial, grown
@@ -69,6 +72,12 @@ def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> 
     alone = float(pool.evidence.y @ pool.evidence.y)
     noise = max(1.0, search.misfits[-1] / max(search.noise, 1.0))
 
+    def size(torque: Float[np.ndarray, "R nv"]) -> float:
+        """Energy over all rows [N² m²]."""
+        return float(np.sum(torque[pool.evidence.used] ** 2))
+
+    noise_alone = float(np.mean([size(x) for x in search.replicas]))
+
     def tried(effects: list[Candidate]) -> Checked:
         after = what_is_left(pool, effects)
         own, sight = held_out(pool, rows, effects, before, after, search.replicas)
@@ -79,6 +88,10 @@ def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> 
             left / max(alone - 0.5 * STOP, 1.0),
             _harm_of(grown(pool.evidence, before, after), alone, left, search.floor),
         ]
+        if search.verdict is Verdict.UNKNOWN:
+            # Guesses have to help, on all joints together: one whose sensors are far better than its model would
+            # have the others' torques bent for its sake.
+            harm.append(size(after) / ((1.0 + WORSE) * size(before) + noise_alone))
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))
