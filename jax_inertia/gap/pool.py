@@ -165,7 +165,6 @@ class Pool:
         best = max(found, key=lambda c: c.gain)
         shapes = best.family.restarts(self.context, best.place, best.shape)
         for c in self.best_at(shapes, best.family, best, left):
-            c.score = best.score + (c.gain - best.gain) / left.noise
             best = max(best, self.between(c, left), key=lambda c: c.gain)
         return best
 
@@ -225,9 +224,12 @@ class Pool:
     def best_at(
         self, shapes: Iterable[Shape], family: Family, candidate: Candidate, left: Beside
     ) -> list[Candidate]:
-        """A cause at a candidate's place at the best of some shapes; none where it fits at no one."""
+        """A cause at a candidate's place at the best of some shapes, with its score; none where it fits at no one."""
         tried = (self.at(shape, family, candidate, left) for shape in shapes)
-        return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
+        best = sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
+        for x in best:
+            x.score = candidate.score + (x.gain - candidate.gain) / left.noise
+        return best
 
     def fit_again(self, candidate: Candidate, left: Beside) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""

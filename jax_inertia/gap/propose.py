@@ -63,7 +63,6 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
     for c in near:
         times = _times(lead) if c.family.passing else []
         start = max([c, *pool.best_at(times, c.family, c, left)], key=lambda x: x.aim)
-        start.score = c.score + (start.gain - c.gain) / left.noise
         behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
         lead.append(start if behind else pool.refined(start, left))
     return [_as_another(pool, c, lead, left) for c in lead]
@@ -79,8 +78,6 @@ def _as_another(pool: Pool, c: Candidate, lead: list[Candidate], left: Beside) -
         return c
     shape = max(others, key=lambda x: x.gain).shape
     found = pool.best_at(c.family.as_another(pool.context, c.place, shape), c.family, c, left)
-    for start in found:
-        start.score = c.score + (start.gain - c.gain) / left.noise
     return max([c, *(pool.between(x, left) for x in found)], key=lambda x: x.gain)
 
 
