@@ -122,6 +122,29 @@ def test_a_spring_that_slips_at_once_is_no_stribeck_curve(robot, more, family, n
         assert effect.parameters[name].value == pytest.approx(value, rel=0.2)
 
 
+def toothed(level, share, stiffness):
+    """Friction at the elbow that grows with its motor's torque, through teeth as stiff at any load [N m/rad] (LuGre)."""
+    bent, before = 0.0, None
+
+    def friction(t, q, v, u):
+        nonlocal bent, before
+        most = (level + share * abs(u[1])) / stiffness
+        move = 0.0 if before is None else q[1] - before
+        end = np.sign(move) * most
+        bent, before = float(end + (bent - end) * np.exp(-abs(move) / most)), q[1]
+        return np.array([0.0, -stiffness * bent])
+
+    return friction
+
+
+def test_friction_that_grows_with_the_load_on_teeth_as_stiff_as_before(robot):
+    """It turns round the further the more they carry; over one displacement all along a quarter of a newton metre is
+    left of it."""
+    (effect,) = diagnose(robot, simulate(toothed(0.05, 0.15, stiffness=60.0), seed=1)).findings
+    assert (effect.family, effect.place.name) == ("load_friction", "elbow")
+    assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.05)
+
+
 def test_a_load_is_of_the_link_that_a_joint_carries():
     """Frames that are fixed to it would show it alike."""
     frames = '<body name="flange" pos="0.02 0.05 -0.3"/><body name="tool" pos="0 0.3 -0.3"/></body></body>'

@@ -59,21 +59,27 @@ def share_below(
 
 
 def bristle(
-    x: Float[np.ndarray, " T"], start: float, reach: float, *, straight: bool = False
+    x: Float[np.ndarray, " T"],
+    start: float,
+    reach: float | Float[np.ndarray, " T"],
+    *,
+    straight: bool = False,
 ) -> Float[np.ndarray, " T"]:
     """z in [−1, 1] along a path x, dz/dx = (1 − z sign ẋ)/reach from z = start (Dahl 1968).
 
-    `straight`: dz/dx = 1/reach until it slips at ±1 (a spring and a slider; Prandtl 1928).
+    `straight`: dz/dx = 1/reach until it slips at ±1 (a spring and a slider; Prandtl 1928). Where the reach changes, how
+    far bristles are bent, z reach, does not with it: their stiffness is kept while their level changes (LuGre; Canudas
+    de Wit et al. 1995).
     """
+    reaches = np.broadcast_to(reach, x.shape)
     out = np.empty(len(x))
-    out[0] = z = start
+    out[0] = bent = start * reaches[0]
     moves = np.diff(x)
     if straight:
-        for k, move in enumerate((moves / reach).tolist()):
-            out[k + 1] = z = min(max(z + move, -1.0), 1.0)
-        return out
-    sides, stays = np.sign(moves), np.exp(-np.abs(moves) / reach)
-    for k, (side, stay) in enumerate(zip(sides, stays, strict=True)):
-        z = side + (z - side) * stay
-        out[k + 1] = z
-    return out
+        for k, (move, most) in enumerate(zip(moves.tolist(), reaches[1:].tolist(), strict=True)):
+            out[k + 1] = bent = min(max(bent + move, -most), most)
+        return out / reaches
+    ends, stays = np.sign(moves) * reaches[1:], np.exp(-np.abs(moves) / reaches[1:])
+    for k, (end, stay) in enumerate(zip(ends.tolist(), stays.tolist(), strict=True)):
+        out[k + 1] = bent = end + (bent - end) * stay
+    return out / reaches

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.friction import BENT, DryFriction, turned_round
+from jax_inertia.gap.families.friction import DryFriction, turned_round
 from jax_inertia.gap.pool import Pool
 
 REACHES = (0.0, *np.geomspace(4e-5, 3e-3, 10).tolist())
@@ -60,4 +60,5 @@ def turning(
 
 def turning_over(context: Context, c: Candidate, reach: float) -> Float[np.ndarray, "T nv"]:
     """A found friction's torque on the fast grid of any log, where it turns round over `reach`."""
-    return effect_torque(context, c, (*c.shape[:-2], BENT, reach))
+    assert isinstance(c.family, DryFriction)
+    return effect_torque(context, c, c.family.turning_over(c.shape, reach))

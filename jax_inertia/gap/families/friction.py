@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+from jax_inertia.gap.dry import bristle
+from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
 
 # Presliding displacements on the grid [rad]; zero is the sharp sign.
 PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
@@ -79,6 +80,10 @@ class DryFriction(Family):
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
         return turned_round(context, place.index, float(shape[-1]), shape[-2])
+
+    def turning_over(self, shape: Shape, reach: float) -> Shape:
+        """The same friction where it turns round over another displacement."""
+        return (*shape[:-2], BENT, reach)
 
     def level(self, theta: np.ndarray) -> float:
         """How large it is, about [N m]."""
@@ -174,19 +179,55 @@ class StribeckFriction(DryFriction):
 
 # Whose torque loads the teeth: what the link needs, or what its motor gives, that is friction too.
 LOADS = (0.0, 1.0)
+# How much further friction at a joint's peak torque turns over than unloaded [rad].
+FURTHER = (0.0, 4e-4, 2e-3, 8e-3, 3e-2)
+# Ways and displacements of the unloaded that this is tried with.
+GROWS_FROM = ((BENT, 0.0), (BENT, 5e-4))
 
 
 class LoadFriction(DryFriction):
+    """Friction that grows with the load on the teeth.
+
+    Their stiffness need not: then the displacement that it turns over grows too, by so much a newton metre [rad/(N m)],
+    the second of the nonlinear numbers.
+    """
+
     name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇), τ of the link or of its motor"
     simpler, of_few = ("coulomb_friction",), (0, -2)
 
     def grid(self, context, place):
-        return (LOADS, *super().grid(context, place))
+        peak = max(float(context.peak[place.index]), 1e-9)
+        return (LOADS, [x / peak for x in FURTHER], *super().grid(context, place))
+
+    def shapes(self, context, place):
+        # What grows does so from little.
+        return [s for s in super().shapes(context, place) if s[1] == 0.0 or s[2:] in GROWS_FROM]
+
+    def count(self, context, place):
+        return sum(s[1] == 0.0 and s[-2] == BENT for s in self.shapes(context, place))
+
+    def first(self, context, place):
+        return [shape for shape in super().first(context, place) if shape[1] == 0.0]
+
+    def turning_over(self, shape, reach):
+        return super().turning_over((shape[0], 0.0, *shape[2:]), reach)
+
+    def direction(self, context, place, shape):
+        if shape[1] == 0.0:
+            return super().direction(context, place, shape)
+        row = place.index
+        reach = np.maximum(shape[-1] + shape[1] * self._load(context, place, shape), 1e-9)
+        start = float(np.sign(context.v[0, row]))
+        way = shape[-2] == STRAIGHT
+        return bristle(context.joint_position[:, row], start, reach, straight=way)
+
+    def _load(self, context: Context, place: Place, shape: Shape) -> np.ndarray:
+        torque = context.tau if shape[0] else context.inverse
+        return np.abs(torque[:, place.index])
 
     def columns(self, context, place, shape):
         s = self.direction(context, place, shape)
-        torque = context.tau if shape[0] else context.inverse
-        return Columns(-np.stack([s, s * np.abs(torque[:, place.index])], 1), place.index)
+        return Columns(-np.stack([s, s * self._load(context, place, shape)], 1), place.index)
 
     def physical(self, context, place, shape, theta):
         own = context.frictionloss[place.index]
