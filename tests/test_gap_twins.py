@@ -123,7 +123,7 @@ def test_a_spring_that_slips_at_once_is_no_stribeck_curve(robot, more, family, n
 
 
 def toothed(level, share, stiffness):
-    """Friction at the elbow that grows with its motor's torque, through teeth as stiff at any load [N m/rad] (LuGre)."""
+    """Friction at the elbow that grows with its motor's torque; teeth as stiff at any load [N m/rad] (LuGre)."""
     bent, before = 0.0, None
 
     def friction(t, q, v, u):
