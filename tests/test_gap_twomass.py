@@ -3,13 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_log import ARM, TORQUE, asked, logged, wave
+from arm_log import ARM, TORQUE, asked, loaded, logged, simulate, wave
 from scipy.integrate import solve_ivp
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.families.encoder import ALL
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find, finder
 from jax_inertia.gap.twomass import separation
@@ -180,3 +181,20 @@ def test_where_in_its_play_a_link_without_weight_rests_is_found(ahead):
     gap, _, _, begins, _ = play.shape
     assert gap == pytest.approx(0.04, rel=0.2)
     assert begins == pytest.approx(-ahead / 0.02, abs=0.3)
+
+
+def test_beside_a_models_own_misses_a_joint_that_yields_is_judged_in_the_motions_band():
+    """Above it a real robot's joints seemed to yield wherever anything was left, in place of what it carried."""
+    robot = load_model(mujoco.MjModel.from_xml_string(ARM))
+    log = simulate(edit=loaded(0.2, (0.02, 0.05, -0.3)), seed=4)
+    made = finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 1)
+    pool = made.search(made.white).pool
+    misses = made.white.then(pool.evidence.unflatten(pool.evidence.y), pool.evidence.used)
+
+    def bands(white):
+        entries = made.search(white).pool.entries
+        yields = [e for e in entries if e.family.name == "joint_elasticity"]
+        return {e.family.band(s) for e in yields for s in (*(b.shape for b in e.blocks), *e.rest)}
+
+    assert bands(made.white) == {made.context.slow_band, ALL}
+    assert bands(misses) == {made.context.slow_band}

@@ -19,6 +19,8 @@ from jax_inertia.gap.words import named
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
 # effect may be true and yet undo some of them. More is no cause.
 WORSE, WORSE_TORQUE = 0.1, 1.3
+# The same where nothing is known for a cause: what is listed there has to help.
+WORSE_GUESS = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +94,8 @@ def without_harm(search: Search, other: OtherMotion | None, rows: list[int]) -> 
             # Guesses have to help, on all joints together: one whose sensors are far better than its model would
             # have the others' torques bent for its sake.
             harm.append(size(after) / ((1.0 + WORSE) * size(before) + noise_alone))
+            # And where the gap is, in newton metres, not only in the noise's units.
+            harm.append(own.after**2 / max((1.0 + WORSE_GUESS) * own.before**2, 1e-300))
         if trial is not None:
             j = trial.misfit
             chance = STOP * max(1.0, j.before / max(j.floor, 1.0))

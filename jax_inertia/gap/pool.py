@@ -70,7 +70,7 @@ class Pool:
         out = list(entries)
         for family in families:
             for place in family.places(self.context):
-                shapes = list(family.shapes(self.context, place))
+                shapes = self._heard(family, family.shapes(self.context, place))
                 first = set(family.first(self.context, place))
                 rest = [s for s in shapes if s not in first]
                 alike = [e for e in out if family.alike and e.family.alike == family.alike]
@@ -82,6 +82,15 @@ class Pool:
                         Entry(family, place, blocks, rest, family.count(self.context, place))
                     )
         return out
+
+    def _heard(self, family: Family, shapes: Iterable[Shape]) -> list[Shape]:
+        """Those that this noise can judge: none above the motion's band where what the model misses is the noise.
+
+        A model misses least where nothing moves, and what a joint that yields would do there is its encoder's noise,
+        twice differentiated: it draws some of whatever is left.
+        """
+        band = self.context.slow_band if self.evidence.whitener.of_misses else np.inf
+        return [s for s in shapes if family.band(s) <= band]
 
     def _sound(self, family: Family, place: Place, shapes: list[Shape]) -> list[Block]:
         """Blocks of the shapes that do something."""
@@ -163,7 +172,8 @@ class Pool:
         best = self._on_all(candidate, left)
         found = [self.between(c, left) for c in (best, *self._other_peaks(best, left))]
         best = max(found, key=lambda c: c.gain)
-        shapes = best.family.restarts(self.context, best.place, best.shape)
+        restarts = best.family.restarts(self.context, best.place, best.shape)
+        shapes = self._heard(best.family, restarts)
         for c in self.best_at(shapes, best.family, best, left):
             best = max(best, self.between(c, left), key=lambda c: c.gain)
         return best
