@@ -138,8 +138,7 @@ def toothed(level, share, stiffness):
 
 
 def test_friction_that_grows_with_the_load_on_teeth_as_stiff_as_before(robot):
-    """It turns round the further the more they carry; over one displacement all along a quarter of a newton metre is
-    left of it."""
+    """It turns round the further the more they carry; drawn over one displacement it would be two causes or more."""
     (effect,) = diagnose(robot, simulate(toothed(0.05, 0.15, stiffness=60.0), seed=1)).findings
     assert (effect.family, effect.place.name) == ("load_friction", "elbow")
     assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.05)

@@ -228,13 +228,13 @@ class Context:
         """
         key = row, reach, straight
         if key not in self._bristles:
-            self._bristles[key] = bristle(
-                self.joint_position[:, row],
-                float(np.sign(self.v[0, row])),
-                reach,
-                straight=straight,
-            )
+            self._bristles[key] = self.bristle_of_any(row, reach, straight)
         return self._bristles[key]
+
+    def bristle_of_any(self, row: int, reach: float | np.ndarray, straight: bool) -> np.ndarray:
+        """`bristle`, not kept: the displacement may change along the log (T,)."""
+        start = float(np.sign(self.v[0, row]))
+        return bristle(self.joint_position[:, row], start, reach, straight=straight)
 
     def creeping(self, row: int, level: float, band: float = CREEP_BAND) -> np.ndarray:
         """Friction direction of a joint that creeps by a `level` of friction [N m], in [−1, 1] (T,), see `creep`.

@@ -6,7 +6,6 @@ from typing import ClassVar
 import numpy as np
 
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.dry import bristle
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
 
 # Presliding displacements on the grid [rad]; zero is the sharp sign.
@@ -215,11 +214,8 @@ class LoadFriction(DryFriction):
     def direction(self, context, place, shape):
         if shape[1] == 0.0:
             return super().direction(context, place, shape)
-        row = place.index
         reach = np.maximum(shape[-1] + shape[1] * self._load(context, place, shape), 1e-9)
-        start = float(np.sign(context.v[0, row]))
-        way = shape[-2] == STRAIGHT
-        return bristle(context.joint_position[:, row], start, reach, straight=way)
+        return context.bristle_of_any(place.index, reach, shape[-2] == STRAIGHT)
 
     def _load(self, context: Context, place: Place, shape: Shape) -> np.ndarray:
         torque = context.tau if shape[0] else context.inverse
