@@ -92,6 +92,7 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     # The verdict in words; a steel cube has a size, and is a payload for all that.
     assert " ".join(diagnosed.found.headline.split()) in told
     assert numbers["diagnosis"]["verdict"] == "explained"
+    assert [effect["family"] for effect in numbers["diagnosis"]["effects"]] == ["payload"]
     assert all(f"note: {note}" in told for note in numbers["diagnosis"]["notes"])
 
 

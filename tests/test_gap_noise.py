@@ -9,6 +9,7 @@ from chain_log import DAMPING, FRICTION, JOINTS, QPOS, TAU, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.band import Band
 from jax_inertia.gap.block import Beside, Block, Plain
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
@@ -16,7 +17,7 @@ from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import NAMES, Columns
-from jax_inertia.gap.noise import Whitener, motion_band, stage_of, whitener
+from jax_inertia.gap.noise import Whitener, stage_of, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.scales import Learner
@@ -222,7 +223,7 @@ def test_bristles_may_straighten_while_joints_stand():
     log = simulate(friction=friction, stops=True, reach=2e-3, creep=0.1)
     prepared = prepare(robot, log)
     white, replicas, _ = whitener(prepared, log)
-    context = Context(prepared, motion_band(prepared, white, replicas))
+    context = Context(prepared, Band.of(prepared, white, replicas))
     evidence = Evidence(prepared, white, nuisances(context, Tolerance(), log))
     assert evidence.y @ evidence.y < 4.0 * evidence.noise_energy(replicas)
 
@@ -271,22 +272,6 @@ def test_a_coarse_encoder_is_as_noisy_as_its_steps(fastest):
     assert resolution(x[:, 0]) == 0.0
     assert resolution(x[:, 0] + 1e-4 * rng.normal(size=4000)) == 0.0
     assert resolution(coarse[:, 0]) == pytest.approx(step)
-
-
-def test_the_motion_band_ends_where_noise_begins(robot):
-    log = simulate(seconds=5.0)
-    loud = dataclasses.replace(
-        log,
-        qpos=log.qpos + 2e-3 * np.random.default_rng(1).standard_normal(log.qpos.shape),
-        sigma_qpos=np.full(JOINTS, 2e-3),
-    )
-    bands = []
-    for one in (log, loud):
-        prepared = prepare(robot, one)
-        white, replicas, _ = whitener(prepared, one)
-        bands.append(motion_band(prepared, white, replicas))
-    # The fastest of its sines has 0.7 Hz, and its torque products of some of them.
-    assert 2.0 < bands[1] < bands[0]
 
 
 def test_rows_that_seldom_move_together_are_whitened_all_the_same():

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy import signal
 
 from jax_inertia.gap import derivatives
+from jax_inertia.gap.band import Band
 from jax_inertia.gap.chain import (
     Prepared,
     below,
@@ -39,10 +40,10 @@ CREEP_BAND = 40.0
 class Context:
     """Cached quantities of one prepared log; arrays have time first, on the fast grid.
 
-    `band`: up to which frequency [Hz] its accelerations are motion (`noise.motion_band`); without it, all of them.
+    `band`: which of its accelerations are motion; without it, all of them.
     """
 
-    def __init__(self, prepared: Prepared, band: float = np.inf):
+    def __init__(self, prepared: Prepared, band: Band | None = None):
         self.prepared, self.band = prepared, band
         self.robot = prepared.robot
         motion = prepared.observation.motion
@@ -109,13 +110,8 @@ class Context:
 
     @functools.cached_property
     def acceleration(self) -> np.ndarray:
-        """Acceleration in the motion's band, for columns that it is in (T, nv).
-
-        Its noise above is in the missing torque as well: columns that share it would take a share of it.
-        """
-        if self.band >= self.prepared.settings.after:
-            return self.a
-        return self.below(self.band, self.a)
+        """Acceleration in the motion's band, for columns that it is in (T, nv)."""
+        return self.a if self.band is None else self.band.motion(self.a, self.prepared.rate)
 
     def below(self, cutoff: float, x: np.ndarray) -> np.ndarray:
         """The part of signals on the fast grid (T, ...) below a frequency [Hz]."""

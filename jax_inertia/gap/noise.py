@@ -10,7 +10,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import linalg, signal
+from scipy import linalg
 
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.sensors import perturbed
@@ -21,8 +21,6 @@ ORDER = 3
 FLOOR = 5e-4
 # Of a row's innovation, what no others can tell.
 LEAST_OWN = 0.05
-# No robot's motion ends below this [Hz].
-SLOWEST = 4.0
 # The noise's own misfit is known to this factor.
 NOISE_ERROR = 1.3
 
@@ -145,19 +143,6 @@ def arithmetic(
     size = np.sqrt(np.mean(prepared.finish_torque(prepared.inverse) ** 2, axis=0))
     floor = FLOOR * np.maximum(size, 1e-3 * size.max(initial=1e-9)) + 1e-9
     return floor * rng.standard_normal(shape)
-
-
-def motion_band(
-    prepared: Prepared, white: Whitener, replicas: Float[np.ndarray, "K R nv"]
-) -> float:
-    """Up to which frequency [Hz] there is more motion than noise in the needed torque, all rows in units of noise."""
-    needed = prepared.finish_torque(prepared.inverse) / white.sigma
-    rate = prepared.settings.decimated
-    pieces = min(len(needed), round(2 * rate))
-    frequency, power = signal.welch(needed, rate, nperseg=pieces, axis=0)
-    noise = signal.welch(replicas / white.sigma, rate, nperseg=pieces, axis=1)[1].mean(axis=0)
-    more = np.flatnonzero(power.sum(axis=1) > 2.0 * noise.sum(axis=1))
-    return float(max(frequency[more[-1]] if len(more) else 0.0, SLOWEST))
 
 
 def _with_friction_of(own: Prepared, noisy: Prepared) -> Prepared:

@@ -14,6 +14,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from jax_inertia.gap import locate
+from jax_inertia.gap.band import Band
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
@@ -22,7 +23,7 @@ from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.families.friction import DryFriction
 from jax_inertia.gap.motors import with_torque_noise
-from jax_inertia.gap.noise import Whitener, motion_band, whitener
+from jax_inertia.gap.noise import Whitener, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import LEAST, Search
@@ -72,7 +73,7 @@ class OtherMotion:
         prepared = prepare(robot, log)
         log = with_torque_noise(log, robot, search.torque_noise)
         own, replicas, _ = whitener(prepared, log)
-        context = Context(prepared, motion_band(prepared, own, replicas))
+        context = Context(prepared, Band.of(prepared, own, replicas))
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
         doubts = nuisances(context, tolerance, log)

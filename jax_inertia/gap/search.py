@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.gap.band import Band
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, inconstant
@@ -20,7 +21,7 @@ from jax_inertia.gap.doubt import better_than, entangled, share_in_doubt
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
-from jax_inertia.gap.noise import Whitener, at_random, motion_band, whitener
+from jax_inertia.gap.noise import Whitener, at_random, whitener
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Echo, Pool
@@ -270,7 +271,7 @@ def _made(
 ) -> Finder:
     """A finder that takes torques for as noisy as told [N m], or as the log's samples show."""
     white, replicas, again = whitener(prepared, with_torque_noise(log, prepared.robot, noise))
-    context = Context(prepared, motion_band(prepared, white, replicas))
+    context = Context(prepared, Band.of(prepared, white, replicas))
     own = nuisances(context, tolerance, log)
     return Finder(context, white, replicas, again, own, library, max_effects, log, tolerance, noise)
 
