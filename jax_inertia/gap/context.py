@@ -18,14 +18,10 @@ from jax_inertia.gap.chain import (
 )
 from jax_inertia.gap.creep import DAMPING, softness
 from jax_inertia.gap.dry import bristle, direction, share_below, stillness
-from jax_inertia.gap.twomass import separation
+from jax_inertia.gap.twomass import DrivenLink
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE
 
-Coupling = tuple[float, float, float, float]
-"""(K [N m/rad], ζ, b [rad], s), see `twomass`."""
-# Of the most torque on its teeth, what tells on which side they lie.
-LEANS = 0.03
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
 # Share of its level from which such a friction counts as turned round.
@@ -62,8 +58,7 @@ class Context:
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
-        self._separations: dict[tuple[int, Coupling], np.ndarray] = {}
-        self._carries: dict[int, np.ndarray] = {}
+        self._driven_links: dict[int, DrivenLink] = {}
         self._bristles: dict[tuple[int, float, bool], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}
         self._bends: dict[int, np.ndarray] = {}
@@ -260,44 +255,19 @@ class Context:
     def _softness(self) -> np.ndarray:
         return softness(self.robot)
 
-    def separation(self, row: int, coupling: Coupling) -> np.ndarray:
-        """How far a joint's motor is ahead of its link through a coupling (K, ζ, b, s), see `twomass` (T,).
-
-        Where the log begins with torque on the teeth that says on which side they lie, whatever s is.
-        """
-        self.separate(row, [coupling])
-        return self._separations[row, coupling]
-
-    def separate(self, row: int, couplings: list[Coupling]) -> None:
-        """`separation` of many couplings at once; every later call finds them."""
-        new = [c for c in dict.fromkeys(couplings) if (row, c) not in self._separations]
-        if not new:
-            return
-        dq, dv, da = self.sensitivity
-        inertia = np.maximum(da[:, row, row] - self.armature[row], 1e-9)
-        damping = dv[:, row, row] - self.damping[row]
-        values = np.array(new)
-        if leans := self.leans(row):
-            values[:, 3] = leans
-        paths = separation(
-            self.time,
-            self.link_torque[:, row],
-            self._carried(row),
-            inertia,
-            damping,
-            dq[:, row, row],
-            values,
-        )
-        self._separations |= {(row, c): x for c, x in zip(new, paths, strict=True)}
-
-    def leans(self, row: int) -> float:
-        """On which side a joint's teeth lie when the log begins, −1 or 1; zero where that is not told.
-
-        A link that no weight turns rests anywhere within its play.
-        """
-        carried = self._carried(row)
-        clear = abs(carried[0]) > LEANS * np.percentile(np.abs(carried), 99.5)
-        return float(np.sign(carried[0])) if clear else 0.0
+    def driven_link(self, row: int) -> DrivenLink:
+        """A joint's motor and link, with whatever may lie between them."""
+        if row not in self._driven_links:
+            dq, dv, da = self.sensitivity
+            self._driven_links[row] = DrivenLink(
+                time=self.time,
+                needed=self.link_torque[:, row],
+                carried=self._carried(row),
+                inertia=np.maximum(da[:, row, row] - self.armature[row], 1e-9),
+                damping=dv[:, row, row] - self.damping[row],
+                stiffness=dq[:, row, row],
+            )
+        return self._driven_links[row]
 
     def _carried(self, row: int) -> np.ndarray:
         """What a joint's coupling carries by its motor: the logged torque less what the rotor takes (T,).
@@ -305,8 +275,6 @@ class Context:
         As far up as the chain looks: above, its rate would be the noise's. A friction that turned at once would jolt
         the link at each reversal.
         """
-        if row in self._carries:
-            return self._carries[row]
         friction = self.frictionloss[row]
         turning = self.bristle(row, TURNS_OVER) if friction > 0 else 0.0
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
@@ -314,5 +282,4 @@ class Context:
         known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))
         if 0 < known.sum() < len(known):
             carried = np.interp(self.time, self.time[known], carried[known])
-        self._carries[row] = self.below(self.prepared.settings.after, carried)
-        return self._carries[row]
+        return self.below(self.prepared.settings.after, carried)

@@ -63,7 +63,7 @@ class Recording:
             if e.family in ("joint_elasticity", "backlash"):
                 play = e.values.get("dead_zone", 0.0)
                 coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0
-                ahead = self._context.separation(rows[e.name], coupling)
+                ahead = self._context.driven_link(rows[e.name]).separation(coupling)
                 self.twists[e.name] = -ahead, -derivative(self.prepared.time, ahead)
 
     def bent(self, k: int, turning: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " r"]:

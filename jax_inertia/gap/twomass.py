@@ -17,6 +17,8 @@ What the coupling carried is known from the motor's side as well, s = n − y = 
 which the true path obeys as well, but for the coupling's own loss, and in which errors decay.
 """
 
+import dataclasses
+import functools
 import math
 
 import equinox as eqx
@@ -31,31 +33,67 @@ from jax_inertia.slopes import derivative
 STEP = 5e-4
 # Damping ratio ζ₀ of the path's errors.
 OBSERVED = 0.3
+# Of the most torque on its teeth, what tells on which side they lie.
+LEANS = 0.03
 
 
-def separation(
-    time: Float[np.ndarray, " T"],
-    needed: Float[np.ndarray, " T"],
-    carried: Float[np.ndarray, " T"],
-    inertia: Float[np.ndarray, " T"],
-    damping: Float[np.ndarray, " T"],
-    stiffness: Float[np.ndarray, " T"],
-    coupling: Float[np.ndarray, "L 4"],
-) -> Float[np.ndarray, "L T"]:
-    """δ(t) for each coupling (K [N m/rad], damping ratio ζ, dead zone b [rad], s); D = 2 ζ √(K mean M_jj).
+Coupling = tuple[float, float, float, float]
+"""(K [N m/rad], damping ratio ζ, dead zone b [rad], s): D = 2 ζ √(K mean M_jj), the path begins at s b/2."""
 
-    It begins at s b/2, s from −1 to 1, and what the spring is wound up.
 
-    `needed` is n, `carried` s. Trapezoidal rule with the branch (touching or not) fixed at each step's start; teeth
-    never pull.
-    """
-    substeps = max(1, math.ceil((time[1] - time[0]) / STEP))
-    rate = derivative(time, carried)
-    signals = jnp.asarray(np.stack([needed, rate, inertia, damping, stiffness]))
-    period = float(time[1] - time[0])
-    # As an array: a number would be compiled in, and every log has another.
-    first = jnp.asarray(carried[0])
-    return np.asarray(_separation(signals, jnp.asarray(coupling), first, period, substeps))
+@dataclasses.dataclass(frozen=True)
+class DrivenLink:
+    """One joint's motor and link along a log, and how far apart the couplings tried so far let them be."""
+
+    time: Float[np.ndarray, " T"]
+    needed: Float[np.ndarray, " T"]
+    """n [N m]."""
+    carried: Float[np.ndarray, " T"]
+    """s [N m]."""
+    inertia: Float[np.ndarray, " T"]
+    damping: Float[np.ndarray, " T"]
+    stiffness: Float[np.ndarray, " T"]
+    """The link's own: M_jj, (∂ID/∂v)_jj and (∂ID/∂q)_jj."""
+    _paths: dict[Coupling, np.ndarray] = dataclasses.field(default_factory=dict)
+
+    @functools.cached_property
+    def leans(self) -> float:
+        """On which side the teeth lie when the log begins, −1 or 1; zero where that is not told.
+
+        A link that no weight turns rests anywhere within its play.
+        """
+        first = self.carried[0]
+        clear = abs(first) > LEANS * np.percentile(np.abs(self.carried), 99.5)
+        return float(np.sign(first)) if clear else 0.0
+
+    def separation(self, coupling: Coupling) -> Float[np.ndarray, " T"]:
+        """δ: how far the motor is ahead of the link through a coupling.
+
+        Where the log begins with torque on the teeth that says on which side they lie, whatever s is.
+        """
+        self.separate([coupling])
+        return self._paths[coupling]
+
+    def separate(self, couplings: list[Coupling]) -> None:
+        """`separation` of many couplings at once; every later call finds them.
+
+        Trapezoidal rule with the branch (touching or not) fixed at each step's start; teeth never pull. A path begins
+        with what the spring is wound up.
+        """
+        new = [c for c in dict.fromkeys(couplings) if c not in self._paths]
+        if not new:
+            return
+        values = np.array(new)
+        if self.leans:
+            values[:, 3] = self.leans
+        period = float(self.time[1] - self.time[0])
+        rate = derivative(self.time, self.carried)
+        signals = np.stack([self.needed, rate, self.inertia, self.damping, self.stiffness])
+        # As an array: a number would be compiled in, and every log has another.
+        first = jnp.asarray(self.carried[0])
+        substeps = max(1, math.ceil(period / STEP))
+        paths = _separation(jnp.asarray(signals), jnp.asarray(values), first, period, substeps)
+        self._paths.update(zip(new, np.asarray(paths), strict=True))
 
 
 @eqx.filter_jit

@@ -10,8 +10,9 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.context import Context, Coupling
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
+from jax_inertia.gap.twomass import Coupling
 from jax_inertia.slopes import derivative
 
 
@@ -112,13 +113,13 @@ class TwoMass(Encoder):
 
     @abc.abstractmethod
     def coupling(self, shape: Shape) -> Coupling:
-        """(K, ζ, b, s) of a shape, see `Context.separation`."""
+        """(K, ζ, b, s) of a shape, see `twomass`."""
 
     def prepare(self, context, place, shapes):
-        context.separate(place.index, [self.coupling(shape) for shape in shapes])
+        context.driven_link(place.index).separate([self.coupling(shape) for shape in shapes])
 
     def path(self, context, place, shape):
-        return context.separation(place.index, self.coupling(shape))
+        return context.driven_link(place.index).separation(self.coupling(shape))
 
     def band(self, shape):
         return shape[-1]
@@ -182,11 +183,11 @@ class Backlash(TwoMass):
     def around(self, context, place, shape):
         bounds = super().around(context, place, shape)
         # Where in its play the link is when the log begins.
-        bounds[3] = (0.0, 0.0) if context.leans(place.index) else (-1.0, 1.0)
+        bounds[3] = (0.0, 0.0) if context.driven_link(place.index).leans else (-1.0, 1.0)
         return bounds
 
     def restarts(self, context, place, shape):
-        if context.leans(place.index):
+        if context.driven_link(place.index).leans:
             return ()
         _, stiffness, *_, bands = self.grid(context, place)
         return itertools.product(shape[:1], stiffness[::2], shape[2:3], (-1.0, 1.0), bands)
