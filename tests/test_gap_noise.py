@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from chain_log import DAMPING, FRICTION, JOINTS, QPOS, TAU, chain_xml, simulate
+from scipy import signal
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
@@ -53,6 +54,22 @@ def test_frictions_at_all_joints_stand_beside_what_is_not_in_the_library(robot):
     assert found.verdict is Verdict.PARTLY
     assert {e.place.name for e in found.findings} == {f"axis{k + 1}" for k in range(JOINTS)}
     assert any("damping" in doubt for doubt in found.doubts)
+
+
+def test_a_weight_comes_before_what_is_not_in_the_library():
+    """Beside torques of no cause within the motion's band, tolerances twice as wide as stated carried half of it."""
+    model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
+    model.body_mass[-1] *= 0.8
+    model.body_inertia[-1] *= 0.8
+    log = simulate()
+    noise = np.random.default_rng(8).standard_normal(log.tau.shape)
+    band = signal.butter(2, [0.3, 2.5], "bandpass", fs=log.rate, output="sos")
+    wander = signal.sosfiltfilt(band, noise, axis=0)
+    wander *= 0.02 * np.std(log.tau, axis=0) / np.std(wander, axis=0)
+    found = diagnose(load_model(model), dataclasses.replace(log, tau=log.tau + wander))
+    assert found.verdict is Verdict.UNKNOWN
+    first = found.findings[0]
+    assert (first.family, first.place.name) == ("payload", "segment5")
 
 
 def test_a_friction_beyond_its_tolerance_competes_as_an_effect():

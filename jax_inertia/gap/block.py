@@ -68,6 +68,10 @@ class Block:
     noise: Carried | None = None
     """What the echo's noise adds to the columns, where they carry it."""
 
+    def charged_as(self, evidence: Evidence) -> "Block":
+        """The same columns where the model's tolerances are larger, smaller or fewer."""
+        return Block(evidence, self.shape, self.plain, self.noise)
+
     @property
     def count(self) -> int:
         """Number of columns."""

@@ -126,10 +126,7 @@ class Pool:
         out = copy.copy(self)
         out.evidence = evidence
         every = {id(e.blocks): e.blocks for e in self.entries}
-        now = {
-            key: [Block(evidence, b.shape, b.plain, b.noise) for b in group]
-            for key, group in every.items()
-        }
+        now = {key: [b.charged_as(evidence) for b in group] for key, group in every.items()}
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out
 

@@ -33,8 +33,10 @@ class Learned:
 class Learner:
     """The tolerances of one log, their products taken once."""
 
-    def __init__(self, evidence: Evidence, noise: float):
+    def __init__(self, evidence: Evidence, noise: float, most: float = GRID[0]):
+        """`most`: the largest scale there may be."""
         self._evidence, self._noise = evidence, noise
+        self._grid = [x for x in GRID if x <= most]
         self._gram = evidence.gram / noise
 
     def beside(self, columns: Float[np.ndarray, "n s"], target: Float[np.ndarray, " n"]) -> Learned:
@@ -59,7 +61,7 @@ class Learner:
         for _ in range(4):
             before = best
             for i in range(len(scales)):
-                for x in GRID:
+                for x in self._grid:
                     trial = scales.copy()
                     trial[i] = x
                     if (value := cost(trial)) < best:

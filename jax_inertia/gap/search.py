@@ -28,8 +28,8 @@ from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
-from jax_inertia.gap.suited import bent_by, suited
-from jax_inertia.gap.together import remaining
+from jax_inertia.gap.suited import at_their_best, bent_by, suited
+from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
 
@@ -119,6 +119,10 @@ class Finder:
             pool = pool.charged_as(pool.evidence.rescaled(scales))
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
             scales, alone = suited(pool, chosen, self.max_effects, against)
+        if white.of_misses and chosen:
+            pool, chosen = at_their_best(pool, chosen, against)
+            misfits = [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
+            floor = pool.evidence.noise_energy(self.replicas)
         return self._judged(pool, white, floor, against, chosen, ranking, misfits, alone)
 
     def _has_cause(self, evidence: Evidence, column: int) -> bool:

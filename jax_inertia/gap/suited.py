@@ -1,5 +1,6 @@
 """Scales of the nominal model's tolerances that suit a log, and numbers of the model that are off alone."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -8,8 +9,9 @@ from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.nuisance import CAUSES
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import faint, noise_beside, others
-from jax_inertia.gap.scales import Learned, Learner
-from jax_inertia.gap.together import remaining, stacked
+from jax_inertia.gap.scales import GRID, Learned, Learner
+from jax_inertia.gap.select import settle
+from jax_inertia.gap.together import misfit, remaining, stacked
 
 # How many of the leading candidates may show that the model is better than its tolerances, and how many of its numbers.
 LEADING, ASTRAY = 12, 3
@@ -32,7 +34,9 @@ def suited(
     rows = pool.evidence.rows
     ranked = sorted(others(pool, chosen, columns, target), key=lambda c: -c.gain)[:LEADING]
     noise = noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
-    learner = Learner(pool.evidence, noise)
+    # Whitened to what a model misses, a log has lost most of what would hold tolerances back.
+    most = 1.0 if pool.evidence.whitener.of_misses else GRID[0]
+    learner = Learner(pool.evidence, noise, most)
     without = learner.beside(*_free(pool, chosen))
     freed = list(_freed(pool, chosen, learner, without))
     alone = [j for j, score, _ in freed if score > SUITS]
@@ -51,6 +55,19 @@ def suited(
         if score > best and CAUSES[pool.evidence.kind(j)] in known:
             best, scales = score, learned.scales
     return scales, alone
+
+
+def at_their_best(
+    pool: Pool, chosen: list[Candidate], floor: float
+) -> tuple[Pool, list[Candidate]]:
+    """The chosen, fitted beside the tolerances that suit them, however wide."""
+    noise = max(1.0, misfit(pool, chosen) / max(floor, 1.0))
+    scales = Learner(pool.evidence, noise).beside(*_free(pool, chosen)).scales
+    if scales == pool.evidence.scales:
+        return pool, chosen
+    pool = pool.charged_as(pool.evidence.rescaled(scales))
+    charged = [dataclasses.replace(c, block=c.block.charged_as(pool.evidence)) for c in chosen]
+    return pool, settle(pool, charged, floor)
 
 
 def bent_by(chosen: list[Candidate]) -> set[str]:
