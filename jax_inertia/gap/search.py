@@ -29,7 +29,7 @@ from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
 from jax_inertia.gap.suited import at_their_best, bent_by, suited
-from jax_inertia.gap.together import misfit, remaining
+from jax_inertia.gap.together import remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
 
@@ -119,10 +119,6 @@ class Finder:
             pool = pool.charged_as(pool.evidence.rescaled(scales))
             floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
             scales, alone = suited(pool, chosen, self.max_effects, against)
-        if white.of_misses and chosen:
-            pool, chosen = at_their_best(pool, chosen, against)
-            misfits = [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
-            floor = pool.evidence.noise_energy(self.replicas)
         return self._judged(pool, white, floor, against, chosen, ranking, misfits, alone)
 
     def _has_cause(self, evidence: Evidence, column: int) -> bool:
@@ -160,7 +156,7 @@ class Finder:
             # each other, as a weight and a force do, to fit the noise that both carry.
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, against)
-        changing = inconstant(pool, chosen, against)
+        changing = _changing(pool, chosen, against)
         apart, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
         if chosen:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
@@ -247,6 +243,16 @@ class Finder:
         floor = pool.evidence.noise_energy(self.replicas)
         against = floor if noise is None else noise
         return floor, against, select(pool, self.max_effects, against)
+
+
+def _changing(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant | None:
+    """`inconstant`, but for what the model's numbers would take, however far off: that is no change of an effect."""
+    wide, fitted = at_their_best(pool, chosen, noise)
+    found = inconstant(wide, fitted, noise)
+    if found is None:
+        return None
+    own = next(c for c, x in zip(chosen, fitted, strict=True) if x is found.effect)
+    return dataclasses.replace(found, effect=own)
 
 
 def finder(

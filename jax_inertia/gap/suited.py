@@ -60,7 +60,9 @@ def suited(
 def at_their_best(
     pool: Pool, chosen: list[Candidate], floor: float
 ) -> tuple[Pool, list[Candidate]]:
-    """The chosen, fitted beside the tolerances that suit them, however wide."""
+    """The chosen, in their order, beside the tolerances that suit them, however wide: where those were kept narrow."""
+    if not (chosen and pool.evidence.whitener.of_misses):
+        return pool, chosen
     noise = max(1.0, misfit(pool, chosen) / max(floor, 1.0))
     scales = Learner(pool.evidence, noise).beside(*_free(pool, chosen)).scales
     if scales == pool.evidence.scales:
