@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("pinocchio", reason="the second engine")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "blind"))
 
+import pinocchio as pin
 import rivals
 import world.simulate as simulate
 from world.bristles import LuGre, Maxwell
-from world.describe import to_mjcf
+from world.describe import to_mjcf, to_pinocchio
 from world.draw import hide
 from world.engines import MujocoEngine, PinocchioEngine, Pull
 from world.machines import MACHINES
@@ -224,3 +225,24 @@ def test_an_effect_of_a_joint_shows_its_equation_there_and_nowhere_else(family):
         np.sqrt((other**2).mean())
         < 0.05 * np.sqrt((want**2).mean()) + 0.03 * bench.nominal.array("friction")[1 - k]
     )
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pinocchio"])
+def test_what_feet_are_said_to_feel_moves_the_robot(engine):
+    """m Δv over a sample is the impulse of measured forces and weight, also where a leg is lifted within a step."""
+    bench = silent(robot="dog", engine=engine, motions=("crawl", "crawl"))
+    log = bench.simulate([], 0)
+    model, _ = to_pinocchio(bench.true)
+    data = model.createData()
+    momentum = []
+    for base, joints, speeds in zip(log["base"], log["qpos"], log["qvel"], strict=True):
+        pos, (w, *axis), linear, angular = np.split(base, [3, 7, 10])
+        rot = pin.Quaternion(w, *axis).toRotationMatrix()
+        q = np.concatenate([pos, axis, [w], joints])
+        v = np.concatenate([rot.T @ linear, angular, speeds])
+        momentum.append(pin.computeCentroidalMomentum(model, data, q, v).linear.copy())
+    force = log["wrench"][:-1, :, :3].sum(axis=1)
+    weight = 9.81 * sum(link.mass for link in bench.true.links)
+    assert np.abs(np.diff(force, axis=0)).max() > 0.2 * weight
+    missed = np.diff(momentum, axis=0) * bench.setting.rate - force + [0, 0, weight]
+    assert np.abs(missed).max() < 2e-3 * weight

@@ -128,13 +128,11 @@ def run(real: Real, controller, motion, rate, duration, noise, rng) -> dict[str,
             log["qpos_target"][k] = aim
             if machine.floating:
                 log["base"][k] = base
-        wrench = 0.0
+        stepper.forget()
         for i in range(substeps):
             q, v = stepper(t + i * h, q, v, tau + ripple[at])
-            if machine.floating and k >= 0:
-                wrench = wrench + engine.wrenches()
         if machine.floating and k >= 0:
-            log["wrench"][k] = wrench / substeps
+            log["wrench"][k] = stepper.wrench / substeps
         if not np.abs(q[-n:] - aim).max() < LOST:
             raise Unstable(f"lost the motion at {t:.2f} s")
         if machine.feet and (base[2] < 0.16 or 1 - 2 * (base[4] ** 2 + base[5] ** 2) < 0.85):
@@ -144,16 +142,26 @@ def run(real: Real, controller, motion, rate, duration, noise, rng) -> dict[str,
     return log
 
 
+SIMPSON = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
+
+
 class _Stepper:
-    """One step of the midpoint rule (MuJoCo) or of Runge and Kutta's fourth order (Pinocchio)."""
+    """One step of the midpoint rule (MuJoCo) or of Runge and Kutta's fourth order (Pinocchio).
+
+    `wrench` adds up what the sensors feel over each step, with the rule's own weights.
+    """
 
     def __init__(self, engine, parts: list[Part], h: float):
         self.engine, self.h, self.n = engine, h, engine.n
         having = lambda name: [p for p in parts if getattr(type(p), name) != getattr(Part, name)]  # noqa: E731
         self.drives, self.loads, self.commits = having("drive"), having("load"), having("commit")
         self.motors = [p for p in parts if isinstance(p, TwoMass)]
+        self.forget()
 
-    def _rate(self, t, q, v, q0, u, x):
+    def forget(self) -> None:
+        self.wrench = 0.0
+
+    def _rate(self, t, q, v, q0, u, x, weight):
         for motor, stage in zip(self.motors, x, strict=True):
             motor.stage = stage
         tau = u.copy()
@@ -161,7 +169,10 @@ class _Stepper:
         path = joints - q0
         for part in self.loads:
             part.load(t, joints, speeds, path, u, tau)
-        return self.engine.accelerate(t, q, v, tau), [m.rate for m in self.motors]
+        a = self.engine.accelerate(t, q, v, tau)
+        if weight and self.engine.machine.floating:
+            self.wrench = self.wrench + weight * self.engine.wrenches()
+        return a, [m.rate for m in self.motors]
 
     def __call__(self, t, q, v, u):
         h, move = self.h, self.engine.move
@@ -170,20 +181,22 @@ class _Stepper:
             part.drive(t, h, u, v[-self.n :])
         q0 = q[-self.n :]
         x0 = [m.x for m in self.motors]
-        a1, r1 = self._rate(t, q, v, q0, u, x0)
+        # A force that jumps within a step is not what its last evaluation finds.
+        first, second, third, last = (0, 1, 0, 0) if self.engine.order == 2 else SIMPSON
+        a1, r1 = self._rate(t, q, v, q0, u, x0, first)
         half = [x + 0.5 * h * r for x, r in zip(x0, r1, strict=True)]
         v2 = v + 0.5 * h * a1
-        a2, r2 = self._rate(t + 0.5 * h, move(q, v, 0.5 * h), v2, q0, u, half)
+        a2, r2 = self._rate(t + 0.5 * h, move(q, v, 0.5 * h), v2, q0, u, half, second)
         if self.engine.order == 2:
             q1, v1 = move(q, v2, h), v + h * a2
             x1 = [x + h * r for x, r in zip(x0, r2, strict=True)]
         else:
             half = [x + 0.5 * h * r for x, r in zip(x0, r2, strict=True)]
             v3 = v + 0.5 * h * a2
-            a3, r3 = self._rate(t + 0.5 * h, move(q, v2, 0.5 * h), v3, q0, u, half)
+            a3, r3 = self._rate(t + 0.5 * h, move(q, v2, 0.5 * h), v3, q0, u, half, third)
             full = [x + h * r for x, r in zip(x0, r3, strict=True)]
             v4 = v + h * a3
-            a4, r4 = self._rate(t + h, move(q, v3, h), v4, q0, u, full)
+            a4, r4 = self._rate(t + h, move(q, v3, h), v4, q0, u, full, last)
             q1 = move(q, (v + 2.0 * (v2 + v3) + v4) / 6.0, h)
             v1 = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
             x1 = [
