@@ -1,8 +1,9 @@
-"""Which accelerations are motion: those below a frequency, and for moments at which a robot moves faster, all of them.
+"""Which accelerations are motion: those below a frequency, and for moments at which a joint moves faster, all of them.
 
 What lies above is the encoders' noise twice differentiated, and the missing torque has it too: columns that share it
-would take a share of it. A start or a stop is over before the spectrum of a whole log shows it, and what the low-pass
-takes from it no effect could explain.
+would take a share of it. Each row has a frequency of its own: a trunk that hardly moves is measured as noisily as legs
+that step. A start or a stop is over before the spectrum of a whole log shows it, and what the low-pass takes from it no
+effect could explain.
 """
 
 import dataclasses
@@ -12,7 +13,6 @@ from jaxtyping import Float
 from scipy import ndimage, signal
 
 from jax_inertia.gap.chain import Prepared, below
-from jax_inertia.gap.noise import Whitener
 
 # No robot's motion ends below this [Hz].
 SLOWEST = 4.0
@@ -24,47 +24,57 @@ MOMENT, LOUDER = 0.2, 1.5
 class Band:
     """Where in frequency and time a log's accelerations are motion."""
 
-    cutoff: float
-    """Up to this frequency [Hz] they are everywhere."""
-    faster: Float[np.ndarray, " T"]
+    cutoff: Float[np.ndarray, " nv"]
+    """Up to this frequency [Hz] they are everywhere; infinite where the chain ends first."""
+    faster: Float[np.ndarray, "T nv"]
     """At which moments of the fast grid they are above it, too: 1 there, 0 elsewhere, smooth between."""
 
     @classmethod
-    def of(
-        cls, prepared: Prepared, white: Whitener, replicas: Float[np.ndarray, "K R nv"]
-    ) -> "Band":
-        """The band of a log, by its noise's `replicas` in the finished missing torque."""
-        cutoff = _cutoff(prepared, white, replicas)
-        own, rate = prepared.settings, prepared.settings.decimated
-        if cutoff >= own.after:
-            return cls(cutoff, np.ones(len(prepared.time)))
+    def of(cls, prepared: Prepared, again: Prepared) -> "Band":
+        """The band of a log, by the same log with its sensors' noise once more."""
+        a = np.asarray(prepared.observation.a)
+        noise = np.asarray(again.observation.a) - a
+        cutoff = _cutoffs(prepared, a, noise)
+        rate = prepared.settings.decimated
         moment = round(MOMENT * rate)
 
-        def loudness(x: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " R"]:
-            return ndimage.uniform_filter1d(np.sum((x / white.sigma) ** 2, axis=1), moment)
+        def loudness(x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, "R nv"]:
+            above = prepared.finish(x - _below(cutoff, x, prepared.rate))
+            return ndimage.uniform_filter1d(above**2, moment, axis=0)
 
-        inverse = prepared.inverse
-        above = loudness(prepared.finish(inverse - below(cutoff, inverse, prepared.rate)))
-        noise = max(loudness(x - below(cutoff, x, rate)).max() for x in replicas)
-        loud = ndimage.maximum_filter1d(1.0 * (above > LOUDER * noise), 2 * moment + 1)
+        loud = 1.0 * (loudness(a) > LOUDER * loudness(noise).max(axis=0))
+        loud = ndimage.maximum_filter1d(loud, 2 * moment + 1, axis=0)
         hann = np.hanning(moment + 2)
-        faster = ndimage.convolve1d(loud, hann / hann.sum(), mode="nearest")
-        return cls(cutoff, np.interp(prepared.time, prepared.time[prepared.kept], faster))
+        faster = ndimage.convolve1d(loud, hann / hann.sum(), axis=0, mode="nearest")
+        at = prepared.time[prepared.kept]
+        return cls(cutoff, np.stack([np.interp(prepared.time, at, x) for x in faster.T], axis=1))
 
-    def motion(self, x: Float[np.ndarray, "T n"], rate: float) -> Float[np.ndarray, "T n"]:
-        """What of signals on the fast grid is motion; all of them where the band does not end."""
-        if self.faster.all():
-            return x
-        slow = below(self.cutoff, x, rate)
-        return slow + self.faster[:, None] * (x - slow)
+    def motion(self, a: Float[np.ndarray, "T nv"], rate: float) -> Float[np.ndarray, "T nv"]:
+        """What of accelerations on the fast grid is motion."""
+        slow = _below(self.cutoff, a, rate)
+        return slow + self.faster * (a - slow)
 
 
-def _cutoff(prepared: Prepared, white: Whitener, replicas: Float[np.ndarray, "K R nv"]) -> float:
-    """Up to which frequency [Hz] there is more motion than noise in the needed torque, all rows in units of noise."""
-    needed = prepared.finish_torque(prepared.inverse) / white.sigma
+def _below(
+    cutoff: Float[np.ndarray, " nv"], x: Float[np.ndarray, "T nv"], rate: float
+) -> Float[np.ndarray, "T nv"]:
+    """Each row below its own cut-off."""
+    out = x.copy()
+    for f in np.unique(cutoff[np.isfinite(cutoff)]):
+        out[:, cutoff == f] = below(float(f), x[:, cutoff == f], rate)
+    return out
+
+
+def _cutoffs(
+    prepared: Prepared, a: Float[np.ndarray, "T nv"], noise: Float[np.ndarray, "T nv"]
+) -> Float[np.ndarray, " nv"]:
+    """Where a cut takes least from each row's motion for what it takes from its noise [Hz]."""
     rate = prepared.settings.decimated
-    pieces = min(len(needed), round(2 * rate))
-    frequency, power = signal.welch(needed, rate, nperseg=pieces, axis=0)
-    noise = signal.welch(replicas / white.sigma, rate, nperseg=pieces, axis=1)[1].mean(axis=0)
-    more = np.flatnonzero(power.sum(axis=1) > 2.0 * noise.sum(axis=1))
-    return float(max(frequency[more[-1]] if len(more) else 0.0, SLOWEST))
+    own, noise = prepared.finish(a), prepared.finish(noise)
+    pieces = min(len(own), round(2 * rate))
+    frequency, power = signal.welch(own, rate, nperseg=pieces, axis=0)
+    noise_power = signal.welch(noise, rate, nperseg=pieces, axis=0)[1]
+    # Motion less noise: what is measured has its own noise in it.
+    worth = np.cumsum(power - 2.0 * noise_power, axis=0)
+    cutoff = np.maximum(frequency[worth.argmax(axis=0)], SLOWEST)
+    return np.where(cutoff < prepared.settings.after, cutoff, np.inf)

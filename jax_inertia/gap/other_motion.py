@@ -72,8 +72,8 @@ class OtherMotion:
     def __init__(self, robot: Robot, log: Log, tolerance: Tolerance, search: Search):
         prepared = prepare(robot, log)
         log = with_torque_noise(log, robot, search.torque_noise)
-        own, replicas, _ = whitener(prepared, log)
-        context = Context(prepared, Band.of(prepared, own, replicas))
+        own, replicas, again = whitener(prepared, log)
+        context = Context(prepared, Band.of(prepared, again))
         # The errors that the first log showed beyond its sensors' are there on this one too.
         own = Whitener(own.sigma, (*own.stages, *search.white.stages[1:]))
         doubts = nuisances(context, tolerance, log)

@@ -281,7 +281,7 @@ def _made(
 ) -> Finder:
     """A finder that takes torques for as noisy as told [N m], or as the log's samples show."""
     white, replicas, again = whitener(prepared, with_torque_noise(log, prepared.robot, noise))
-    context = Context(prepared, Band.of(prepared, white, replicas))
+    context = Context(prepared, Band.of(prepared, again))
     own = nuisances(context, tolerance, log)
     return Finder(context, white, replicas, again, own, library, max_effects, log, tolerance, noise)
 
