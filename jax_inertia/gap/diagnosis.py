@@ -25,9 +25,10 @@ from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.motors import by_samples
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.other_motion import OtherMotion
+from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
-from jax_inertia.gap.search import Search, find, finder
+from jax_inertia.gap.search import find, finder
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
 from jax_inertia.gap.tied import kind_of_tie, rivals, tied

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.other_motion import OtherMotion, Trial, grown
+from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.propose import STOP
-from jax_inertia.gap.search import Search
 from jax_inertia.gap.shrink import Sight, held_out, misfit_held_out, what_is_left
 from jax_inertia.gap.tied import instead
 from jax_inertia.gap.together import misfit

@@ -23,57 +23,15 @@ from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
 from jax_inertia.gap.noise import Whitener, at_random, whitener
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
-from jax_inertia.gap.outsiders import Outsider
+from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.sensors import stated
-from jax_inertia.gap.strain import Left, Strained, Strangeness, strained, strangeness
+from jax_inertia.gap.strain import Left, strained, strangeness
 from jax_inertia.gap.suited import at_their_best, bent_by, suited
 from jax_inertia.gap.together import remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
 from jax_inertia.log import Log
-
-
-@dataclasses.dataclass(frozen=True)
-class Search:
-    """Where a search ended."""
-
-    pool: Pool
-    white: Whitener
-    replicas: np.ndarray
-    """Draws of the sensors' noise in the finished missing torque, (K, R, nv)."""
-    chosen: list[Candidate]
-    ranking: list[Candidate]
-    """All candidates at the first step, best first."""
-    misfits: list[float]
-    """Charged misfit J after 0, 1, 2 ... effects."""
-    floor: float
-    """J that noise alone would leave."""
-    known: bool
-    """Whether the log states its noise, or what is left is at random and as loud as it was taken for."""
-    torque_noise: np.ndarray | None
-    """Of each row, where the log states none and shows another than its samples do [N m]."""
-    noise: float
-    """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
-    rival: tuple[list[Candidate], Outsider] | None
-    """Found effects, and what fits better in their place and is no family."""
-    inconstant: Inconstant | None
-    """A found effect whose size would have to change."""
-    in_doubt: float
-    """Share of what was explained that effects brought which do not stand, each by itself."""
-    entangled: float | None
-    """What the effects explain each alone over what they do together, where that is not about the same (`doubt`)."""
-    apart: Verdict
-    """The verdict if they were not entangled (`verdict`)."""
-    bare: Strangeness
-    """What the log shows without any effect."""
-    strains: list[Strained]
-    """Numbers of the model that are beyond their tolerances, beside the effects."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """What can be said of the effects together."""
-        return self.apart if self.entangled is None else doubted(self.apart, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,11 +61,13 @@ class Finder:
         beyond = [s.column for s in found.strains if self._has_cause(pool.evidence, s.column)]
         if not beyond:
             return found
-        # A number that is off by more than its tolerance is not within it, and the library has an effect for it: where
-        # that is all there is. Elsewhere it stands for what the library lacks.
+        # A number that is off by more than its tolerance is not within it, and the library has an effect for it.
         evidence = found.pool.evidence.pinning(beyond)
         freed = self._settled(found.pool.charged_as(evidence), white, noise)
-        return freed if freed.verdict is Verdict.EXPLAINED else found
+        if freed.verdict is Verdict.EXPLAINED:
+            return freed
+        # It may stand for what the library lacks: then an effect in its place is the better guess, and no surer.
+        return freed.no_surer_than(found) if freed.instead_of(found) else found
 
     def _settled(self, pool: Pool, white: Whitener, noise: float | None) -> Search:
         """Effects and the scales of the model's tolerances, found in turn."""

@@ -7,9 +7,9 @@ import numpy as np
 
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.families.friction import DRY
+from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import propose
-from jax_inertia.gap.search import Search
 from jax_inertia.gap.select import settle
 from jax_inertia.gap.verdict import ties
 
