@@ -42,7 +42,11 @@ class Band:
             above = prepared.finish(x - _below(cutoff, x, prepared.rate))
             return ndimage.uniform_filter1d(above**2, moment, axis=0)
 
-        loud = 1.0 * (loudness(a) > LOUDER * loudness(noise).max(axis=0))
+        quiet = loudness(noise)
+        usual = quiet.mean(axis=0)
+        # One row's noise of one log hardly tells how loud a moment of it may be; all rows' together do.
+        most = np.max(quiet / np.maximum(usual, 1e-300))
+        loud = 1.0 * (loudness(a) > LOUDER * most * usual)
         loud = ndimage.maximum_filter1d(loud, 2 * moment + 1, axis=0)
         hann = np.hanning(moment + 2)
         faster = ndimage.convolve1d(loud, hann / hann.sum(), axis=0, mode="nearest")
