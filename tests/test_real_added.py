@@ -49,8 +49,9 @@ def test_a_force_is_balanced_and_a_friction_resists(recording):
     direction = np.random.default_rng(5).normal(size=3)
     direction /= np.linalg.norm(direction)
     pull = effects.of_body("constant_force", "rod", 2, np.random.default_rng(5))
-    # The rod's origin lies on the hinge.
-    np.testing.assert_allclose(pull.torque(recording, 7.0), 0.0, atol=1e-12)
+    q, (x, _, z) = recording.q[:, HINGE], 7.0 * direction
+    expected = 0.3 * (np.cos(q) * x - np.sin(q) * z)
+    np.testing.assert_allclose(pull.torque(recording, 7.0)[:, HINGE], expected, atol=1e-9)
     rubbed = on_hinge("coulomb_friction").torque(recording, 2.0)[:, HINGE]
     fast = (np.abs(recording.v[:, HINGE]) > 0.5) & (recording.time > 0.1)
     np.testing.assert_allclose(rubbed[fast], 2.0 * np.sign(recording.v[fast, HINGE]), atol=1e-3)
@@ -70,7 +71,7 @@ def test_drives_give_what_they_gave(recording):
         np.testing.assert_allclose(acts(effect, logged)[inner], tau[inner], atol=1e-4)
 
 
-@pytest.mark.parametrize("family", [*effects.JOINT, "payload"])
+@pytest.mark.parametrize("family", [*effects.JOINT, *effects.BODY])
 def test_a_size_is_as_loud_as_asked(recording, family):
     if family in effects.JOINT:
         effect = on_hinge(family)

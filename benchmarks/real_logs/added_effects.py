@@ -60,13 +60,13 @@ class Recording:
         return self.needed(self._compiled(spec)) - self.needed(self.model)
 
     def pulled(self, body: int, force: np.ndarray) -> np.ndarray:
-        """What balances a force on a body's origin, in world axes."""
+        """What balances a force on a body's centre of mass, in world axes."""
         data, jac, out = mujoco.MjData(self.model), np.zeros((3, self.model.nv)), []
         for q in self.q:
             data.qpos[:] = q
             mujoco.mj_kinematics(self.model, data)
             mujoco.mj_comPos(self.model, data)
-            mujoco.mj_jacBody(self.model, data, jac, None, body)
+            mujoco.mj_jacBodyCom(self.model, data, jac, None, body)
             out.append(-jac.T @ force)
         return np.array(out)
 
