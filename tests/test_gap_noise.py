@@ -239,8 +239,8 @@ def test_bristles_may_straighten_while_joints_stand():
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(friction)))
     log = simulate(friction=friction, stops=True, reach=2e-3, creep=0.1)
     prepared = prepare(robot, log)
-    white, replicas, _ = whitener(prepared, log)
-    context = Context(prepared, Band.of(prepared, white, replicas))
+    white, replicas, again = whitener(prepared, log)
+    context = Context(prepared, Band.of(prepared, again))
     evidence = Evidence(prepared, white, nuisances(context, Tolerance(), log))
     assert evidence.y @ evidence.y < 4.0 * evidence.noise_energy(replicas)
 

@@ -69,4 +69,4 @@ class Search:
         """Misfit, what numbers beyond their tolerances take of it, and the price of effects."""
         granted = sum(x.energy for x in self.strains)
         prices = sum(c.price(self.pool.evidence.rows) for c in self.chosen)
-        return self.misfits[-1] + granted + prices
+        return float(self.misfits[-1] + granted + prices)
