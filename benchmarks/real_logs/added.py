@@ -17,7 +17,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import dataclasses
 import json
-import platform
 import time
 import warnings
 from pathlib import Path
@@ -28,6 +27,7 @@ import numpy as np
 from added_effects import BODY, JOINT, Effect, Recording, draw, sized
 from diagnosis_cases import CASES, Case, Files
 from logs import SHARED
+from report import machine
 
 from jax_inertia import _diagnose_run as pipeline
 from jax_inertia._console import stages
@@ -40,6 +40,7 @@ COUNT = {"ur10e_no_load": 9, "ur10e_payload": 9, "double_pendulum": 8, "panda": 
 LEAST, MOST = 0.5, 3.0
 # A case's own number of effects leaves no place for another.
 MORE = 2
+LOG, TEST, ANSWER = "log.npz", "test.npz", "answer.json"
 
 
 def diagnosed(case: Case, files: Files, folder: Path) -> dict:
@@ -60,8 +61,8 @@ def recording(model: Path, log: Log) -> Recording:
     return Recording(model, *(np.asarray(x, float) for x in (log.time, log.qpos, log.tau)))
 
 
-def add(case: Case, files: Files, untouched: dict, seed: tuple[int, ...], folder: Path) -> Files:
-    """Logs of a case with one more effect in `folder`, and the answer beside them."""
+def add(files: Files, untouched: dict, seed: tuple[int, ...], folder: Path) -> None:
+    """Logs with one more effect in `folder`, and then the answer beside them."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     logs = [read_log(path) for path in (files.log, files.test) if path]
@@ -69,10 +70,8 @@ def add(case: Case, files: Files, untouched: dict, seed: tuple[int, ...], folder
     effect = drawn(recordings[0], logs[0].tau_kind, untouched, rng)
     ratio = float(np.exp(rng.uniform(np.log(LEAST), np.log(MOST))))
     size = sized(effect, recordings[0], ratio)
-    paths = []
-    for log, r, name in zip(logs, recordings, ("log.npz", "test.npz"), strict=False):
-        paths.append(folder / name)
-        write_log(dataclasses.replace(log, tau=r.tau + effect.torque(r, size)), paths[-1])
+    for log, r, name in zip(logs, recordings, (LOG, TEST), strict=False):
+        write_log(dataclasses.replace(log, tau=r.tau + effect.torque(r, size)), folder / name)
     answer = {
         "family": effect.family,
         "place": effect.place,
@@ -80,35 +79,33 @@ def add(case: Case, files: Files, untouched: dict, seed: tuple[int, ...], folder
         "value": effect.value(size),
         "ratio": ratio,
     }
-    (folder / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
-    return Files(files.model, *paths)
+    (folder / ANSWER).write_text(json.dumps(answer, indent=1) + "\n")
 
 
 def drawn(r: Recording, kind: TorqueKind, untouched: dict, rng: np.random.Generator) -> Effect:
     """An effect that this log is not said to have already, nor to be unable to tell from one."""
-    said = {
-        (e["family"], e["location"]["name"])
-        for found in untouched["effects"]
-        for e in (found, *found["equivalent"])
-    }
+    said = page.said(untouched)
     # A sensor behind the gear is not late.
     families = [f for f in (*JOINT, *BODY) if f != "time_delay" or kind is not TorqueKind.SENSOR]
     while True:
         effect = draw(str(rng.choice(families)), r, rng)
-        if (effect.family, effect.place) not in said:
+        if page.key(effect.family, effect.place) not in said:
             return effect
 
 
 def run(case: Case, folder: Path, seed: int) -> None:
     """All logs of one case."""
-    own = folder / "as_recorded"
-    own.mkdir(parents=True, exist_ok=True)
-    files = case.prepare(own)
-    untouched = diagnosed(case, files, own)
+    recorded = folder / "as_recorded"
+    recorded.mkdir(parents=True, exist_ok=True)
+    files = case.prepare(recorded)
+    untouched = diagnosed(case, files, recorded)
     number = [c.name for c in CASES].index(case.name)
     for k in range(COUNT[case.name]):
         part = folder / f"{k:02d}"
-        report = diagnosed(case, add(case, files, untouched, (seed, number, k), part), part)
+        if not (part / ANSWER).exists():
+            add(files, untouched, (seed, number, k), part)
+        own = Files(files.model, part / LOG, files.test and part / TEST)
+        report = diagnosed(case, own, part)
         print(page.line(page.Row.of(case.name, part, report, untouched)), flush=True)
 
 
@@ -128,9 +125,8 @@ def main() -> None:
                 run(case, args.out / case.name, args.seed)
             else:
                 print(f"{case.name}: skipped, no {SHARED / case.folder}", flush=True)
-    machine = f"{os.cpu_count()} CPUs, Python {platform.python_version()}, jax {jax.__version__}"
     if rows := page.collect(args.out):
-        page.write(HERE, rows, args.seed, machine)
+        page.write(HERE, rows, args.seed, machine())
         print(f"wrote {HERE / page.PAGE}")
 
 

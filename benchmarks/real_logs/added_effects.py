@@ -31,7 +31,9 @@ class Recording:
         self.q = self.below(qpos)
         self.v = np.gradient(self.q, time, axis=0)
         self.a = np.gradient(self.v, time, axis=0)
-        self.missing = self.below(self.needed(self.model) - tau)
+        self.modelled = self.needed(self.model)
+        """What the model needs [N m]."""
+        self.missing = self.below(self.modelled - tau)
         """What the robot needs beyond its model [N m]."""
 
     @staticmethod
@@ -57,7 +59,7 @@ class Recording:
         """What the motion needs more once the model is edited."""
         spec = self.spec.copy()
         edit(spec)
-        return self.needed(self._compiled(spec)) - self.needed(self.model)
+        return self.needed(self._compiled(spec)) - self.modelled
 
     def pulled(self, body: int, force: np.ndarray) -> np.ndarray:
         """What balances a force on a body's centre of mass, in world axes."""

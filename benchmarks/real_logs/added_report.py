@@ -26,10 +26,8 @@ class Row:
     case: str
     log: str
     answer: dict
-    found: tuple[str, ...]
-    """family@place of each effect, in the report's order."""
     new: tuple[str, ...]
-    """Those that the log as recorded is not said to have."""
+    """family@place of each effect that the log as recorded is not said to have, in the report's order."""
     listed: bool
     in_set: bool
     place: bool
@@ -41,20 +39,17 @@ class Row:
     @classmethod
     def of(cls, case: str, folder: Path, report: dict, untouched: dict) -> Row:
         answer = json.loads((folder / "answer.json").read_text())
-        wanted = f"{answer['family']}@{answer['place']}"
-        before = {_key(e) for e in untouched["effects"]}
-        found = tuple(_key(e) for e in report["effects"])
-        sets = {k for e in report["effects"] for k in (_key(e), *map(_key, e["equivalent"]))}
-        new = tuple(k for k in found if k not in before)
-        hit = next((e for e in report["effects"] if _key(e) == wanted), None)
+        wanted = key(answer["family"], answer["place"])
+        before = {_key_of(e) for e in untouched["effects"]}
+        new = tuple(k for k in map(_key_of, report["effects"]) if k not in before)
+        hit = next((e for e in report["effects"] if _key_of(e) == wanted), None)
         return cls(
             case,
             folder.name,
             answer,
-            found,
             new,
             hit is not None,
-            wanted in sets,
+            wanted in said(report),
             any(k.split("@")[1] == answer["place"] for k in new),
             hit and _ratio(answer, hit["parameters"]),
             report["verdict"],
@@ -63,16 +58,33 @@ class Row:
 
     @property
     def wanted(self) -> str:
-        return f"{self.answer['family']}@{self.answer['place']}"
+        return key(self.answer["family"], self.answer["place"])
 
     @property
     def first(self) -> bool:
         """Whether it leads what is new."""
         return self.new[:1] == (self.wanted,)
 
+    @property
+    def how(self) -> str:
+        """How it was told, in a word."""
+        if self.first:
+            return "first"
+        return "listed" if self.listed else "in the set" if self.in_set else "–"
 
-def _key(effect: dict) -> str:
-    return f"{effect['family']}@{effect['location']['name']}"
+
+def key(family: str, place: str) -> str:
+    """An effect at its place, in a word."""
+    return f"{family}@{place}"
+
+
+def _key_of(effect: dict) -> str:
+    return key(effect["family"], effect["location"]["name"])
+
+
+def said(report: dict) -> set[str]:
+    """All effects of a report, and what it declares equal to them."""
+    return {_key_of(x) for e in report["effects"] for x in (e, *e["equivalent"])}
 
 
 def _ratio(answer: dict, numbers: dict) -> float:
@@ -97,9 +109,8 @@ def collect(out: Path) -> list[Row]:
 def line(row: Row) -> str:
     """One log in a line."""
     size = "" if row.size is None else f", size × {row.size:.2f}"
-    said = "first" if row.first else "listed" if row.listed else "in the set" if row.in_set else "—"
     return (
-        f"  {row.case}/{row.log}: {row.wanted} at {row.answer['ratio']:.1f} of the gap: {said}{size}; "
+        f"  {row.case}/{row.log}: {row.wanted} at {row.answer['ratio']:.1f} of the gap: {row.how}{size}; "
         f"new: {', '.join(row.new) or 'nothing'}; {row.verdict}, {row.seconds:.0f} s"
     )
 
@@ -169,12 +180,11 @@ def _near(row: Row) -> bool:
 
 
 def _told(row: Row) -> list[str]:
-    said = "first" if row.first else "listed" if row.listed else "in the set" if row.in_set else "–"
     return [
         f"{row.case}/{row.log}",
         row.wanted.replace("@", " at "),
         f"{row.answer['ratio']:.1f}",
-        said,
+        row.how,
         "–" if row.size is None else f"{row.size:.2f}",
         ", ".join(k.replace("@", " at ") for k in row.new) or "nothing",
         row.verdict,

@@ -14,7 +14,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import json
-import platform
 import time
 import warnings
 from pathlib import Path
@@ -25,6 +24,7 @@ from diagnosis_cases import CASES, Case
 from diagnosis_figures import figure
 from diagnosis_summary import Summary, summarise
 from logs import SHARED
+from report import machine
 
 from jax_inertia import _diagnose_run as pipeline
 from jax_inertia._console import stages
@@ -86,8 +86,7 @@ def main() -> None:
     for name in done:
         picture = f"diagnosis_{name}.png"
         (HERE / picture).write_bytes((args.out / name / picture).read_bytes())
-    machine = f"{os.cpu_count()} CPUs, Python {platform.python_version()}, jax {jax.__version__}"
-    (HERE / PAGE).write_text(report.render(done, machine))
+    (HERE / PAGE).write_text(report.render(done, machine()))
     print(f"wrote {HERE / PAGE}")
 
 

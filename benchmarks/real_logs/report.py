@@ -1,6 +1,10 @@
 """RESULTS.md: every number comes from the run, and so do the verdicts."""
 
+import os
+import platform
+
 import arms
+import jax
 import numpy as np
 import ur10e
 from logs import LWR, PANDA, UR10E
@@ -12,6 +16,11 @@ def table(head: list[str], rows: list[list[str]]) -> str:
     """A Markdown table."""
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def machine() -> str:
+    """What a page was made on."""
+    return f"{os.cpu_count()} CPUs, Python {platform.python_version()}, jax {jax.__version__}"
 
 
 def _interval(value: tuple[float, float]) -> str:

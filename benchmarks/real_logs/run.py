@@ -5,8 +5,6 @@
 The logs are looked for in ../shared/data beside the repository, or in $JAX_INERTIA_DATA.
 """
 
-import os
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -51,9 +49,8 @@ def main() -> None:
     figures.weighings(HERE / "ur10e_load.png", weighings, online, better)
     figures.online(HERE / "ur10e_online.png", last)
     figures.residuals(HERE / "arms_residuals.png", results)
-    machine = f"{os.cpu_count()} CPUs, Python {platform.python_version()}, jax {jax.__version__}"
     text = report.render(
-        weighings, held_out, online, by_joint, by_setting, race, results, wall, machine
+        weighings, held_out, online, by_joint, by_setting, race, results, wall, report.machine()
     )
     (HERE / "RESULTS.md").write_text(text)
 

@@ -128,10 +128,10 @@ def run(real: Real, controller, motion, rate, duration, noise, rng) -> dict[str,
             log["qpos_target"][k] = aim
             if machine.floating:
                 log["base"][k] = base
-        stepper.forget()
+        stepper.begin(felt=machine.floating and k >= 0)
         for i in range(substeps):
             q, v = stepper(t + i * h, q, v, tau + ripple[at])
-        if machine.floating and k >= 0:
+        if stepper.felt:
             log["wrench"][k] = stepper.wrench / substeps
         if not np.abs(q[-n:] - aim).max() < LOST:
             raise Unstable(f"lost the motion at {t:.2f} s")
@@ -148,7 +148,7 @@ SIMPSON = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 class _Stepper:
     """One step of the midpoint rule (MuJoCo) or of Runge and Kutta's fourth order (Pinocchio).
 
-    `wrench` adds up what the sensors feel over each step, with the rule's own weights.
+    `wrench` adds up what the sensors feel over the steps since `begin`, with the rule's own weights.
     """
 
     def __init__(self, engine, parts: list[Part], h: float):
@@ -156,10 +156,10 @@ class _Stepper:
         having = lambda name: [p for p in parts if getattr(type(p), name) != getattr(Part, name)]  # noqa: E731
         self.drives, self.loads, self.commits = having("drive"), having("load"), having("commit")
         self.motors = [p for p in parts if isinstance(p, TwoMass)]
-        self.forget()
+        self.begin(felt=False)
 
-    def forget(self) -> None:
-        self.wrench = 0.0
+    def begin(self, *, felt: bool) -> None:
+        self.felt, self.wrench = felt, 0.0
 
     def _rate(self, t, q, v, q0, u, x, weight):
         for motor, stage in zip(self.motors, x, strict=True):
@@ -170,7 +170,7 @@ class _Stepper:
         for part in self.loads:
             part.load(t, joints, speeds, path, u, tau)
         a = self.engine.accelerate(t, q, v, tau)
-        if weight and self.engine.machine.floating:
+        if weight and self.felt:
             self.wrench = self.wrench + weight * self.engine.wrenches()
         return a, [m.rate for m in self.motors]
 
