@@ -123,11 +123,11 @@ def test_effects_are_swapped_for_what_costs_less():
     family = SimpleNamespace(size=None, doubt=0.0, free_shape=0)
     for effect in (one, other):
         effect.family, effect.block, effect.grid = family, SimpleNamespace(shape=()), 1
-    assert not _likelier(pool, [one], [other], floor=900.0)
+    assert not _likelier(pool, [one], [other], floor=np.array([900.0]))
     # Six numbers that leave as much as one does.
     other.theta = np.ones(6)
-    assert _likelier(pool, [one], [other], floor=900.0)
-    assert not _likelier(pool, [other], [one], floor=900.0)
+    assert _likelier(pool, [one], [other], floor=np.array([900.0]))
+    assert not _likelier(pool, [other], [one], floor=np.array([900.0]))
 
 
 def test_two_effects_stand_in_place_of_one_that_has_many_numbers_to_draw_both(monkeypatch):
@@ -143,13 +143,13 @@ def test_two_effects_stand_in_place_of_one_that_has_many_numbers_to_draw_both(mo
     ranked = {0: [draws, one, other], 1: [other]}
     monkeypatch.setattr("jax_inertia.gap.select.propose", lambda _, some, __: ranked[len(some)])
     monkeypatch.setattr("jax_inertia.gap.select.settle", lambda _, some, __: some)
-    assert split(pool, [draws], floor=40.0) == [one, other]
+    assert split(pool, [draws], floor=np.array([40.0])) == [one, other]
     # One number is not split.
     draws.theta = np.ones(1)
-    assert split(pool, [draws], floor=40.0) == []
+    assert split(pool, [draws], floor=np.array([40.0])) == []
     # Nor where the first of two explains far less.
     draws.theta, one.gain, other.gain = np.ones(6), 700.0, 700.0
-    assert split(pool, [draws], floor=40.0) == []
+    assert split(pool, [draws], floor=np.array([40.0])) == []
 
 
 def pushed(start: float, force: np.ndarray):

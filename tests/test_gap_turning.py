@@ -85,7 +85,7 @@ def test_a_joint_has_one_dry_friction():
     found = ready.search(ready.white)
     (rubbing,) = found.chosen
     assert rubbing.key == ("coulomb_friction", "joint", "axis3")
-    dry = [c for c in propose(found.pool, found.chosen, found.noise) if c.family.law_of]
+    dry = [c for c in propose(found.pool, found.chosen, found.noise_by_row) if c.family.law_of]
     assert dry
     assert all(c.place != rubbing.place for c in dry)
 

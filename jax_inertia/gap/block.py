@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
+from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.span import Split
 
 
@@ -127,8 +128,8 @@ class Beside:
     """Of the chosen columns, orthonormal."""
     target: Float[np.ndarray, " n"]
     """What they cannot reach."""
-    noise: float = 1.0
-    """Misfit of one sample that counts as noise: what is known of numbers before any data weighs that much more."""
+    loudness: Loudness | None = None
+    """Of what is left once this is explained too; none where it is as loud as noise."""
 
     @functools.cached_property
     def _twice(self) -> Float[np.ndarray, "n c"]:
@@ -141,11 +142,22 @@ class Beside:
         evidence: Evidence,
         columns: Float[np.ndarray, "n s"],
         target: Float[np.ndarray, " n"],
-        noise: float = 1.0,
+        loudness: Loudness | None = None,
     ) -> "Beside":
         """Beside chosen columns, of a target in the charged metric."""
         basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
-        return cls(evidence, basis, target - basis @ (basis.T @ target), noise)
+        return cls(evidence, basis, target - basis @ (basis.T @ target), loudness)
+
+    def noise(self, block: Block, weights: Float[np.ndarray, " k"]) -> float:
+        """Misfit of one sample that counts as noise beside an effect.
+
+        What is known of its numbers before any data weighs that much more.
+        """
+        if self.loudness is None:
+            return 1.0
+        if self.loudness.even:
+            return self.loudness.whole
+        return self.loudness.beside(self.evidence.by_row(block.plain.columns @ weights))
 
     def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What the chosen cannot reach of other columns."""

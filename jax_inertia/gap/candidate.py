@@ -43,6 +43,15 @@ class Candidate:
         """Its nonlinear numbers."""
         return self.block.shape
 
+    @property
+    def weights(self) -> Float[np.ndarray, " k"]:
+        """Of the block's columns."""
+        return self.tangent @ self.theta + self.constant
+
+    def noise(self, left: Beside) -> float:
+        """Misfit of one sample that counts as noise beside it."""
+        return left.noise(self.block, self.weights)
+
     @functools.cached_property
     def columns(self) -> Float[np.ndarray, "n p"]:
         """∂e/∂θ in the charged metric."""
@@ -149,7 +158,9 @@ def fit(
         if theta is None:
             return None
     else:
-        theta = _manifold(context, family, place, gram, cross, left.noise)
+        free = _least_norm(gram, cross)
+        noise = 1.0 if free is None else left.noise(block, free)
+        theta = _manifold(context, family, place, gram, cross, noise)
         if theta is None:
             return None
         tangent = _tangent(lambda t: family.weights(context, place, t), theta)

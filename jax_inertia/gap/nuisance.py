@@ -38,10 +38,11 @@ class Tolerance:
     damping: float = 0.05
     """Relative to the model's own damping, frictionloss and armature."""
     period: float = 0.08
-    """Of the log's period, when within it a held torque acted: half a period, the most it can be, is six of these, and
-    brings just less than a delay has to and costs (`propose.STOP`, `Candidate.price`)."""
+    """Of the log's period, when within it a torque acted. One that is held is half a period off at most: that is six of
+    these, and brings just less than a delay has to and costs (`propose.STOP`, `Candidate.price`). One that a sensor
+    sampled, at the moment or over the period that followed, is a quarter off."""
     sampled: float = 0.25
-    """The same for a torque or a wrench that a sensor sampled: of the moment, or of the period that followed."""
+    """The same for a wrench."""
 
 
 CAUSES = {
@@ -111,9 +112,8 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
             if moments := [*_departures(context, row), *_halts(context, row)]:
                 brief.append(Columns(friction * np.stack(moments, axis=1), row))
-    sampled = log.tau_kind is TorqueKind.SENSOR
-    late, most = (tolerance.sampled, 0.25) if sampled else (tolerance.period, 0.5)
-    shifts = _shifts(context.time, context.tau, late / log.rate, most / log.rate)
+    most = 0.25 if log.tau_kind is TorqueKind.SENSOR else 0.5
+    shifts = _shifts(context.time, context.tau, tolerance.period / log.rate, most / log.rate)
     fixed.append(Columns(np.stack(shifts, axis=2)))
     if context.wrench is not None and context.prepared.support is None:
         # A foot that is set down changes its force by tens of weights a second.

@@ -9,6 +9,7 @@ from jax_inertia.gap.constancy import Inconstant
 from jax_inertia.gap.noise import Whitener
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
+from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.strain import Strained, Strangeness
 from jax_inertia.gap.verdict import Verdict, doubted
 
@@ -32,8 +33,8 @@ class Search:
     """Whether the log states its noise, or what is left is at random and as loud as it was taken for."""
     torque_noise: np.ndarray | None
     """Of each row, where the log states none and shows another than its samples do [N m]."""
-    noise: float
-    """J that the noise leaves which the effects competed against: `floor`, or more in a second pass."""
+    noise_by_row: Rows
+    """J on each row that the noise leaves which the effects competed against: `floor`'s, or more in a second pass."""
     rival: tuple[list[Candidate], Outsider] | None
     """Found effects, and what fits better in their place and is no family."""
     inconstant: Inconstant | None
@@ -48,6 +49,11 @@ class Search:
     """What the log shows without any effect."""
     strains: list[Strained]
     """Numbers of the model that are beyond their tolerances, beside the effects."""
+
+    @property
+    def noise(self) -> float:
+        """J that this noise leaves in all."""
+        return float(self.noise_by_row.sum())
 
     @property
     def verdict(self) -> Verdict:

@@ -16,6 +16,8 @@ from jax_inertia.gap.families.base import Family, Place, Shape
 from jax_inertia.gap.refine import refine
 from jax_inertia.gap.span import Split
 
+# Samples of columns of single shapes that are kept, at most, about.
+KEPT = 3e7
 # A grid point that explains this share of what the best does may lie on the flank of a higher peak.
 NEARLY = 0.5
 
@@ -47,6 +49,7 @@ class Pool:
     def __init__(self, context: Context, evidence: Evidence, library: list[Family], echo: Echo):
         self.context, self.evidence, self.echo = context, evidence, echo
         self.library = library
+        self._kept: dict[tuple[Family, Place, Shape], Block] = {}
 
     @functools.cached_property
     def entries(self) -> list[Entry]:
@@ -56,6 +59,7 @@ class Pool:
     def forget(self) -> None:
         """Let go of the columns, gigabytes for a humanoid; they are computed again if they are asked for."""
         self.__dict__.pop("entries", None)
+        self._kept.clear()
 
     def look_again(self, windows: tuple[tuple[float, float], ...]) -> None:
         """Offer what happens in passing (pushes) over other stretches of time."""
@@ -116,6 +120,15 @@ class Pool:
             for s, x, again in zip(shapes, own, columns(self.echo.context), strict=True)
         ]
 
+    def block(self, family: Family, place: Place, shape: Shape) -> Block:
+        """`blocks` of one shape: the same are come back to, whatever is chosen beside them."""
+        key, kept = (family, place, shape), self._kept
+        if key not in kept:
+            if len(kept) * self.evidence.rows > KEPT:
+                del kept[next(iter(kept))]
+            kept[key] = self.blocks(family, place, [shape])[0]
+        return kept[key].charged_as(self.evidence)
+
     @functools.cached_property
     def _of_y(self) -> Split:
         """What the echo's noise does to y."""
@@ -131,9 +144,9 @@ class Pool:
         return out
 
     def best(self, left: Beside) -> list[Candidate]:
-        """Every candidate fitted to what is left, best score first."""
+        """Every candidate fitted to what is left."""
         every = (self._best_of(e, left) for e in self.entries)
-        return sorted((c for c in every if c is not None), key=lambda c: -c.score)
+        return [c for c in every if c is not None]
 
     def _best_of(self, entry: Entry, left: Beside) -> Candidate | None:
         firsts = [fits[0] for fits in self._ranked(entry, left)]
@@ -142,7 +155,6 @@ class Pool:
             # Windows were picked from all there are: (duration / 0.1 s)² of them, about.
             windows = max(2, round((self.context.time[-1] / 0.1) ** 2))
             top.grid = windows if entry.family.passing else entry.count
-            top.score = top.gain / left.noise - top.price(self.evidence.rows)
         return top
 
     def _ranked(self, entry: Entry, left: Beside) -> list[list[Candidate]]:
@@ -181,7 +193,7 @@ class Pool:
             return candidate
 
         def block_of(shape: Shape) -> Block:
-            return self.blocks(candidate.family, candidate.place, [shape])[0]
+            return self.block(candidate.family, candidate.place, shape)
 
         return refine(self.context, block_of, candidate, left)
 
@@ -198,7 +210,7 @@ class Pool:
                 if len(taken) == family.peaks:
                     break
                 if c.gain > NEARLY * best.gain and not any(self._about(c.shape, t) for t in taken):
-                    c.grid, c.score = best.grid, best.score + (c.gain - best.gain) / left.noise
+                    c.grid = best.grid
                     taken.append(c)
             others += [c for c in taken if c is not best]
         return others
@@ -216,13 +228,13 @@ class Pool:
         entry.blocks = entry.blocks + self._sound(entry.family, entry.place, entry.rest)
         entry.rest = []
         found = self._best_of(entry, left)
-        return found or dataclasses.replace(candidate, gain=0.0, aim=0.0, score=-np.inf)
+        return found or dataclasses.replace(candidate, gain=0.0, aim=0.0)
 
     def at(
         self, shape: Shape, family: Family, candidate: Candidate, left: Beside
     ) -> Candidate | None:
         """A cause at a candidate's place, by an equation and a shape that may be others than the candidate's."""
-        [block] = self.blocks(family, candidate.place, [shape])
+        block = self.block(family, candidate.place, shape)
         fitted = fit(self.context, family, candidate.place, block, left)
         if fitted is not None:
             fitted.grid = candidate.grid
@@ -231,17 +243,11 @@ class Pool:
     def best_at(
         self, shapes: Iterable[Shape], family: Family, candidate: Candidate, left: Beside
     ) -> list[Candidate]:
-        """A cause at a candidate's place at the best of some shapes, with its score; none where it fits at no one."""
+        """A cause at a candidate's place at the best of some shapes; none where it fits at no one."""
         tried = (self.at(shape, family, candidate, left) for shape in shapes)
-        best = sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
-        for x in best:
-            x.score = candidate.score + (x.gain - candidate.gain) / left.noise
-        return best
+        return sorted((x for x in tried if x is not None), key=lambda x: -x.aim)[:1]
 
     def fit_again(self, candidate: Candidate, left: Beside) -> Candidate | None:
         """The candidate refitted at its own shape, then refined; None where it is no longer physical."""
         fitted = self.at(candidate.shape, candidate.family, candidate, left)
-        if fitted is None:
-            return None
-        fitted.score = candidate.score
-        return self.between(self._on_all(fitted, left), left)
+        return None if fitted is None else self.between(self._on_all(fitted, left), left)

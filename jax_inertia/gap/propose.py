@@ -5,49 +5,67 @@ still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.families.base import Shape
+from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import misfit, remaining, stacked
 from jax_inertia.gap.verdict import DOUBT
+
+Rows = Float[np.ndarray, " nv"]
 
 # An effect must bring this much score (twice the log of the odds, about) to be added to what is chosen.
 STOP = 30.0
 
 
-def propose(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
-    """Candidates to add, best first, the leading ones refined; simpler families first where they do as well."""
+def propose(
+    pool: Pool, chosen: list[Candidate], floor: Rows, *, by_row: bool = False
+) -> list[Candidate]:
+    """Candidates to add, best first, the leading ones refined; simpler families first where they do as well.
+
+    `floor`: the misfit that noise leaves on each row. `by_row`: each is scored against what is left on the rows where
+    it acts, not on all as one. Of two causes on one row the louder is found by what it explains of all; a quiet row's
+    is lost beside one that no effect explains.
+    """
     columns, target = stacked(pool, chosen)
-    n = pool.evidence.rows
+    noise = float(floor.sum())
     ranked = others(pool, chosen, columns, target)
     if not ranked:
         return []
     before = misfit(pool, chosen)
 
-    def scored(every: list[Candidate]) -> float:
-        """Scores against what the best of them leaves; that."""
-        noise = noise_beside(pool, chosen, max(every, key=lambda c: c.gain), floor)
+    def scored(every: list[Candidate]) -> Beside:
+        """Scores against what the best of them leaves; beside what they are fitted."""
+        loud = loudness(pool, [*chosen, max(every, key=lambda c: c.gain)], floor)
+        left = Beside.of(pool.evidence, columns, target, loud if by_row else loud.evenly)
         for c in every:
-            c.score = c.gain / noise - c.price(n) - c.surprise
+            c.score = score(c, left)
         every.sort(key=lambda c: -c.score)
-        return noise
+        return left
 
-    noise = scored(ranked)
+    left = scored(ranked)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
-    left = Beside.of(pool.evidence, columns, target, noise)
     lead = _led(pool, near, left)
-    freed = _freed(pool, lead, left, floor)
+    freed = _freed(pool, lead, left, noise)
     # Six free numbers draw some of anything: they are a cause where little else is left.
-    freed = [f for f in freed if before - f.gain - floor < max(0.2 * floor, DOUBT**2 * before)]
+    freed = [f for f in freed if before - f.gain - noise < max(0.2 * noise, DOUBT**2 * before)]
+    for c in lead:
+        c.score = score(c, left)
     _told_in_band(lead, left)
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
         ranked = [*ranked, *freed]
         scored(ranked)
-    return _parsimonious(ranked, before, floor)
+    return _parsimonious(ranked, before, noise)
+
+
+def score(c: Candidate, left: Beside) -> float:
+    """What a candidate explains against the noise beside it, less what its numbers cost."""
+    return c.gain / c.noise(left) - c.price(left.evidence.rows) - c.surprise
 
 
 # What passes is refined on its own where at the leader's time it explains this share of what the leader does.
@@ -98,7 +116,7 @@ def _told_in_band(lead: list[Candidate], left: Beside) -> None:
         seen = [float(e @ target) ** 2 / max(float(e @ e), 1e-300) for e in heard]
         gain, most = max(c.gain for c in twins), max(seen)
         for c, own in zip(twins, seen, strict=True):
-            c.score += (gain - c.gain - (most - own)) / left.noise
+            c.score += (gain - c.gain - (most - own)) / c.noise(left)
 
 
 def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> list[Candidate]:
@@ -194,27 +212,9 @@ def others(
     return [c for c in every if c.key not in own and (c.family.law_of, c.place) not in laws]
 
 
-def noise_beside(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
-    """Variance of one sample of what the best fit leaves, memory included, against the noise's."""
-    return _noise(pool, [*chosen, added], misfit(pool, chosen) - added.gain, floor)
-
-
-def noise_of(pool: Pool, chosen: list[Candidate], floor: float) -> float:
-    """The same of what effects leave that are fitted together."""
-    return _noise(pool, chosen, misfit(pool, chosen), floor)
-
-
-def _noise(pool: Pool, chosen: list[Candidate], left: float, floor: float) -> float:
-    noise = max(1.0, left / max(floor, 1.0))
-    return noise * _redness(pool, chosen) if noise > 1.2 else noise
-
-
-def _redness(pool: Pool, chosen: list[Candidate]) -> float:
-    """How many samples of what is left count as one: (1 + ρ)/(1 − ρ) of its lag-one correlation ρ."""
-    left = pool.evidence.unflatten(remaining(pool, chosen))
-    rho = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
-    rho = min(max(rho, 0.0), 0.9)
-    return (1 + rho) / (1 - rho)
+def loudness(pool: Pool, chosen: list[Candidate], floor: Rows) -> Loudness:
+    """How much louder than noise what effects leave is."""
+    return Loudness.of(pool.evidence, remaining(pool, chosen), floor)
 
 
 def faint(pool: Pool, added: Candidate, floor: float) -> bool:

@@ -36,10 +36,7 @@ def refine(
         nonlocal best
         fitted = fit(context, family, place, block_of(shape), left)
         if fitted is not None and fitted.aim > best.aim:
-            fitted.grid, fitted.score = (
-                best.grid,
-                best.score + (fitted.gain - best.gain) / left.noise,
-            )
+            fitted.grid = best.grid
             best = fitted
         return fitted
 
@@ -50,7 +47,7 @@ def refine(
         else:
             for axis in range(len(best.shape)):
                 _along(tried, axis, best.shape, family.around(context, place, best.shape))
-        if best.aim - before < max(left.noise, SETTLED * best.aim):
+        if best.aim - before < max(best.noise(left), SETTLED * best.aim):
             break
     return best
 
@@ -91,7 +88,7 @@ def _together(
         rest = left.target - left.free(fitted.effect[:, None])[:, 0]
         if fitted.family.size is None:
             return rest
-        prior = np.sqrt(left.noise) * fitted.family.tightness()
+        prior = np.sqrt(fitted.noise(left)) * fitted.family.tightness()
         return np.concatenate([rest, prior * fitted.theta])
 
     # Numbers from one to two: the step of a difference is relative.

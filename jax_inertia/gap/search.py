@@ -25,6 +25,7 @@ from jax_inertia.gap.noise import Whitener, at_random, whitener
 from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Echo, Pool
+from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.strain import Left, strained, strangeness
@@ -49,8 +50,8 @@ class Finder:
     tolerance: Tolerance
     torque_noise: np.ndarray | None
 
-    def search(self, white: Whitener, noise: float | None = None) -> Search:
-        """One pass, against the noise of a whitener."""
+    def search(self, white: Whitener, noise: Rows | None = None) -> Search:
+        """One pass, against the noise of a whitener: what is told of each row, or what the sensors' leaves there."""
         context = self.context
         evidence = Evidence(context.prepared, white, self.nuisances)
         again = evidence.charged(self.again.finish_torque(self.again.missing))
@@ -69,7 +70,7 @@ class Finder:
         # It may stand for what the library lacks: then an effect in its place is the better guess, and no surer.
         return freed.no_surer_than(found) if freed.instead_of(found) else found
 
-    def _settled(self, pool: Pool, white: Whitener, noise: float | None) -> Search:
+    def _settled(self, pool: Pool, white: Whitener, noise: Rows | None) -> Search:
         """Effects and the scales of the model's tolerances, found in turn."""
         floor, against, (chosen, ranking, misfits) = self._selected(pool, noise)
         scales, alone = suited(pool, chosen, self.max_effects, against)
@@ -90,7 +91,7 @@ class Finder:
         pool: Pool,
         white: Whitener,
         floor: float,
-        against: float,
+        against: Rows,
         chosen: list[Candidate],
         ranking: list[Candidate],
         misfits: list[float],
@@ -115,7 +116,7 @@ class Finder:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.
             chosen, misfits, strains = [], misfits[:1], []
-        rival = better_than(pool, chosen, against)
+        rival = better_than(pool, chosen, float(against.sum()))
         changing = _changing(pool, chosen, against)
         apart, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
         if chosen:
@@ -198,17 +199,17 @@ class Finder:
             return self
         return _made(prepared, log, self.tolerance, self.library, self.max_effects, noise)
 
-    def _selected(self, pool: Pool, noise: float | None):
+    def _selected(self, pool: Pool, noise: Rows | None):
         """The noise's own misfit, the misfit that effects compete against, and what `select` finds against it."""
-        floor = pool.evidence.noise_energy(self.replicas)
-        against = floor if noise is None else noise
-        return floor, against, select(pool, self.max_effects, against)
+        rows = pool.evidence.noise_by_row(self.replicas)
+        against = rows if noise is None else noise
+        return float(rows.sum()), against, select(pool, self.max_effects, against)
 
 
-def _changing(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant | None:
+def _changing(pool: Pool, chosen: list[Candidate], noise: Rows) -> Inconstant | None:
     """`inconstant`, but for what the model's numbers would take, however far off: that is no change of an effect."""
     wide, fitted = at_their_best(pool, chosen, noise)
-    found = inconstant(wide, fitted, noise)
+    found = inconstant(wide, fitted, float(noise.sum()))
     if found is None:
         return None
     own = next(c for c, x in zip(chosen, fitted, strict=True) if x is found.effect)
@@ -258,7 +259,9 @@ def find(finder: Finder) -> tuple[Search, Search]:
     # Charged twice: what is left once the nuisances, too, are at their best.
     left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
     first.pool.forget()
-    second = finder.search(finder.white.then(left, evidence.used), noise=float(evidence.rows))
+    second = finder.search(
+        finder.white.then(left, evidence.used), noise=evidence.used.sum(axis=0) * 1.0
+    )
     if not second.chosen:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.

@@ -7,17 +7,18 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.evidence import ACTS
+from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.propose import STOP, faint, noise_of, propose
+from jax_inertia.gap.propose import STOP, Rows, faint, loudness, propose, score
 from jax_inertia.gap.together import misfit, remaining, solved, stacked
 
 
 def select(
-    pool: Pool, max_effects: int, floor: float
+    pool: Pool, max_effects: int, floor: Rows
 ) -> tuple[list[Candidate], list[Candidate], list[float]]:
     """(chosen effects, the first step's ranking, misfit J after 0, 1, 2 ... effects).
 
-    `floor` is the J that noise alone would have.
+    `floor` is the J that noise alone would have on each row.
     """
     chosen: list[Candidate] = []
     ranking: list[Candidate] = []
@@ -34,15 +35,18 @@ def select(
 
 
 def _with_one_more(
-    pool: Pool, chosen: list[Candidate], step: list[Candidate], max_effects: int, floor: float
+    pool: Pool, chosen: list[Candidate], step: list[Candidate], max_effects: int, floor: Rows
 ) -> list[Candidate]:
     """The chosen and the best beside them, or two that hide each other; none where what is left is no further cause."""
-    if not step or faint(pool, step[0], floor):
+    if not step:
         return []
-    if step[0].score < _toll(pool, chosen, step[0], floor):
-        if chosen or max_effects < 2:
+    if not _heard(pool, chosen, step[0], floor):
+        pair = [] if chosen or max_effects < 2 else _hidden_by_each_other(pool, step[0], floor)
+        if pair or loudness(pool, chosen, floor).even:
+            return pair
+        step = propose(pool, chosen, floor, by_row=True)
+        if not step or not _heard(pool, chosen, step[0], floor):
             return []
-        return _hidden_by_each_other(pool, step[0], floor)
     trial = settle(pool, [*chosen, step[0]], floor)
     if len(trial) > 1:
         trial = swap(pool, prune(pool, trial, floor), floor)
@@ -56,7 +60,7 @@ def _with_one_more(
 DRAWN, SPLITS = 0.8, 3
 
 
-def split(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+def split(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
     """The chosen with two effects in place of one that has more numbers and draws both; none where there are none such.
 
     A force at a point of a body can draw a tilt and a bias at once, better than either does alone.
@@ -81,43 +85,58 @@ def split(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
     return []
 
 
-def _hidden_by_each_other(pool: Pool, first: Candidate, floor: float) -> list[Candidate]:
+def _hidden_by_each_other(pool: Pool, first: Candidate, floor: Rows) -> list[Candidate]:
     """The first and the best beside it, where either alone takes the other for noise; none where they are no better."""
     chosen = settle(pool, [first], floor)
     step = propose(pool, chosen, floor)
-    if not step or faint(pool, step[0], floor):
+    if not step or faint(pool, step[0], floor.sum()):
         return []
     trial = swap(pool, settle(pool, [*chosen, step[0]], floor), floor)
-    noise = noise_of(pool, trial, floor)
-    prices = [c.price(pool.evidence.rows) for c in trial]
-    worth = [x / noise - p for x, p in zip(_brought(pool, trial), prices, strict=True)]
-    return trial if min(worth) >= STOP else []
+    return trial if min(_worth(pool, trial, floor)) >= STOP else []
 
 
-def _windows(pool: Pool, chosen: list[Candidate], floor: float) -> tuple[tuple[float, float], ...]:
+def _worth(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[float]:
+    """The score of each effect beside the others: what it brings materially, less the price of its numbers."""
+    loud = loudness(pool, chosen, floor)
+    rests = ([x for x in chosen if x is not c] for c in chosen)
+    return [
+        loud.counted(material_by_row(pool, rest, chosen)) - c.price(pool.evidence.rows)
+        for c, rest in zip(chosen, rests, strict=True)
+    ]
+
+
+def _windows(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[tuple[float, float], ...]:
     """Stretches of time that stand out of what is left.
 
     Also of what is left with the model's numbers right: bent to a hard push, they spread it over the whole log.
     """
     left = remaining(pool, chosen)
     sides = (left, pool.evidence.without_tolerances(left[:, None])[:, 0])
-    return tuple(sorted({w for x in sides for w in locate.windows(pool.evidence, x, floor)}))
+    return tuple(sorted({w for x in sides for w in locate.windows(pool.evidence, x, floor.sum())}))
 
 
-def _toll(pool: Pool, chosen: list[Candidate], added: Candidate, floor: float) -> float:
-    """The score that an effect must bring, beside noise that is itself estimated.
+def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -> bool:
+    """Whether an effect brings enough beside what is left on the rows where it acts.
 
-    Once a cause is found, structure in a hundredth of the noise on the rows where an effect acts is none.
+    Noise is itself estimated: once a cause is found, structure in a hundredth of the noise on those rows is none.
     """
-    if not chosen:
-        return STOP
+    if faint(pool, added, floor.sum()):
+        return False
     evidence = pool.evidence
+    loud = loudness(pool, [*chosen, added], floor)
+    own = score(added, Beside.of(evidence, *stacked(pool, chosen), loud))
+    if not chosen:
+        return bool(own >= STOP)
     energy = evidence.by_row(added.effect)
-    acts = evidence.used[:, energy > ACTS * energy.max()]
-    return STOP + 0.01 * floor * float(acts.sum()) / evidence.rows
+    return bool(own >= STOP + 0.01 * floor[energy > ACTS * energy.max()].sum())
 
 
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
+    """`material_by_row`, of all rows."""
+    return float(np.sum(material_by_row(pool, fewer, more)))
+
+
+def material_by_row(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> Rows:
     """Drop of the misfit from `fewer` effects to `more` that errors of the shared effects' equations cannot buy.
 
     Row by row, and while what passes lasts: what rattles at one joint excuses nothing at another, nor what is off
@@ -141,7 +160,7 @@ def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float
             if c.family.passing:
                 excused = np.minimum(excused, np.maximum(drops[_lasts(energy)].sum(axis=0), 0.0))
             drop -= excused
-    return float(np.sum(np.maximum(drop, 0.0)))
+    return np.maximum(drop, 0.0)
 
 
 def _lasts(energy: Float[np.ndarray, "T nv"]) -> Bool[np.ndarray, " T"]:
@@ -152,12 +171,6 @@ def _lasts(energy: Float[np.ndarray, "T nv"]) -> Bool[np.ndarray, " T"]:
 
 # What passes is there where its energy is more than this share of its highest.
 LASTS = 0.01
-
-
-def _brought(pool: Pool, chosen: list[Candidate]) -> list[float]:
-    """What each effect brings materially beside the others."""
-    rests = ([x for x in chosen if x is not c] for c in chosen)
-    return [material(pool, rest, chosen) for rest in rests]
 
 
 def acting(
@@ -172,14 +185,14 @@ def acting(
 SETTLED = 1e-4
 
 
-def settle(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+def settle(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
     """Refit all numbers together: each in turn against what the others leave, then all θ at once."""
     for _ in range(3 if len(chosen) > 1 else 1):
         before = misfit(pool, chosen)
-        noise = max(1.0, before / max(floor, 1.0))
+        loud = loudness(pool, chosen, floor)
         for i, c in enumerate(chosen):
             others = [x for k, x in enumerate(chosen) if k != i]
-            left = Beside.of(pool.evidence, *stacked(pool, others), noise)
+            left = Beside.of(pool.evidence, *stacked(pool, others), loud)
             refit = pool.fit_again(c, left)
             if refit is not None:
                 chosen = [refit if k == i else x for k, x in enumerate(chosen)]
@@ -197,13 +210,10 @@ def settle(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]
     return chosen
 
 
-def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+def prune(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
     """Drop effects that the others have made redundant."""
     while len(chosen) > 1:
-        full = misfit(pool, chosen)
-        noise = max(1.0, full / max(floor, 1.0))
-        prices = [c.size * np.log(pool.evidence.rows) for c in chosen]
-        worth = [x / noise - p for x, p in zip(_brought(pool, chosen), prices, strict=True)]
+        worth = _worth(pool, chosen, floor)
         weakest = int(np.argmin(worth))
         if worth[weakest] >= STOP:
             break
@@ -211,7 +221,7 @@ def prune(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
     return chosen
 
 
-def swap(pool: Pool, chosen: list[Candidate], floor: float) -> list[Candidate]:
+def swap(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
     """Try each chosen effect's place for another: forward steps alone lose the smaller of two."""
     for _ in range(2):
         improved = False
@@ -241,13 +251,15 @@ SWAPS = 6.0
 
 
 def _likelier(
-    pool: Pool, these: list[Candidate], those: list[Candidate], floor: float, by: float = SWAPS
+    pool: Pool, these: list[Candidate], those: list[Candidate], floor: Rows, by: float = SWAPS
 ) -> bool:
     """Whether what effects leave and what their numbers cost is less than with others in their place."""
-    left = misfit(pool, these), misfit(pool, those)
-    noise = noise_of(pool, these if left[0] < left[1] else those, floor)
+    left = [remaining(pool, x) for x in (these, those)]
+    loud = Loudness.of(pool.evidence, min(left, key=lambda x: x @ x), floor)
     prices = [sum(c.price(pool.evidence.rows) + c.surprise for c in x) for x in (these, those)]
-    costs = [x / noise + price for x, price in zip(left, prices, strict=True)]
+    costs = [
+        loud.counted(pool.evidence.by_row(x)) + price for x, price in zip(left, prices, strict=True)
+    ]
     return bool(costs[0] < costs[1] - by)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.nuisance import CAUSES
 from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.propose import faint, noise_beside, others
+from jax_inertia.gap.propose import Rows, faint, loudness, others
 from jax_inertia.gap.scales import GRID, Learned, Learner
 from jax_inertia.gap.select import settle
 from jax_inertia.gap.together import misfit, remaining, stacked
@@ -21,7 +21,7 @@ SUITS = 12.0
 
 
 def suited(
-    pool: Pool, chosen: list[Candidate], max_effects: int, floor: float
+    pool: Pool, chosen: list[Candidate], max_effects: int, floor: Rows
 ) -> tuple[dict[str, float], list[int]]:
     """Scales of the model's tolerances that suit the log beside what is chosen, and beside one more if that pays.
 
@@ -33,7 +33,7 @@ def suited(
     columns, target = stacked(pool, chosen)
     rows = pool.evidence.rows
     ranked = sorted(others(pool, chosen, columns, target), key=lambda c: -c.gain)[:LEADING]
-    noise = noise_beside(pool, chosen, ranked[0], floor) if ranked else 1.0
+    noise = loudness(pool, [*chosen, ranked[0]], floor).whole if ranked else 1.0
     # Whitened to what a model misses, a log has lost most of what would hold tolerances back.
     most = 1.0 if pool.evidence.whitener.of_misses else GRID[0]
     learner = Learner(pool.evidence, noise, most)
@@ -44,7 +44,7 @@ def suited(
         return without.scales, alone
     best, scales = SUITS, without.scales
     for c in ranked:
-        if faint(pool, c, floor):
+        if faint(pool, c, floor.sum()):
             continue
         learned = learner.beside(*_free(pool, chosen, c))
         score = without.cost - learned.cost - c.price(rows)
@@ -57,13 +57,11 @@ def suited(
     return scales, alone
 
 
-def at_their_best(
-    pool: Pool, chosen: list[Candidate], floor: float
-) -> tuple[Pool, list[Candidate]]:
+def at_their_best(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[Pool, list[Candidate]]:
     """The chosen, in their order, beside the tolerances that suit them, however wide: where those were kept narrow."""
     if not (chosen and pool.evidence.whitener.of_misses):
         return pool, chosen
-    noise = max(1.0, misfit(pool, chosen) / max(floor, 1.0))
+    noise = max(1.0, misfit(pool, chosen) / max(float(floor.sum()), 1.0))
     scales = Learner(pool.evidence, noise).beside(*_free(pool, chosen)).scales
     if scales == pool.evidence.scales:
         return pool, chosen

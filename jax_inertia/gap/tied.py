@@ -17,7 +17,7 @@ from jax_inertia.gap.verdict import ties
 def rivals(search: Search, chosen: list[Candidate], i: int) -> list[Candidate]:
     """Candidates for the i-th effect's part beside the others, best first."""
     others = [c for k, c in enumerate(chosen) if k != i]
-    return propose(search.pool, others, search.noise) if others else search.ranking
+    return propose(search.pool, others, search.noise_by_row) if others else search.ranking
 
 
 def tied(search: Search, c: Candidate, among: list[Candidate]) -> list[Candidate]:
@@ -57,4 +57,4 @@ def instead(
                 continue
             # `settle` moves the numbers of what it is given.
             trial = [copy.copy(other if x is c else x) for x in chosen]
-            yield c, other, settle(search.pool, trial, search.noise)
+            yield c, other, settle(search.pool, trial, search.noise_by_row)

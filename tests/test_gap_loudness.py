@@ -1,0 +1,72 @@
+"""What counts as noise where a model misses one joint by far more than another; logs by MuJoCo C."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_log import ARM, simulate
+from scipy import signal
+
+from jax_inertia import load_model
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.loudness import Loudness
+
+LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
+
+
+def loudness(left, floor):
+    """Of samples (T, 2) on two rows."""
+    evidence = object.__new__(Evidence)
+    evidence.used = np.ones(left.shape, bool)
+    return Loudness.of(evidence, left.ravel(), floor)
+
+
+def spread(columns, draws):
+    """Variance of the number fitted by least squares, against that where each sample's noise is one."""
+    energy = float(np.sum(columns**2))
+    fitted = np.tensordot(draws, columns, axes=2) / energy
+    return float(np.var(fitted) * energy)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.7, 1.0])
+def test_noise_beside_an_effect_is_the_variance_of_its_number(share):
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((400, 2)) * np.sqrt([1.0 - share, share])
+    draws = rng.standard_normal((8000, 400, 2)) * [1.0, LOUD]
+    loud = loudness(draws[0], np.full(2, 400.0))
+    energy = np.sum(columns**2, axis=0)
+    assert loud.beside(energy) == pytest.approx(spread(columns, draws), rel=0.2)
+
+
+def test_what_remembers_counts_for_fewer_samples():
+    rng = np.random.default_rng(2)
+    steps = 3.0 * np.sqrt(1.0 - MEMORY**2) * rng.standard_normal((4000, 1000, 2))
+    draws = signal.lfilter([1.0], [1.0, -MEMORY], steps, axis=1)[:, 500:]
+    slow = np.ones((500, 2))
+    loud = loudness(draws[0], np.full(2, 500.0))
+    assert loud.beside(np.sum(slow**2, axis=0)) == pytest.approx(spread(slow, draws), rel=0.25)
+    assert loud.whole == pytest.approx(np.mean(loud.rows), rel=0.2)
+    assert loud.evenly.beside(np.array([1.0, 0.0])) == loud.whole
+    assert loud.evenly.even
+    assert not loud.even
+
+
+def test_what_is_within_noise_is_as_loud_as_noise():
+    quiet = loudness(np.zeros((500, 2)), np.full(2, 500.0))
+    assert quiet.even
+    assert quiet.whole == 1.0
+    # A row that no sample of counts says nothing.
+    assert loudness(np.zeros((500, 2)), np.array([500.0, 0.0])).even
+
+
+def strange(t, q, v, u):
+    """A constant torque on the shoulder, and on the elbow what no library has."""
+    return np.array([BIAS, 1.5 * np.sin(2.0 * v[0]) * np.cos(4.0 * q[1])])
+
+
+def test_a_joint_is_heard_beside_one_that_no_effect_explains():
+    found = diagnose(load_model(mujoco.MjModel.from_xml_string(ARM)), simulate(strange))
+    assert found.verdict is Verdict.UNKNOWN
+    [bias] = [f for f in found.findings if f.place.name == "shoulder"]
+    assert bias.family == "torque_bias"
+    assert bias.parameters["bias"].low <= BIAS <= bias.parameters["bias"].high
