@@ -52,9 +52,10 @@ def test_what_remembers_counts_for_fewer_samples():
 
 
 def test_what_is_within_noise_is_as_loud_as_noise():
-    quiet = loudness(np.zeros((500, 2)), np.full(2, 500.0))
-    assert quiet.even
-    assert quiet.whole == 1.0
+    within = loudness(np.zeros((500, 2)), np.full(2, 500.0))
+    assert within.even
+    assert within.quiet
+    assert within.whole == 1.0
     # A row that no sample of counts says nothing.
     assert loudness(np.zeros((500, 2)), np.array([500.0, 0.0])).even
 

@@ -51,6 +51,11 @@ class Loudness:
         """Whether no row is louder than another."""
         return bool(np.ptp(self.rows) == 0.0)
 
+    @property
+    def quiet(self) -> bool:
+        """Whether no row is louder than noise."""
+        return bool(self.rows.max() <= MORE)
+
     def beside(self, energy: Float[np.ndarray, " nv"]) -> float:
         """What counts as noise beside a torque with this energy on each row."""
         return float(energy @ self.rows / max(float(energy.sum()), 1e-300))

@@ -27,8 +27,9 @@ def propose(
     """Candidates to add, best first, the leading ones refined; simpler families first where they do as well.
 
     `floor`: the misfit that noise leaves on each row. `by_row`: each is scored against what is left on the rows where
-    it acts, not on all as one. Of two causes on one row the louder is found by what it explains of all; a quiet row's
-    is lost beside one that no effect explains.
+    it acts, not on all rows as one. A row is also loud by a cause that is yet to be found, so by row the first of
+    several would be one that keeps off the others' rows; but on all as one, a quiet row's cause is lost beside a row
+    that no effect explains.
     """
     columns, target = stacked(pool, chosen)
     noise = float(floor.sum())

@@ -42,7 +42,7 @@ def _with_one_more(
         return []
     if not _heard(pool, chosen, step[0], floor):
         pair = [] if chosen or max_effects < 2 else _hidden_by_each_other(pool, step[0], floor)
-        if pair or loudness(pool, chosen, floor).even:
+        if pair or loudness(pool, chosen, floor).quiet:
             return pair
         step = propose(pool, chosen, floor, by_row=True)
         if not step or not _heard(pool, chosen, step[0], floor):
