@@ -263,8 +263,7 @@ class Evidence:
         """
         cosines = self._cosines(x)
         energy = cosines[:, :, 0] ** 2
-        acts = energy.sum(axis=0)
-        energy = energy[:, acts > ACTS * acts.max()].mean(axis=1)
+        energy = energy[:, acting(energy.sum(axis=0))].mean(axis=1)
         hertz = 2 * len(energy) / self.prepared.settings.decimated
         quiet = np.flatnonzero(ndimage.uniform_filter1d(energy, round(hertz)) < LOUDER)
         modes = max(self.slow_modes, int(quiet[0]) if len(quiet) else len(energy))
@@ -294,6 +293,11 @@ class Evidence:
         if row is None or self.prepared.spreads(row):
             return whitening(finished)[self.used]
         return whitening.one_row(finished, row)[self.used]
+
+
+def acting(energy: Float[np.ndarray, " nv"]) -> Bool[np.ndarray, " nv"]:
+    """The rows on which a torque acts that has this energy on each, in units of their noise."""
+    return energy > ACTS * energy.max()
 
 
 def _batches(items: Iterable[T]) -> Iterator[list[T]]:

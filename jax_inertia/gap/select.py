@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.evidence import ACTS
+from jax_inertia.gap.evidence import acting
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP, Rows, faint, loudness, propose, score
@@ -127,8 +127,8 @@ def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -
     own = score(added, Beside.of(evidence, *stacked(pool, chosen), loud))
     if not chosen:
         return bool(own >= STOP)
-    energy = evidence.by_row(added.effect)
-    return bool(own >= STOP + 0.01 * floor[energy > ACTS * energy.max()].sum())
+    acts = acting(evidence.by_row(added.effect))
+    return bool(own >= STOP + 0.01 * floor[acts].sum())
 
 
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
@@ -171,14 +171,6 @@ def _lasts(energy: Float[np.ndarray, "T nv"]) -> Bool[np.ndarray, " T"]:
 
 # What passes is there where its energy is more than this share of its highest.
 LASTS = 0.01
-
-
-def acting(
-    torque: Float[np.ndarray, "T nv"], sigma: Float[np.ndarray, " nv"]
-) -> Bool[np.ndarray, " nv"]:
-    """The rows on which an effect's torque acts, in units of their noise."""
-    energy = np.sum(torque**2, axis=0) / sigma**2
-    return energy > ACTS * energy.max()
 
 
 # Numbers have settled when another round brings less of the misfit than this share.
@@ -270,6 +262,7 @@ def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
     after = evidence.by_row(remaining(pool, chosen))
     count = 0
     for c in chosen:
-        acts = acting(effect_torque(pool.context, c), evidence.whitener.sigma)
+        torque = effect_torque(pool.context, c) / evidence.whitener.sigma
+        acts = acting(np.sum(torque**2, axis=0))
         count += bool(after[acts].sum() < share * before[acts].sum())
     return count
