@@ -93,6 +93,17 @@ class Block:
         inside = self.plain.split.inside
         return self.evidence.charged_product(self.plain.gram, inside, inside)
 
+    def noise_beside(self, loudness: Loudness | None, weights: Float[np.ndarray, " k"]) -> float:
+        """Misfit of one sample that counts as noise beside the columns' sum with these weights.
+
+        What is known of an effect's numbers before any data weighs that much more.
+        """
+        if loudness is None:
+            return 1.0
+        if loudness.even:
+            return loudness.whole
+        return loudness.beside(self.evidence.by_row(self.plain.columns @ weights))
+
     @functools.cached_property
     def slow(self) -> Float[np.ndarray, "m k"]:
         """A in the motion's own band."""
@@ -147,17 +158,6 @@ class Beside:
         """Beside chosen columns, of a target in the charged metric."""
         basis = np.linalg.qr(columns)[0] if columns.shape[1] else columns
         return cls(evidence, basis, target - basis @ (basis.T @ target), loudness)
-
-    def noise(self, block: Block, weights: Float[np.ndarray, " k"]) -> float:
-        """Misfit of one sample that counts as noise beside an effect.
-
-        What is known of its numbers before any data weighs that much more.
-        """
-        if self.loudness is None:
-            return 1.0
-        if self.loudness.even:
-            return self.loudness.whole
-        return self.loudness.beside(self.evidence.by_row(block.plain.columns @ weights))
 
     def free(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """What the chosen cannot reach of other columns."""

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from jax_inertia.gap.block import Beside, Block
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.noise import NOISE_ERROR
 
 
@@ -48,9 +49,9 @@ class Candidate:
         """Of the block's columns."""
         return self.tangent @ self.theta + self.constant
 
-    def noise(self, left: Beside) -> float:
+    def noise(self, loudness: Loudness | None) -> float:
         """Misfit of one sample that counts as noise beside it."""
-        return left.noise(self.block, self.weights)
+        return self.block.noise_beside(loudness, self.weights)
 
     @functools.cached_property
     def columns(self) -> Float[np.ndarray, "n p"]:
@@ -159,7 +160,7 @@ def fit(
             return None
     else:
         free = _least_norm(gram, cross)
-        noise = 1.0 if free is None else left.noise(block, free)
+        noise = 1.0 if free is None else block.noise_beside(left.loudness, free)
         theta = _manifold(context, family, place, gram, cross, noise)
         if theta is None:
             return None

@@ -282,6 +282,10 @@ class Evidence:
         """Energy of whitened samples on each row."""
         return np.sum(self.unflatten(x) ** 2, axis=0)
 
+    def acted_on(self, torque: Float[np.ndarray, "T nv"]) -> Bool[np.ndarray, " nv"]:
+        """The rows on which a torque acts, not whitened [N m]."""
+        return acting(np.sum((torque / self.whitener.sigma) ** 2, axis=0))
+
     def part(self, count: int) -> Int[np.ndarray, " n"]:
         """Which of `count` equal stretches of the log each sample lies in."""
         return np.nonzero(self.used)[0] * count // len(self.used)

@@ -19,7 +19,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
-from jax_inertia.gap.evidence import Evidence, acting
+from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.families.friction import DryFriction
 from jax_inertia.gap.motors import with_torque_noise
@@ -109,9 +109,7 @@ class OtherMotion:
         seen = second_look(verdict, trial.misfit)
         if seen is not Verdict.UNKNOWN or seen is verdict or any(c.family.passing for c in chosen):
             return seen, []
-        sigma = self._evidence.whitener.sigma
-        energies = (np.sum((self._finished(c) / sigma) ** 2, axis=0) for c in chosen)
-        acts = np.any([acting(x) for x in energies], axis=0)
+        acts = np.any([self._evidence.acted_on(self._finished(c)) for c in chosen], axis=0)
         used = self._evidence.used & acts
         if acts.all() or used.sum() < LEAST:
             return seen, []

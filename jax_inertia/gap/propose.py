@@ -38,24 +38,25 @@ def propose(
         return []
     before = misfit(pool, chosen)
 
-    def scored(every: list[Candidate]) -> Beside:
-        """Scores against what the best of them leaves; beside what they are fitted."""
+    def scored(every: list[Candidate]) -> Loudness:
+        """Scores against what the best of them leaves; how loud that is."""
         loud = loudness(pool, [*chosen, max(every, key=lambda c: c.gain)], floor)
-        left = Beside.of(pool.evidence, columns, target, loud if by_row else loud.evenly)
+        loud = loud if by_row else loud.evenly
         for c in every:
-            c.score = score(c, left)
+            c.score = score(c, loud)
         every.sort(key=lambda c: -c.score)
-        return left
+        return loud
 
-    left = scored(ranked)
+    loud = scored(ranked)
+    left = Beside.of(pool.evidence, columns, target, loud)
     # Between grid points a candidate gains some; one that is far behind does not catch up.
     near = [c for c in ranked[:8] if c.score > 0.25 * ranked[0].score]
     lead = _led(pool, near, left)
-    freed = _freed(pool, lead, left, noise)
+    freed = _freed(pool, lead, left, floor)
     # Six free numbers draw some of anything: they are a cause where little else is left.
     freed = [f for f in freed if before - f.gain - noise < max(0.2 * noise, DOUBT**2 * before)]
     for c in lead:
-        c.score = score(c, left)
+        c.score = score(c, loud)
     _told_in_band(lead, left)
     ranked = sorted([*lead, *ranked[len(near) :]], key=lambda c: -c.score)
     if any(f.gain > ranked[0].gain for f in freed):
@@ -64,9 +65,9 @@ def propose(
     return _parsimonious(ranked, before, noise)
 
 
-def score(c: Candidate, left: Beside) -> float:
+def score(c: Candidate, loud: Loudness) -> float:
     """What a candidate explains against the noise beside it, less what its numbers cost."""
-    return c.gain / c.noise(left) - c.price(left.evidence.rows) - c.surprise
+    return c.gain / c.noise(loud) - c.price(c.block.evidence.rows) - c.surprise
 
 
 # What passes is refined on its own where at the leader's time it explains this share of what the leader does.
@@ -117,10 +118,10 @@ def _told_in_band(lead: list[Candidate], left: Beside) -> None:
         seen = [float(e @ target) ** 2 / max(float(e @ e), 1e-300) for e in heard]
         gain, most = max(c.gain for c in twins), max(seen)
         for c, own in zip(twins, seen, strict=True):
-            c.score += (gain - c.gain - (most - own)) / c.noise(left)
+            c.score += (gain - c.gain - (most - own)) / c.noise(left.loudness)
 
 
-def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: float) -> list[Candidate]:
+def _freed(pool: Pool, lead: list[Candidate], left: Beside, floor: Rows) -> list[Candidate]:
     """The causes of the leading candidates with more numbers; none where noise is not what it seems."""
     if pool.evidence.whitener.of_misses:
         return []
@@ -218,7 +219,7 @@ def loudness(pool: Pool, chosen: list[Candidate], floor: Rows) -> Loudness:
     return Loudness.of(pool.evidence, remaining(pool, chosen), floor)
 
 
-def faint(pool: Pool, added: Candidate, floor: float) -> bool:
+def faint(pool: Pool, added: Candidate, floor: Rows) -> bool:
     """Whether a burst holds no more than a tenth of the noise: spikes, or a reversal of friction, are as much."""
     worth = added.gain - added.price(pool.evidence.rows)
-    return added.family.passing and bool(worth < STOP + 0.1 * floor)
+    return added.family.passing and bool(worth < STOP + 0.1 * floor.sum())

@@ -47,7 +47,7 @@ def refine(
         else:
             for axis in range(len(best.shape)):
                 _along(tried, axis, best.shape, family.around(context, place, best.shape))
-        if best.aim - before < max(best.noise(left), SETTLED * best.aim):
+        if best.aim - before < max(best.noise(left.loudness), SETTLED * best.aim):
             break
     return best
 
@@ -88,7 +88,7 @@ def _together(
         rest = left.target - left.free(fitted.effect[:, None])[:, 0]
         if fitted.family.size is None:
             return rest
-        prior = np.sqrt(fitted.noise(left)) * fitted.family.tightness()
+        prior = np.sqrt(fitted.noise(left.loudness)) * fitted.family.tightness()
         return np.concatenate([rest, prior * fitted.theta])
 
     # Numbers from one to two: the step of a difference is relative.

@@ -89,7 +89,7 @@ def _hidden_by_each_other(pool: Pool, first: Candidate, floor: Rows) -> list[Can
     """The first and the best beside it, where either alone takes the other for noise; none where they are no better."""
     chosen = settle(pool, [first], floor)
     step = propose(pool, chosen, floor)
-    if not step or faint(pool, step[0], floor.sum()):
+    if not step or faint(pool, step[0], floor):
         return []
     trial = swap(pool, settle(pool, [*chosen, step[0]], floor), floor)
     return trial if min(_worth(pool, trial, floor)) >= STOP else []
@@ -120,14 +120,12 @@ def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -
 
     Noise is itself estimated: once a cause is found, structure in a hundredth of the noise on those rows is none.
     """
-    if faint(pool, added, floor.sum()):
+    if faint(pool, added, floor):
         return False
-    evidence = pool.evidence
-    loud = loudness(pool, [*chosen, added], floor)
-    own = score(added, Beside.of(evidence, *stacked(pool, chosen), loud))
+    own = score(added, loudness(pool, [*chosen, added], floor))
     if not chosen:
         return bool(own >= STOP)
-    acts = acting(evidence.by_row(added.effect))
+    acts = acting(pool.evidence.by_row(added.effect))
     return bool(own >= STOP + 0.01 * floor[acts].sum())
 
 
@@ -262,7 +260,6 @@ def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
     after = evidence.by_row(remaining(pool, chosen))
     count = 0
     for c in chosen:
-        torque = effect_torque(pool.context, c) / evidence.whitener.sigma
-        acts = acting(np.sum(torque**2, axis=0))
+        acts = evidence.acted_on(effect_torque(pool.context, c))
         count += bool(after[acts].sum() < share * before[acts].sum())
     return count

@@ -44,7 +44,7 @@ def suited(
         return without.scales, alone
     best, scales = SUITS, without.scales
     for c in ranked:
-        if faint(pool, c, floor.sum()):
+        if faint(pool, c, floor):
             continue
         learned = learner.beside(*_free(pool, chosen, c))
         score = without.cost - learned.cost - c.price(rows)
