@@ -16,6 +16,7 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.constancy import crowded
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -114,9 +115,8 @@ def diagnose(
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
     reaches, turned = turning(pool, chosen)
-    names = {dof: name for name, dof in context.joint_dofs.items()}
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
-    label = [names.get(j, f"base[{j}]") for j in range(robot.nv)]
+    label = _labels(context)
     return Diagnosis(
         verdict=verdict,
         confidence=findings[0].probability if findings else verdict.confidence(first.bare),
@@ -184,6 +184,9 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         f"the log wants the model's {x}: the number is wrong, or stands for an effect that is not in the library"
         for x in search.strains[:SHOWN]
     ]
+    if search.missed is not None:
+        row = search.missed.row
+        beyond.append(search.missed.at(_labels(search.pool.context)[row]))
     if search.inconstant is not None:
         beyond.append(f"{search.inconstant}: the cause resembles it and is not in the library")
     if (pushes := crowded(search.chosen)) is not None:
@@ -209,6 +212,12 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
         "not in the library",
     ]
+
+
+def _labels(context: Context) -> list[str]:
+    """What each row is called."""
+    names = {dof: name for name, dof in context.joint_dofs.items()}
+    return [names.get(j, f"base[{j}]") for j in range(context.robot.nv)]
 
 
 def _unmeasured(prepared: Prepared) -> list[str]:

@@ -94,20 +94,23 @@ def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
     return share if abs(share - 1.0) > ENTANGLED and not by_itself else None
 
 
-def share_in_doubt(
-    pool: Pool,
+def standing(
     chosen: list[Candidate],
     rival: tuple[list[Candidate], Outsider] | None,
     changing: Inconstant | None,
-) -> float:
-    """Share of the misfit explained that effects brought which do not stand, each by itself."""
+) -> list[Candidate]:
+    """The effects that nothing speaks against, each by itself."""
     fallen = [
         *(rival[0] if rival else ()),
         *([changing.effect] if changing else ()),
         *(crowded(chosen) or ()),
     ]
-    if not fallen:
+    return [c for c in chosen if not any(c is f for f in fallen)]
+
+
+def share_of_others(pool: Pool, chosen: list[Candidate], some: list[Candidate]) -> float:
+    """Share of the misfit explained that effects brought which are not among some; zero where all are."""
+    if len(some) == len(chosen):
         return 0.0
-    standing = [c for c in chosen if not any(c is f for f in fallen)]
-    nothing, some, all_ = (misfit(pool, x) for x in ([], standing, chosen))
+    nothing, some, all_ = (misfit(pool, x) for x in ([], some, chosen))
     return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))

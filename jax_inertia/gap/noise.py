@@ -23,6 +23,14 @@ FLOOR = 5e-4
 LEAST_OWN = 0.05
 # The noise's own misfit is known to this factor.
 NOISE_ERROR = 1.3
+# Where the log does not state its noise and what is left is not at random, a motor may have missed its command by more
+# than the log can show.
+NOISE_UNSTATED = 4.0
+
+
+def known_to(known: bool) -> float:
+    """The factor to which a log's noise is known, by whether it is stated or found to be what it was taken for."""
+    return NOISE_ERROR if known else NOISE_UNSTATED
 
 
 class Stage(eqx.Module):

@@ -10,6 +10,7 @@ from jax_inertia.gap.noise import Whitener
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import Rows
+from jax_inertia.gap.slow import Missed
 from jax_inertia.gap.strain import Strained, Strangeness
 from jax_inertia.gap.verdict import Verdict, doubted
 
@@ -47,6 +48,8 @@ class Search:
     """The verdict if they were not entangled (`verdict`)."""
     bare: Strangeness
     """What the log shows without any effect."""
+    missed: Missed | None
+    """What the effects leave in the motion's own band, where all that they leave is within the noise."""
     strains: list[Strained]
     """Numbers of the model that are beyond their tolerances, beside the effects."""
 

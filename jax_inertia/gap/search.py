@@ -17,7 +17,7 @@ from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.constancy import Inconstant, inconstant
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.doubt import better_than, entangled, share_in_doubt
+from jax_inertia.gap.doubt import better_than, entangled, share_of_others, standing
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
@@ -28,6 +28,7 @@ from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.select import rows_explained, select
 from jax_inertia.gap.sensors import stated
+from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Left, strained, strangeness
 from jax_inertia.gap.suited import at_their_best, bent_by, suited
 from jax_inertia.gap.together import remaining
@@ -111,29 +112,32 @@ class Finder:
         own = strains
         if chosen:
             own = strained(Left(pool.evidence, pool.evidence.y), (), noisier and noisier([]))
-        bare = strangeness(pool.evidence, self.replicas, floor, known, own)
+        slow = Slow.of(pool.evidence, self.replicas, known)
+        bare = strangeness(slow, floor, own)
         if chosen and strains and bare.most <= 1.0:
             # Effects that need the model's numbers bent, in a log that is within noise without either: the two undo
             # each other, as a weight and a force do, to fit the noise that both carry.
             chosen, misfits, strains = [], misfits[:1], []
         rival = better_than(pool, chosen, float(against.sum()))
         changing = _changing(pool, chosen, against)
-        apart, in_doubt = Verdict.of_nothing(bare, rival is not None), 0.0
+        apart, in_doubt, missed = Verdict.of_nothing(bare, rival is not None), 0.0, None
         if chosen:
             allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
             apart = judge(misfits, floor, allowed, known)
-            enough = max(2, len(chosen) / 2)
-            if apart is Verdict.UNKNOWN and rows_explained(pool, chosen, WELL) >= enough:
+            if apart is Verdict.EXPLAINED and (missed := slow.missed(left, chosen)) is not None:
+                apart = doubted(apart, missed.share)
+            if apart is Verdict.UNKNOWN and _are_causes(pool, chosen, WELL):
                 apart = Verdict.PARTLY
             apart = with_strain(apart, strains, misfits[0] - misfits[-1], allowed)
-            if apart is Verdict.UNKNOWN and len(chosen) >= SEVERAL:
-                mostly = rows_explained(pool, chosen, MOSTLY) >= enough
-                apart = Verdict.PARTLY if mostly else apart
-            in_doubt = share_in_doubt(pool, chosen, rival, changing)
+            stand = standing(chosen, rival, changing)
+            in_doubt = share_of_others(pool, chosen, stand)
             apart = doubted(apart, in_doubt)
+            several = len(stand) >= SEVERAL and _are_causes(pool, stand, MOSTLY)
+            if apart is Verdict.UNKNOWN and several:
+                apart = Verdict.PARTLY
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.torque_noise,
-            against, rival, changing, in_doubt, entangled(pool, chosen), apart, bare, strains,
+            against, rival, changing, in_doubt, entangled(pool, chosen), apart, bare, missed, strains,
         )  # fmt: skip
 
     def _noisier(self, pool: Pool) -> Callable[[list[Candidate]], Callable[[], Left]] | None:
@@ -272,9 +276,15 @@ def find(finder: Finder) -> tuple[Search, Search]:
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
+    verdict = doubted(verdict, second.in_doubt)
     if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
         verdict = Verdict.PARTLY
-    return first, dataclasses.replace(second, apart=doubted(verdict, second.in_doubt))
+    return first, dataclasses.replace(second, apart=verdict)
+
+
+def _are_causes(pool: Pool, chosen: list[Candidate], share: float) -> bool:
+    """Whether two effects, and half of all, leave less than a share of the energy where they act."""
+    return rows_explained(pool, chosen, share) >= max(2, len(chosen) / 2)
 
 
 # Samples below which a search would fit noise.

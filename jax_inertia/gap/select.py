@@ -116,13 +116,15 @@ def _windows(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[tuple[fl
 
 
 def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -> bool:
-    """Whether an effect brings enough beside what is left on the rows where it acts.
+    """Whether an effect brings enough beside what is left of all rows, or of those where it acts.
 
+    A row is also loud by causes that are yet to be found, and the first of several is none the less one.
     Noise is itself estimated: once a cause is found, structure in a hundredth of the noise on those rows is none.
     """
     if faint(pool, added, floor):
         return False
-    own = score(added, loudness(pool, [*chosen, added], floor))
+    loud = loudness(pool, [*chosen, added], floor)
+    own = max(score(added, loud), score(added, loud.evenly))
     if not chosen:
         return bool(own >= STOP)
     acts = acting(pool.evidence.by_row(added.effect))

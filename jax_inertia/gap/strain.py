@@ -1,9 +1,8 @@
-"""What a misfit as small as noise may hide: errors of the model beyond its tolerances, and slow motion in fast noise.
+"""What a misfit as small as noise may hide: errors of the model beyond its tolerances, and slow motion (`slow`).
 
 The nominal model's tolerances are integrated out (`evidence`), and one of many columns may be bent far at a price that
 a whole log hardly feels: an armature 70 % off costs no more than noise does. So what the log wants each number of the
-model to be, z = Λ² Nᵀ (1 + N Λ² Nᵀ)⁻¹ (y − A θ) with its posterior error, is held against the tolerance stated. What
-is missing at the motion's own few frequencies is held against the noise there, row by row, not against all of it.
+model to be, z = Λ² Nᵀ (1 + N Λ² Nᵀ)⁻¹ (y − A θ) with its posterior error, is held against the tolerance stated.
 """
 
 import dataclasses
@@ -13,24 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.noise import NOISE_ERROR
+from jax_inertia.gap.slow import Slow
 
 # Above this multiple of the noise's own misfit, something is there even where nothing in the library fits it.
 NOISE_ONLY = 2.0
-# In the motion's own band: twice the log of the odds that a row is louder than noise, as an effect must bring them.
-SLOWLY = 30.0
 # A number of the model that has to be this many times its tolerance off is not within it.
 STRAINED = 4.0
 # Of that border, a number counts for no less that is off while all others of its kind are right.
 STANDS_OUT = 1.5
-# Where the log does not state its noise and what is left is not at random, a motor may have missed its command by more
-# than the log can show.
-NOISE_UNSTATED = 4.0
-
-
-def known_to(known: bool) -> float:
-    """The factor to which a log's noise is known, by whether it is stated or found to be what it was taken for."""
-    return NOISE_ERROR if known else NOISE_UNSTATED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,38 +100,11 @@ class Strangeness:
         return max(self.misfit, self.slow, self.strain)
 
 
-def strangeness(
-    evidence: Evidence,
-    replicas: Float[np.ndarray, "K R nv"],
-    floor: float,
-    known: bool,
-    strains: list[Strained],
-) -> Strangeness:
-    """Of the missing torque as it is; `floor` is the noise's misfit, `known` whether that can be relied on.
-
-    `strains`: by the missing torque, `strained`.
-    """
-    y = evidence.y
-    slack = known_to(known) / NOISE_ERROR
+def strangeness(slow: Slow, floor: float, strains: list[Strained]) -> Strangeness:
+    """Of the missing torque as it is; `floor` is the noise's misfit, `strains` by the missing torque, `strained`."""
+    y = slow.evidence.y
     return Strangeness(
-        float(y @ y) / (NOISE_ONLY * slack * floor),
-        _slowly(evidence, replicas, slack) / (SLOWLY + 2 * np.log(evidence.used.shape[1])),
+        float(y @ y) / (NOISE_ONLY * slow.slack * floor),
+        slow.bare,
         max(STANDS_OUT, strains[0].off / STRAINED) if strains else 0.0,
     )
-
-
-def _slowly(evidence: Evidence, replicas: Float[np.ndarray, "K R nv"], slack: float) -> float:
-    """Evidence that the loudest row is no noise in the motion's own band, d (r − 1 − ln r): twice the log of the odds.
-
-    Whitened noise has one unit in each of a row's d numbers there, and the row has r times as much. Row by row, since
-    a gap at one joint of many is little beside the noise of all.
-    """
-
-    def energies(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
-        slow = evidence.slow(x[:, None]).reshape(evidence.slow_modes, -1)
-        return np.sum(slow**2, axis=0)
-
-    noise = np.mean([energies(evidence.charged(x)) for x in replicas], axis=0)
-    seen = noise > 0
-    louder = np.maximum(energies(evidence.y)[seen] / (slack * noise[seen]), 1.0)
-    return float(np.max(noise[seen] * (louder - 1 - np.log(louder)), initial=0.0))

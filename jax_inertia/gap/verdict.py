@@ -10,7 +10,8 @@ import numpy as np
 import scipy.special
 
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.strain import Strained, Strangeness, known_to
+from jax_inertia.gap.noise import known_to
+from jax_inertia.gap.strain import Strained, Strangeness
 
 
 class Verdict(enum.StrEnum):
@@ -42,7 +43,7 @@ def judge(misfits: list[float], floor: float, allowed: float, known: bool) -> Ve
 
     Explained: what is left is within the noise and the errors of the found effects' own equations. Partly: a fifth
     of the gap, at most, is left (rms). Unknown: more; then what was found is what fits best, not the cause.
-    `allowed`: misfit that the found equations' own errors may leave. `known`: whether the noise is (`strain.known_to`).
+    `allowed`: misfit that the found equations' own errors may leave. `known`: whether the noise is (`known_to`).
     """
     error = known_to(known)
     left = misfits[-1] - error * floor
