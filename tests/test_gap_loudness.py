@@ -9,7 +9,7 @@ from scipy import signal
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.loudness import Loudness
+from jax_inertia.gap.loudness import QUIETEST, Loudness
 
 LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
 
@@ -51,11 +51,25 @@ def test_what_remembers_counts_for_fewer_samples():
     assert not loud.even
 
 
-def test_what_is_within_noise_is_as_loud_as_noise():
-    within = loudness(np.zeros((500, 2)), np.full(2, 500.0))
-    assert within.even
-    assert within.quiet
-    assert within.whole == 1.0
+def test_noise_taken_for_louder_than_it_is_counts_for_what_it_is():
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((500, 2))
+    draws = 0.8 * rng.standard_normal((4000, 500, 2))
+    quiet = loudness(draws[0], np.full(2, 500.0))
+    assert quiet.quiet
+    assert quiet.beside(np.sum(columns**2, axis=0)) == pytest.approx(
+        spread(columns, draws), rel=0.1
+    )
+    # A few samples that happen to be small say nothing of their row.
+    few = draws[0].copy()
+    few[:, 1] *= np.arange(500) < 5
+    assert loudness(few, np.array([500.0, 50.0])).rows[1] == pytest.approx(quiet.whole, rel=0.1)
+
+
+def test_no_log_is_believed_to_be_without_noise():
+    nothing = loudness(np.zeros((500, 2)), np.full(2, 500.0))
+    assert nothing.even
+    assert nothing.whole == QUIETEST
     # A row that no sample of counts says nothing.
     assert loudness(np.zeros((500, 2)), np.array([500.0, 0.0])).even
 

@@ -1,4 +1,4 @@
-"""How much louder than noise what effects leave is, row by row.
+"""How much louder than noise, or quieter, what effects leave is, row by row.
 
 A model may miss one joint by hundreds of times its sensors' noise and another by none. A number fitted by least
 squares to residuals of unlike variance s² has the variance Σ x² s² / (Σ x²)² (White 1980, "A heteroskedasticity-
@@ -15,6 +15,8 @@ from jax_inertia.gap.evidence import Evidence
 
 # Misfit per sample from which what is left is more than noise, and has a memory of its own.
 MORE = 1.2
+# Sensors are often better than they are taken for; beyond this share of their noise no log is believed to be as quiet.
+QUIETEST = 0.5
 # Correlation from one sample to the next, at most: what is slower than that says so by its size.
 REDDEST = 0.9
 
@@ -38,8 +40,11 @@ class Loudness:
         rows = evidence.unflatten(left)
         before = np.sum(rows[1:] * rows[:-1], axis=0)
         energy = np.sum(rows**2, axis=0)
-        own = [_louder(*x) for x in zip(energy, before, floor, strict=True)]
-        return cls(np.array(own), _louder(energy.sum(), before.sum(), floor.sum()))
+        whole = _louder(energy.sum(), before.sum(), floor.sum(), QUIETEST)
+        # A row is told by fewer samples than all: none is taken for quieter than they are.
+        least = min(whole, 1.0)
+        own = [_louder(*x, least) for x in zip(energy, before, floor, strict=True)]
+        return cls(np.array(own), whole)
 
     @property
     def evenly(self) -> "Loudness":
@@ -65,9 +70,9 @@ class Loudness:
         return float(np.sum(energy / self.rows))
 
 
-def _louder(energy: float, before: float, floor: float) -> float:
+def _louder(energy: float, before: float, floor: float, least: float) -> float:
     """s² (1 + ρ)/(1 − ρ): how many samples count as one where each remembers ρ of the one before."""
-    noise = max(1.0, energy / max(floor, 1.0))
+    noise = max(least, energy / max(floor, 1.0))
     if noise <= MORE:
         return noise
     rho = min(max(before / max(energy, 1e-300), 0.0), REDDEST)

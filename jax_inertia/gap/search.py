@@ -26,7 +26,7 @@ from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.propose import Rows
-from jax_inertia.gap.select import rows_explained, select
+from jax_inertia.gap.select import select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Left, strained, strangeness
@@ -126,19 +126,43 @@ class Finder:
             apart = judge(misfits, floor, allowed, known)
             if apart is Verdict.EXPLAINED and (missed := slow.missed(left, chosen)) is not None:
                 apart = doubted(apart, missed.share)
-            if apart is Verdict.UNKNOWN and _are_causes(pool, chosen, WELL):
+            if apart is Verdict.UNKNOWN and self._are_causes(pool.evidence, chosen, left, WELL):
                 apart = Verdict.PARTLY
             apart = with_strain(apart, strains, misfits[0] - misfits[-1], allowed)
             stand = standing(chosen, rival, changing)
             in_doubt = share_of_others(pool, chosen, stand)
             apart = doubted(apart, in_doubt)
-            several = len(stand) >= SEVERAL and _are_causes(pool, stand, MOSTLY)
-            if apart is Verdict.UNKNOWN and several:
+            if apart is Verdict.UNKNOWN and self.are_several(pool.evidence, stand):
                 apart = Verdict.PARTLY
         return Search(
             pool, white, self.replicas, chosen, ranking, misfits, floor, known, self.torque_noise,
             against, rival, changing, in_doubt, entangled(pool, chosen), apart, bare, missed, strains,
         )  # fmt: skip
+
+    def charged(self, evidence: Evidence, c: Candidate) -> Float[np.ndarray, " n"]:
+        """A found effect in the metric of any evidence of this log."""
+        drawn = effect_torque(self.context, c)
+        return evidence.charged(self.context.prepared.finish_torque(drawn))
+
+    def are_several(self, evidence: Evidence, stand: list[Candidate]) -> bool:
+        """Whether effects that stand are too many to be one cause in disguise, and most of them explain their rows."""
+        if len(stand) < SEVERAL:
+            return False
+        left = evidence.y - np.sum([self.charged(evidence, c) for c in stand], axis=0)
+        return self._are_causes(evidence, stand, left, MOSTLY)
+
+    def _are_causes(
+        self,
+        evidence: Evidence,
+        chosen: list[Candidate],
+        left: Float[np.ndarray, " n"],
+        share: float,
+    ) -> bool:
+        """Whether two effects, and half of all, leave less than a share of the energy on the rows where they act."""
+        before, after = evidence.by_row(evidence.y), evidence.by_row(left)
+        rows = [evidence.acted_on(effect_torque(self.context, c)) for c in chosen]
+        explained = [after[acts].sum() < share * before[acts].sum() for acts in rows]
+        return bool(sum(explained) >= max(2, len(chosen) / 2))
 
     def _noisier(self, pool: Pool) -> Callable[[list[Candidate]], Callable[[], Left]] | None:
         """What effects leave of the log with its noise added again, where columns are as noisy as what is missing."""
@@ -259,7 +283,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
         or first.misfits[-1] < WORSE * first.noise
     ):
         return first, first
-    evidence, prepared = first.pool.evidence, finder.context.prepared
+    evidence = first.pool.evidence
     # Charged twice: what is left once the nuisances, too, are at their best.
     left = evidence.unflatten(evidence.charge(remaining(first.pool, first.chosen)[:, None])[:, 0])
     first.pool.forget()
@@ -269,22 +293,16 @@ def find(finder: Finder) -> tuple[Search, Search]:
     if not second.chosen:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
-    effects = [
-        evidence.charged(prepared.finish_torque(effect_torque(finder.context, c)))
-        for c in second.chosen
-    ]
+    effects = [finder.charged(evidence, c) for c in second.chosen]
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
     verdict = doubted(verdict, second.in_doubt)
-    if verdict is Verdict.UNKNOWN and second.verdict is Verdict.PARTLY:
+    stand = standing(second.chosen, second.rival, second.inconstant)
+    causes = second.verdict is Verdict.PARTLY or finder.are_several(evidence, stand)
+    if verdict is Verdict.UNKNOWN and causes:
         verdict = Verdict.PARTLY
     return first, dataclasses.replace(second, apart=verdict)
-
-
-def _are_causes(pool: Pool, chosen: list[Candidate], share: float) -> bool:
-    """Whether two effects, and half of all, leave less than a share of the energy where they act."""
-    return rows_explained(pool, chosen, share) >= max(2, len(chosen) / 2)
 
 
 # Samples below which a search would fit noise.

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.block import Beside
-from jax_inertia.gap.candidate import Candidate, effect_torque
+from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import acting
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
@@ -253,15 +253,3 @@ def _likelier(
         loud.counted(pool.evidence.by_row(x)) + price for x, price in zip(left, prices, strict=True)
     ]
     return bool(costs[0] < costs[1] - by)
-
-
-def rows_explained(pool: Pool, chosen: list[Candidate], share: float) -> int:
-    """How many effects leave less than a share of the energy on the rows where they act."""
-    evidence = pool.evidence
-    before = evidence.by_row(evidence.y)
-    after = evidence.by_row(remaining(pool, chosen))
-    count = 0
-    for c in chosen:
-        acts = evidence.acted_on(effect_torque(pool.context, c))
-        count += bool(after[acts].sum() < share * before[acts].sum())
-    return count
