@@ -7,9 +7,13 @@ from arm_log import ARM, simulate
 from scipy import signal
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap import Verdict, diagnose, select
+from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.loudness import QUIETEST, Loudness
+from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.search import find, finder
 
 LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
 
@@ -85,3 +89,27 @@ def test_a_joint_is_heard_beside_one_that_no_effect_explains():
     [bias] = [f for f in found.findings if f.place.name == "shoulder"]
     assert bias.family == "torque_bias"
     assert bias.parameters["bias"].low <= BIAS <= bias.parameters["bias"].high
+
+
+@pytest.fixture(scope="module")
+def biased():
+    """What is found where a constant torque acts on the shoulder."""
+    log = simulate(lambda t, q, v, u: np.array([BIAS, 0.0]))
+    robot = load_model(mujoco.MjModel.from_xml_string(ARM))
+    return find(finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 3))[0]
+
+
+@pytest.mark.parametrize(
+    ("parts", "first", "taken"), [(True, -1, 0), (True, 0, 0), (False, -1, -1)]
+)
+def test_where_the_ways_part_the_likelier_end_is_taken(biased, monkeypatch, parts, first, taken):
+    ends = {0: biased.chosen, -1: [biased.ranking[-1]]}
+
+    def path(pool, max_effects, floor, *, own_rows):
+        end = ends[-1 - first if own_rows else first]
+        return select._Path(end, biased.ranking, parts and not own_rows)
+
+    monkeypatch.setattr(select, "_path", path)
+    chosen, _, misfits = select.select(biased.pool, 3, biased.noise_by_row)
+    assert chosen == ends[taken]
+    assert len(misfits) == len(chosen) + 1

@@ -1,5 +1,7 @@
 """Which effects: forward with joint refits, then backward and swaps."""
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -18,34 +20,70 @@ def select(
 ) -> tuple[list[Candidate], list[Candidate], list[float]]:
     """(chosen effects, the first step's ranking, misfit J after 0, 1, 2 ... effects).
 
-    `floor` is the J that noise alone would have on each row.
+    `floor` is the J that noise alone would have on each row. A leader that is heard beside all rows as one and not
+    beside its own is the first of several causes there, or beside what no effect explains: both ways on are tried, and
+    the likelier end is taken.
     """
+    path = _path(pool, max_effects, floor, own_rows=False)
+    if path.parts:
+        other = _path(pool, max_effects, floor, own_rows=True)
+        if _likelier(pool, other.chosen, path.chosen, floor, by=0.0):
+            path = other
+        pool.look_again(_windows(pool, path.chosen, floor))
+    chosen = path.chosen
+    return chosen, path.ranking, [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Path:
+    """Where forward steps ended."""
+
+    chosen: list[Candidate]
+    ranking: list[Candidate]
+    """Of the first step."""
+    parts: bool
+    """Whether some leader was heard beside all rows as one and not beside its own: there the ways part."""
+
+
+def _path(pool: Pool, max_effects: int, floor: Rows, *, own_rows: bool) -> _Path:
+    """Forward steps; `own_rows`: a leader has to be heard beside those on which it acts."""
     chosen: list[Candidate] = []
     ranking: list[Candidate] = []
+    parts = False
     while len(chosen) < max_effects:
         pool.look_again(_windows(pool, chosen, floor))
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
-        more = _with_one_more(pool, chosen, step, max_effects, floor) or split(pool, chosen, floor)
+        own, all_ = _heard(pool, chosen, step[0], floor) if step else (False, False)
+        parts |= all_ and not own
+        heard = own or (all_ and not own_rows)
+        more = _with_one_more(pool, chosen, step, max_effects, floor, heard=heard)
+        more = more or split(pool, chosen, floor)
         if not more:
             break
         chosen = more
-    return chosen, ranking, [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
+    return _Path(chosen, ranking, parts)
 
 
 def _with_one_more(
-    pool: Pool, chosen: list[Candidate], step: list[Candidate], max_effects: int, floor: Rows
+    pool: Pool,
+    chosen: list[Candidate],
+    step: list[Candidate],
+    max_effects: int,
+    floor: Rows,
+    *,
+    heard: bool,
 ) -> list[Candidate]:
     """The chosen and the best beside them, or two that hide each other; none where what is left is no further cause."""
     if not step:
         return []
-    if not _heard(pool, chosen, step[0], floor):
+    if not heard:
         pair = [] if chosen or max_effects < 2 else _hidden_by_each_other(pool, step[0], floor)
         if pair or loudness(pool, chosen, floor).quiet:
             return pair
         step = propose(pool, chosen, floor, by_row=True)
-        if not step or not _heard(pool, chosen, step[0], floor):
+        if not step or not _heard(pool, chosen, step[0], floor)[0]:
             return []
     trial = settle(pool, [*chosen, step[0]], floor)
     if len(trial) > 1:
@@ -115,20 +153,19 @@ def _windows(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[tuple[fl
     return tuple(sorted({w for x in sides for w in locate.windows(pool.evidence, x, floor.sum())}))
 
 
-def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -> bool:
-    """Whether an effect brings enough beside what is left of all rows, or of those where it acts.
+def _heard(pool: Pool, chosen: list[Candidate], added: Candidate, floor: Rows) -> tuple[bool, bool]:
+    """Whether an effect brings enough beside what is left on the rows where it acts, and beside all rows as one.
 
-    A row is also loud by causes that are yet to be found, and the first of several is none the less one.
     Noise is itself estimated: once a cause is found, structure in a hundredth of the noise on those rows is none.
     """
     if faint(pool, added, floor):
-        return False
+        return False, False
+    enough = STOP
+    if chosen:
+        enough += 0.01 * floor[acting(pool.evidence.by_row(added.effect))].sum()
     loud = loudness(pool, [*chosen, added], floor)
-    own = max(score(added, loud), score(added, loud.evenly))
-    if not chosen:
-        return bool(own >= STOP)
-    acts = acting(pool.evidence.by_row(added.effect))
-    return bool(own >= STOP + 0.01 * floor[acts].sum())
+    own, all_ = (bool(score(added, x) >= enough) for x in (loud, loud.evenly))
+    return own, all_
 
 
 def material(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -> float:
