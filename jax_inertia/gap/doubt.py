@@ -112,5 +112,5 @@ def share_of_others(pool: Pool, chosen: list[Candidate], some: list[Candidate]) 
     """Share of the misfit explained that effects brought which are not among some; zero where all are."""
     if len(some) == len(chosen):
         return 0.0
-    nothing, some, all_ = (misfit(pool, x) for x in ([], some, chosen))
-    return float(np.clip((some - all_) / max(nothing - all_, 1e-300), 1e-6, 1.0))
+    nothing, part, whole = (misfit(pool, x) for x in ([], some, chosen))
+    return float(np.clip((part - whole) / max(nothing - whole, 1e-300), 1e-6, 1.0))
