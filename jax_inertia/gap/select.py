@@ -22,12 +22,12 @@ def select(
 
     `floor` is the J that noise alone would have on each row. A leader that is heard beside all rows as one and not
     beside its own is the first of several causes there, or beside what no effect explains: both ways on are tried, and
-    the likelier end is taken.
+    the other end is taken where it is likelier by as much as a swap has to be.
     """
     path = _path(pool, max_effects, floor, own_rows=False)
     if path.parts:
         other = _path(pool, max_effects, floor, own_rows=True)
-        if _likelier(pool, other.chosen, path.chosen, floor, by=0.0):
+        if _likelier(pool, other.chosen, path.chosen, floor):
             path = other
         pool.look_again(_windows(pool, path.chosen, floor))
     chosen = path.chosen
