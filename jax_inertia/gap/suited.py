@@ -41,7 +41,7 @@ def suited(
     freed = list(_freed(pool, chosen, learner, without))
     alone = [j for j, score, _ in freed if score > SUITS]
     if len(chosen) == max_effects:
-        return without.scales, alone
+        return _told(pool, chosen, without.scales), alone
     best, scales = SUITS, without.scales
     for c in ranked:
         if faint(pool, c, floor):
@@ -54,7 +54,19 @@ def suited(
     for j, score, learned in freed:
         if score > best and CAUSES[pool.evidence.kind(j)] in known:
             best, scales = score, learned.scales
-    return scales, alone
+    return _told(pool, chosen, scales), alone
+
+
+def _told(pool: Pool, chosen: list[Candidate], scales: dict[str, float]) -> dict[str, float]:
+    """The scales; as they were for a kind whose every number is a chosen effect's own, as none is left to tell."""
+    evidence = pool.evidence
+    own = {(c.family.name, c.place.name) for c in chosen}
+    telling = {
+        kind
+        for kind, name in ((evidence.kind(j), x) for j, x in enumerate(evidence.named))
+        if (CAUSES[kind], name.removeprefix(f"{kind} of ")) not in own
+    }
+    return {kind: x if kind in telling else evidence.scales[kind] for kind, x in scales.items()}
 
 
 def at_their_best(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[Pool, list[Candidate]]:
