@@ -78,6 +78,12 @@ class Context:
         rows = zip(r.joint_names, r.joint_type, r.joint_dofadr, strict=True)
         return {name: dof for name, kind, dof in rows if kind in (HINGE, SLIDE)}
 
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """What each row is called: its joint's name, or where it is among the base's."""
+        names = {dof: name for name, dof in self.joint_dofs.items()}
+        return tuple(names.get(j, f"base[{j}]") for j in range(self.robot.nv))
+
     @functools.cached_property
     def joint_position(self) -> np.ndarray:
         """Position of each hinge and slide row; zero elsewhere (T, nv)."""

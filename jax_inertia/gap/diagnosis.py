@@ -16,7 +16,6 @@ from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, leans_on
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -116,14 +115,13 @@ def diagnose(
     findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
     reaches, turned = turning(pool, chosen)
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
-    label = _labels(context)
     return Diagnosis(
         verdict=verdict,
         confidence=findings[0].probability if findings else verdict.confidence(first.bare),
         chi2=float(np.sum(evidence.raw**2) / evidence.rows),
         noise_floor=float(first.floor / evidence.rows),
-        per_joint_rms=dict(zip(label, rms.tolist(), strict=True)),
-        share=dict(zip(label, evidence.share.tolist(), strict=True)),
+        per_joint_rms=dict(zip(context.row_names, rms.tolist(), strict=True)),
+        share=dict(zip(context.row_names, evidence.share.tolist(), strict=True)),
         findings=findings,
         heldout=heldout,
         test=None if trial is None else trial.shrink,
@@ -185,8 +183,7 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         for x in search.strains[:SHOWN]
     ]
     if search.missed is not None:
-        row = search.missed.row
-        beyond.append(search.missed.at(_labels(search.pool.context)[row]))
+        beyond.append(search.missed.at(search.pool.context.row_names[search.missed.row]))
     if search.inconstant is not None:
         beyond.append(f"{search.inconstant}: the cause resembles it and is not in the library")
     if (pushes := crowded(search.chosen)) is not None:
@@ -212,12 +209,6 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
         "not in the library",
     ]
-
-
-def _labels(context: Context) -> list[str]:
-    """What each row is called."""
-    names = {dof: name for name, dof in context.joint_dofs.items()}
-    return [names.get(j, f"base[{j}]") for j in range(context.robot.nv)]
 
 
 def _unmeasured(prepared: Prepared) -> list[str]:

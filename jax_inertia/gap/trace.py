@@ -74,12 +74,11 @@ def collect(
     """Gather the signals of one run; `effects`, `left`, `excused` and `erring` are finished torques as in `Trace`."""
     context, evidence = pool.context, pool.evidence
     prepared = context.prepared
-    names = {dof: name for name, dof in context.joint_dofs.items()}
     missing = prepared.finish_torque(prepared.missing)
     noise = np.sqrt(np.mean(np.asarray(replicas) ** 2, axis=(0, 1)))
     return Trace(
         time=context.time[prepared.kept],
-        rows=tuple(names.get(j, f"base[{j}]") for j in range(context.robot.nv)),
+        rows=context.row_names,
         q=prepared.finish(context.joint_position),
         v=prepared.finish(context.v),
         tau=prepared.finish(context.tau),
