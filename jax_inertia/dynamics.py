@@ -1,18 +1,21 @@
 """Rigid-body dynamics in world coordinates: inverse dynamics, torque regressor, mass matrix, contact torques.
 
-Every function takes one sample and is differentiable, `jit`- and `vmap`-friendly; `vmap` of many samples runs with the
-batch as the last axis (see `_batch_last`). The paper's condensed form (eq. decomp-tau) is `condensed_dynamics`: one
-forward pass shared by the regressor of the chosen bodies and the torque of all the others.
+Every function takes one sample (q, v, a in m, rad and seconds; torques in N m, forces in N), is differentiable, `jit`-
+and `vmap`-friendly, and raises ValueError for a q, v or a of another length than the robot's; `vmap` of many samples
+runs with the batch as the last axis (see `_batch_last`). The paper's condensed form (eq. decomp-tau) is
+`condensed_dynamics`: one forward pass shared by the regressor of the chosen bodies and the torque of all the others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia import _passes
+from jax_inertia._arguments import last_axes
 from jax_inertia._batch_last import batch_last
 from jax_inertia.kinematics import forward_kinematics, tree_origin
 from jax_inertia.robot import Robot
@@ -31,7 +34,7 @@ def inverse_dynamics(
     >>> jax.jit(inverse_dynamics)(robot, level, still, still)  # 2 kg at 0.5 m and 1 kg at 1.5 m, held level
     Array([24.525,  4.905], dtype=float64)
     """
-    return batch_last(_passes.inverse_dynamics, robot, q, v, a)
+    return batch_last(_passes.inverse_dynamics, robot, *_sample(robot, q=q, v=v, a=a))
 
 
 def torque_regressor(
@@ -58,7 +61,8 @@ def torque_regressor(
     Array([24.525,  4.905], dtype=float64)
     """
     chosen = resolve_bodies(robot, bodies)
-    return batch_last(partial(_passes.torque_regressor, chosen), robot, q, v, a)
+    kernel = partial(_passes.torque_regressor, chosen)
+    return batch_last(kernel, robot, *_sample(robot, q=q, v=v, a=a))
 
 
 def condensed_dynamics(
@@ -70,7 +74,8 @@ def condensed_dynamics(
 ) -> tuple[Float[Array, "nv n 10"], Float[Array, " nv"]]:
     """Y^est of the chosen bodies and τ^nom of all the rest, from one forward pass (Foster et al., eq. decomp-tau).
 
-    Y^est π^est + τ^nom = `inverse_dynamics`; armature is part of τ^nom.
+    Y^est π^est + τ^nom = `inverse_dynamics`; armature is part of τ^nom. Raises ValueError for an unknown body, or one
+    named twice.
 
     >>> import jax, jax.numpy as jnp
     >>> from jax_inertia import load_model, condensed_dynamics
@@ -84,7 +89,8 @@ def condensed_dynamics(
     Array([24.525,  4.905], dtype=float64)
     """
     chosen = resolve_bodies(robot, bodies)
-    return batch_last(partial(_passes.condensed_dynamics, chosen), robot, q, v, a)
+    kernel = partial(_passes.condensed_dynamics, chosen)
+    return batch_last(kernel, robot, *_sample(robot, q=q, v=v, a=a))
 
 
 def mass_matrix(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
@@ -98,7 +104,7 @@ def mass_matrix(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
     Array([[2.79, 0.77],
            [0.77, 0.27]], dtype=float64)
     """
-    return batch_last(_passes.mass_matrix, robot, q)
+    return batch_last(_passes.mass_matrix, robot, *_sample(robot, q=q))
 
 
 def passive_torque(
@@ -122,6 +128,7 @@ def passive_torque(
     >>> passive_torque(robot, jnp.zeros(2), jnp.array([2.0, -1.0]))
     Array([-0.6,  0.1], dtype=float64)
     """
+    q, v = _sample(robot, q=q, v=v)
     top = robot.topology
     adr = np.array(top.qpos_adr)[top.dof_node]
     spring = robot.stiffness * (q[adr] - robot.spring_reference)
@@ -143,6 +150,7 @@ def body_poses(
     Array([[ 0.,  0.,  0.],
            [-1.,  0.,  0.]], dtype=float64)
     """
+    (q,) = _sample(robot, q=q)
     kin = forward_kinematics(robot, q)
     nodes = np.array(robot.topology.body_node, int)
     return kin.rotation[nodes], kin.position[nodes] + tree_origin(robot, q)[nodes]
@@ -150,6 +158,8 @@ def body_poses(
 
 def body_jacobian(robot: Robot, q: Float[Array, " nq"], body: int | str) -> Float[Array, "6 nv"]:
     """Jacobian [linear; angular] of a body's frame origin, world axes: J v is its velocity, Jᵀ its wrench's torque.
+
+    Raises ValueError for a body that the robot does not have.
 
     >>> import jax, jax.numpy as jnp
     >>> from jax_inertia import load_model, body_jacobian
@@ -161,6 +171,7 @@ def body_jacobian(robot: Robot, q: Float[Array, " nq"], body: int | str) -> Floa
            [ 0.,  0.]], dtype=float64)
     """
     (index,) = resolve_bodies(robot, [body])
+    (q,) = _sample(robot, q=q)
     kin = forward_kinematics(robot, q)
     return _passes.body_jacobian(robot, kin, index)
 
@@ -173,6 +184,8 @@ def contact_torque(
 ) -> Float[Array, " nv"]:
     """Σ Jᵀ λ of wrenches [force; moment] on `bodies`: world axes, N and N m, moments about their frame origins.
 
+    A body may be named more than once. Raises ValueError for an unknown body or another number of wrenches.
+
     >>> import jax, jax.numpy as jnp
     >>> from jax_inertia import load_model, contact_torque
     >>> from jax_inertia.robots.pendulum import double_pendulum
@@ -181,8 +194,10 @@ def contact_torque(
     >>> contact_torque(robot, jnp.zeros(2), push, ["lower"]).round(3) + 0.0
     Array([-10.,   0.], dtype=float64)
     """
+    (q,) = _sample(robot, q=q)
+    chosen = _indices(robot, bodies)
+    wrenches = last_axes("wrenches", wrenches, (len(chosen), 6), f"one for each of {list(bodies)}")
     kin = forward_kinematics(robot, q)
-    chosen = resolve_bodies(robot, bodies)
     torques = [
         w @ _passes.body_jacobian(robot, kin, i) for i, w in zip(chosen, wrenches, strict=True)
     ]
@@ -200,12 +215,43 @@ def resolve_bodies(robot: Robot, bodies: Sequence[int | str] | None) -> tuple[in
     """
     if bodies is None:
         return tuple(range(robot.nb))
-    if isinstance(bodies, str):
-        bodies = [bodies]
-    out = tuple(robot.body_index(b) if isinstance(b, str) else int(b) for b in bodies)
-    for i in out:
-        if not 0 <= i < robot.nb:
-            raise ValueError(f"body index {i} is out of range: the model has {robot.nb} bodies")
+    out = _indices(robot, bodies)
     if len(set(out)) != len(out):
         raise ValueError(f"a body is named twice in {list(bodies)}")
     return out
+
+
+def _indices(robot: Robot, bodies: Sequence[int | str]) -> tuple[int, ...]:
+    """Of names or indices, each as often as it is named."""
+    if isinstance(bodies, str):
+        bodies = [bodies]
+    if not isinstance(bodies, Iterable):
+        raise ValueError(f"bodies is {bodies!r}; give names or indices, in a list")
+    out = []
+    for body in bodies:
+        if isinstance(body, bool | np.bool_) or not isinstance(body, str | int | np.integer):
+            raise ValueError(f"body {body!r} is neither a name nor an index")
+        index = robot.body_index(body) if isinstance(body, str) else int(body)
+        if not 0 <= index < robot.nb:
+            raise ValueError(f"body index {index} is out of range: the model has {robot.nb} bodies")
+        out.append(index)
+    return tuple(out)
+
+
+def _sample(robot: Robot, **channels: Any) -> tuple[Array, ...]:
+    """One sample's channels as arrays, q of nq numbers and every other of nv.
+
+    JAX clamps an index that is out of range, so that a q that is too short gives torques too. Raises ValueError for
+    another shape.
+    """
+    out = []
+    for name, value in channels.items():
+        array = jnp.asarray(value)
+        size, what = (robot.nq, "nq") if name == "q" else (robot.nv, "nv")
+        if array.shape != (size,):
+            raise ValueError(
+                f"{name} has shape {array.shape}; of this robot it has ({size},), its {what}, and many samples go "
+                "through jax.vmap"
+            )
+        out.append(array)
+    return tuple(out)

@@ -17,7 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jax_inertia import _filter_settings as settings
 from jax_inertia import charts, kalman
+from jax_inertia._arguments import floats_as
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
@@ -85,12 +87,16 @@ class Estimator(eqx.Module):
     def step(
         self, state: State, observation: Observation, dt: Float[Array, ""] | float
     ) -> tuple[State, Step]:
-        """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement)."""
+        """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement).
+
+        A `dt` that is no positive number is a fault of a clock, and counts as no time at all.
+        """
+        observation = floats_as(observation, self.robot.pi.dtype)
         known = self.robot, observation, self.bodies, state.bias
         valid = jnp.asarray(observation.motion.valid)
         if self.sigma_a is None:
             return self.update(state, *torque_residual(*known), valid, dt)
-        belief, _ = self._predicted(state, dt)
+        belief, _ = self._predicted(state, _elapsed(dt, state))
         own = belief.mean.reshape(-1, 10)
         g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
         of_pi = self.chart.to_pi(own), g @ belief.covariance @ g.T
@@ -111,6 +117,7 @@ class Estimator(eqx.Module):
         rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
         the gate opens, and the filter looks anew.
         """
+        dt = _elapsed(dt, state)
         belief, reopened = self._predicted(state, dt)
 
         moved = moved_rows(self.robot, self.bodies)
@@ -139,7 +146,7 @@ class Estimator(eqx.Module):
         waited = jnp.where(reopened, 0.0, state.rejected_for) + dt
         waited = jnp.where(innovation.accepted, 0.0, waited)
         threshold = self.gate.threshold(innovation.rows)
-        out = State(belief, state.bias, waited.astype(state.rejected_for.dtype))
+        out = State(belief, state.bias, waited)
         return out, Step(belief, innovation, threshold, reopened)
 
     def run(
@@ -154,16 +161,21 @@ class Estimator(eqx.Module):
 
         `dt` [s] is the time since the sample before, by default that of the log, whose first sample is taken to come
         one period after `state`. Samples that are not `used` (default: all are) leave no trace in the state.
+        Raises ValueError for fewer than two samples without a `dt`.
         """
-        observations = jax.tree.map(jnp.asarray, observations)
+        if dt is None:
+            dt = jnp.diff(jnp.asarray(observations.motion.time))
+            if not len(dt):
+                count = len(observations.motion.time)
+                raise ValueError(f"a log of {count} samples has no period; give dt, one a sample")
+            dt = jnp.concatenate([dt[:1], dt])
+        # Stamps of a real clock need float64 until they are subtracted.
+        observations = floats_as(observations, self.robot.pi.dtype)
         follow: Callable[..., tuple[State, Step]] = self.step
         samples: tuple = (observations,)
         if self.sigma_a is None:  # else regressors hang on the belief
             rows = torque_residuals(self.robot, observations, self.bodies, state.bias)
             follow, samples = self.update, (*rows, observations.motion.valid)
-        if dt is None:
-            dt = jnp.diff(observations.motion.time)
-            dt = jnp.concatenate([dt[:1], dt])
 
         def one(carry, x):
             sample, since, use = x
@@ -195,7 +207,7 @@ class Estimator(eqx.Module):
         return physical_units(self.chart, belief.mean, belief.covariance)
 
     def _predicted(
-        self, state: State, dt: Float[Array, ""] | float
+        self, state: State, dt: Float[Array, ""]
     ) -> tuple[kalman.Belief, Bool[Array, ""]]:
         reopened = state.rejected_for >= self.reopen_after
         extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
@@ -209,14 +221,14 @@ def make_estimator(
     robot: Robot,
     bodies: Sequence[int | str],
     *,
-    sigma_tau: Float[Array, " nv"] | Sequence[float] | float,
+    sigma_tau: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float,
     prior: Uncertainty | None = None,
     drift: Uncertainty | None = None,
     chart: charts.Chart | None = None,
     noise: Noise | None = None,
-    sigma_a: Float[Array, " nv"] | Sequence[float] | float | None = None,
+    sigma_a: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float | None = None,
     gate: Gate | None = None,
-    reopen_after: float = jnp.inf,
+    reopen_after: Float[Array, ""] | float = jnp.inf,
     iterations: int = 1,
     form: kalman.Form | None = None,
     analytic_jacobian: bool = True,
@@ -228,8 +240,9 @@ def make_estimator(
     prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the
     noise of accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards
     zero (`measurement.agreed_residual`); left out (the paper), it belongs into `sigma_tau`.
+    Numbers may be traced: the whole of it runs under `jit`, `grad` and `vmap`, where they cannot be looked at.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), noise that is not
-    positive, or a form that leaves rows out beside correlated noise.
+    positive, settings that no filter can have, or a form that leaves rows out beside correlated noise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimate import make_estimator
@@ -241,29 +254,18 @@ def make_estimator(
     chosen = resolve_bodies(robot, bodies)
     if not chosen:
         raise ValueError("no body to estimate; name at least one")
+    settings.require_filter(iterations, gate, reopen_after, robot)
     total = jnp.sum(robot.pi[:, 0])
     prior = Load(0.1 * total) if prior is None else prior
     chart = charts.LogCholesky() if chart is None else chart
     nominal = robot.pi[np.array(chosen)]
     mean = chart.from_pi(nominal)
-    for i, body in enumerate(chosen):
-        if not np.all(np.isfinite(mean[i])):
-            raise ValueError(
-                f"body {robot.body_names[body]!r} is not physical (mass {float(nominal[i, 0]):.4g} kg): "
-                f"{type(chart).__name__} needs a positive-definite pseudo-inertia; estimate the link that "
-                "carries it, or correct its inertial"
-            )
+    settings.require_physical(robot, chosen, chart, mean)
     if noise is None:
-        sigma = jnp.broadcast_to(jnp.asarray(sigma_tau, robot.pi.dtype), (robot.nv,))
-        if not bool(jnp.all(sigma > 0)):
-            raise ValueError(
-                f"sigma_tau is {np.asarray(sigma)}; every row's noise must be positive"
-            )
-        noise = IndependentNoise(sigma**2)
+        noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
+    settings.require_noise(noise, robot)
     if sigma_a is not None:
-        sigma_a = jnp.broadcast_to(jnp.asarray(sigma_a, robot.pi.dtype), (robot.nv,))
-        if not bool(jnp.all(sigma_a >= 0)):
-            raise ValueError(f"sigma_a is {np.asarray(sigma_a)}; noise cannot be negative")
+        sigma_a = settings.of_rows("sigma_a", sigma_a, robot)
     independent = isinstance(noise, IndependentNoise) and sigma_a is None
     if form is not None and form.leaves_rows_out and not independent:
         raise ValueError(
@@ -271,10 +273,12 @@ def make_estimator(
             "give it all rows"
         )
     block_diag = jax.scipy.linalg.block_diag
-    start = kalman.Belief(mean.ravel(), block_diag(*prior.covariance(chart, nominal)))
+    start = kalman.Belief(
+        mean.ravel(), block_diag(*settings.covariance("prior", prior, chart, nominal))
+    )
     growth = start.covariance / 3.0
     if drift is not None:
-        growth = block_diag(*drift.covariance(chart, nominal))
+        growth = block_diag(*settings.covariance("drift", drift, chart, nominal))
     return Estimator(
         robot=robot,
         chart=chart,
@@ -289,6 +293,12 @@ def make_estimator(
         iterations=iterations,
         analytic_jacobian=analytic_jacobian,
     )
+
+
+def _elapsed(dt: Float[Array, ""] | float, state: State) -> Float[Array, ""]:
+    """dt as the state counts time; a clock's faults count as none."""
+    since = jnp.asarray(dt, state.rejected_for.dtype)
+    return jnp.where(jnp.isfinite(since) & (since > 0), since, 0.0)
 
 
 def _slopes(chart: charts.Chart, x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10 10"]:

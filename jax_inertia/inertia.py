@@ -22,9 +22,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia import spatial
+from jax_inertia._arguments import last_axes
 
 PI_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 THETA_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3")
+_ORDER = {"pi": ", ".join(PI_NAMES), "theta": ", ".join(THETA_NAMES)}
+
+
+def _ten(name: str, values: Float[Array, "*b 10"]) -> list[Float[Array, "*b"]]:
+    """The ten numbers of π or θ, batched; JAX alone would take the last of fewer twice."""
+    array = last_axes(name, values, (10,), _ORDER[name])
+    return [array[..., i] for i in range(10)]
 
 
 def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
@@ -36,7 +44,7 @@ def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
     >>> rotational_inertia(pi).diagonal()
     Array([0.04, 0.04, 0.01], dtype=float64)
     """
-    xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(4, 10))
+    _, _, _, _, xx, xy, xz, yy, yz, zz = _ten("pi", pi)
     rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
@@ -59,7 +67,8 @@ def from_com(
 ) -> Float[Array, "*b 10"]:
     """π of a body of `mass` [kg], centre of mass `com` [m] and `inertia` [kg m²] *about the centre of mass*.
 
-    Parallel-axis theorem: I = I_c + m (c·c 1 − c cᵀ); h = m c.
+    Parallel-axis theorem: I = I_c + m (c·c 1 − c cᵀ); h = m c. Raises ValueError for a `com` or an `inertia` of another
+    shape: principal moments alone go in as `jnp.diag(moments)`.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.inertia import from_com
@@ -67,6 +76,9 @@ def from_com(
     >>> pi  # 2 kg · (0.1 m)² more about the frame's origin
     Array([2.  , 0.  , 0.  , 0.2 , 0.04, 0.  , 0.  , 0.04, 0.  , 0.01],      dtype=float64)
     """
+    mass = jnp.asarray(mass)
+    com = last_axes("com", com, (3,), "x, y, z in metres")
+    inertia = last_axes("inertia", inertia, (3, 3), "a matrix: principal moments go in as jnp.diag")
     shift = jnp.sum(com * com, -1)[..., None, None] * jnp.eye(3, dtype=com.dtype)
     shift = shift - com[..., :, None] * com[..., None, :]
     i = inertia + mass[..., None, None] * shift
@@ -94,7 +106,7 @@ def pseudo_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
     >>> pseudo_inertia(pi).diagonal()
     Array([0.005, 0.005, 0.035, 2.   ], dtype=float64)
     """
-    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (pi[..., i] for i in range(10))
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = _ten("pi", pi)
     rows = [
         [0.5 * (yy + zz - xx), -xy, -xz, hx],
         [-xy, 0.5 * (xx + zz - yy), -yz, hy],
@@ -166,7 +178,7 @@ def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     >>> bool(is_physical(from_log_cholesky(jnp.array([0.3, -2, -2, -1, 0.1, 0, 0, 0, 0, 0.2]))))
     True
     """
-    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = _ten("theta", theta)
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
     terms = [
         t1 * t1 + t2 * t2 + t3 * t3 + 1.0,
@@ -224,7 +236,7 @@ def from_log_cholesky_uut(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]
     >>> from_log_cholesky_uut(theta)[:4]  # 2 kg with their centre 0.1 m up
     Array([2. , 0. , 0. , 0.2], dtype=float64)
     """
-    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = (theta[..., i] for i in range(10))
+    a, d1, d2, d3, s12, s13, s23, t1, t2, t3 = _ten("theta", theta)
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
     xx = e1 * e1 + s12 * s12 + s13 * s13 + t1 * t1
     yy = e2 * e2 + s23 * s23 + t2 * t2
@@ -312,6 +324,7 @@ def _entries(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 
 def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
     """(T u) ∂u/∂θ; ∂u/∂θ is diagonal but for α, which scales all of u."""
+    theta = last_axes("theta", theta, (10,), _ORDER["theta"])
     u = _entries(theta)
     slope = jnp.einsum("pjk,...k->...pj", t.astype(theta.dtype), u)
     scale = jnp.broadcast_to(u[..., :1], (*u.shape[:-1], 6))

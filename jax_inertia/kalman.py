@@ -132,20 +132,37 @@ class Information(Form):
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
-        n = len(p)
-        factor = cholesky(p)
-        rows = h @ factor
-        lower = jnp.linalg.cholesky(rows.T @ rows + jnp.eye(n, dtype=p.dtype))
-        right = jnp.concatenate([(rows.T @ nu)[:, None], factor.T], axis=1)
-        solved = solve_triangular(lower, right, lower=True)
-        u, root = solved[:, 0], solved[:, 1:]
-        return Correction(
-            step=u @ root,
-            covariance=positive(root.T @ root),
-            nis=jnp.maximum(nu @ nu - u @ u, 0.0),
-            log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(lower))),
-            rows=rows,
-        )
+        return _by_information(p, h, nu)
+
+
+@jax.custom_jvp
+def _by_information(
+    p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+) -> Correction:
+    """`Information.correct`."""
+    n = len(p)
+    factor = cholesky(p)
+    rows = h @ factor
+    lower = jnp.linalg.cholesky(rows.T @ rows + jnp.eye(n, dtype=p.dtype))
+    right = jnp.concatenate([(rows.T @ nu)[:, None], factor.T], axis=1)
+    solved = solve_triangular(lower, right, lower=True)
+    u, root = solved[:, 0], solved[:, 1:]
+    return Correction(
+        step=u @ root,
+        covariance=positive(root.T @ root),
+        nis=jnp.maximum(nu @ nu - u @ u, 0.0),
+        log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(lower))),
+        rows=rows,
+    )
+
+
+@_by_information.defjvp
+def _along(primals: tuple, tangents: tuple) -> tuple[Correction, Correction]:
+    """With the derivative of `SquareRoot`: that of a Cholesky factor divides by its pivots once more, and where the
+    condition number squared has passed 1/ε it is noise, or NaN.
+    """
+    _, change = jax.jvp(SquareRoot().correct, primals, tangents)
+    return _by_information(*primals), change
 
 
 def default_form(dtype: jnp.dtype) -> Form:

@@ -12,7 +12,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE}"
 
 import jax
-from jaxtyping import install_import_hook
+from jaxtyping import config, install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 # Before anything imports the package, so that every annotation in it is checked.
@@ -29,6 +29,14 @@ from jax_inertia.robots import humanoid_mjcf  # noqa: E402
 ROBOTS = (*MODELS, "humanoid")
 # Compiling is what these tests spend their time on.
 FAST = {"xla_backend_optimization_level": 0}
+
+
+@pytest.fixture
+def unchecked():
+    """Annotations not looked at, as users have it: shapes are then for the package itself to refuse."""
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -297,3 +297,42 @@ def test_unknown_bodies_are_named(cases):
         ji.condensed_dynamics(robot, q, q, q, ["upper", 0])
     with pytest.raises(ValueError, match=r"no joint named 'wrist'.*shoulder, elbow"):
         robot.joint_index("wrist")
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda r, q, v: ji.inverse_dynamics(r, q, v, v),
+        lambda r, q, v: ji.torque_regressor(r, q, v, v),
+        lambda r, q, v: ji.condensed_dynamics(r, q, v, v, [0]),
+        lambda r, q, v: ji.passive_torque(r, q, v),
+        lambda r, q, v: ji.mass_matrix(r, q),
+        lambda r, q, v: ji.body_poses(r, q),
+        lambda r, q, v: ji.body_jacobian(r, q, 0),
+        lambda r, q, v: ji.contact_torque(r, q, jnp.zeros((1, 6)), [0]),
+    ],
+)
+def test_samples_of_another_length_are_refused(cases, call):
+    robot = cases("planar_2r").robot
+    q, v = [0.1, 0.2], np.zeros(2)
+    call(robot, q, v)
+    for short in (q[1:], [*q, 0.0], [q, q]):
+        with pytest.raises(ValueError, match=r"q has shape .* of this robot it has \(2,\), its nq"):
+            call(robot, short, v)
+    with pytest.raises(ValueError, match=r"v has shape \(1,\)"):
+        ji.inverse_dynamics(robot, jnp.zeros(2), v[1:], v)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_two_wrenches_on_one_body_add_up(cases):
+    robot, q = cases("planar_2r").robot, jnp.array([0.3, -0.5])
+    heel, toe = np.arange(6.0), np.arange(6.0)[::-1]
+    both = ji.contact_torque(robot, q, jnp.stack([heel, toe]), ["lower", "lower"])
+    one = ji.contact_torque(robot, q, (heel + toe)[None], ["lower"])
+    np.testing.assert_allclose(both, one, atol=1e-13)
+    with pytest.raises(ValueError, match=r"wrenches has shape \(2, 6\)"):
+        ji.contact_torque(robot, q, jnp.stack([heel, toe]), ["lower"])
+    for bad in (2.7, True, None):
+        with pytest.raises(ValueError, match="neither a name nor an index"):
+            ji.body_jacobian(robot, q, bad)

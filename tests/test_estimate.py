@@ -18,6 +18,7 @@ from jax_inertia.estimate import Estimator, make_estimator
 from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.mjcf import body_pi
+from jax_inertia.noise import IndependentNoise
 from jax_inertia.priors import Load
 
 FAST = {"xla_backend_optimization_level": 0}
@@ -383,3 +384,66 @@ def test_mistakes_are_named():
     hollow = robot.with_pi((1,), jnp.zeros((1, 10)))
     with pytest.raises(ValueError, match="'tip' is not physical"):
         make_estimator(hollow, [TIP], sigma_tau=1.0)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"iterations": 0}, "iterations is 0"),
+        ({"iterations": 1.5}, "iterations is 1.5"),
+        ({"gate": 0.99}, "gate is 0.99; give a Gate"),
+        ({"gate": ChiSquaredGate(0.99, 2)}, "max_rows 2; a sample of this robot has 3"),
+        ({"reopen_after": np.nan}, "reopen_after is nan"),
+        ({"prior": Load(-1.0)}, "mass of prior is -1.0"),
+        ({"drift": Load(np.nan)}, "mass of drift is nan"),
+        ({"sigma_tau": np.inf}, "sigma"),
+        ({"sigma_tau": [1.0, 2.0]}, r"sigma_tau has shape \(2,\).*each of 3 rows"),
+        ({"noise": np.ones(3)}, "give a Noise of the robot's 3 rows"),
+        ({"noise": IndependentNoise(jnp.ones(4))}, "give a Noise of the robot's 3 rows"),
+        ({"noise": IndependentNoise(-jnp.ones(3))}, "sigma of the noise"),
+    ],
+)
+def test_settings_that_no_filter_has_are_named(settings, says):
+    _, robot = arm()
+    with pytest.raises(ValueError, match=says):
+        make_estimator(robot, [TIP], **({"sigma_tau": 1.0} | settings))
+
+
+def test_a_clock_s_faults_are_no_time_at_all():
+    _, estimator, log = near()
+    sample = jax.tree.map(lambda x: x[0], log)
+    still, _ = step(estimator, estimator.initial(), sample, 0.0)
+    for dt in (np.nan, np.inf, -1.0):
+        assert equal_bits(step(estimator, estimator.initial(), sample, dt)[0], still)
+
+
+def test_a_log_of_one_sample_needs_its_period():
+    _, estimator, log = near()
+    one = jax.tree.map(lambda x: x[:1], log)
+    with pytest.raises(ValueError, match="1 samples has no period"):
+        estimator.run(estimator.initial(), one)
+    assert (
+        estimator.run(estimator.initial(), one, dt=jnp.array([0.01]))[1].estimate.pi.shape[0] == 1
+    )
+
+
+def test_a_filter_is_made_and_differentiated_under_tracing():
+    """The mass found, by the torque noise that the filter is told: reverse mode against central differences.
+
+    Small ones: where an iteration is taken back, the mass jumps.
+    """
+    _, estimator, log = near()
+    few = jax.tree.map(lambda x: x[:20], log)
+
+    def mass(sigma):
+        own = make_estimator(
+            estimator.robot, [TIP], sigma_tau=sigma, prior=Load(0.3), chart=UUT, iterations=3
+        )
+        state, _ = own.run(own.initial(), few)
+        return own.estimate(state.belief).pi[0, 0]
+
+    slope = jax.jit(jax.grad(mass), compiler_options=FAST)(0.1)
+    of = jax.jit(jax.vmap(mass), compiler_options=FAST)
+    low, high = of(jnp.array([0.1 - 1e-6, 0.1 + 1e-6]))
+    assert slope == pytest.approx(float(high - low) / 2e-6, rel=1e-5)

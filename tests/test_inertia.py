@@ -233,3 +233,23 @@ def test_batch_axes(name):
         np.testing.assert_allclose(pi[i], to_pi(theta[i]), rtol=1e-14)
         np.testing.assert_allclose(to_theta(pi)[i], to_theta(pi[i]), rtol=1e-12)
         np.testing.assert_allclose(jacobian(theta)[i], jacobian(theta[i]), rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.usefixtures("unchecked")
+@maps
+def test_other_shapes_are_refused(name):
+    to_pi, to_theta, jacobian, _ = MAPS[name]
+    for size in (9, 11):
+        for call, what in ((to_pi, "theta"), (jacobian, "theta"), (to_theta, "pi")):
+            with pytest.raises(ValueError, match=rf"{what} has shape \({size},\).* end in \(10\)"):
+                call(jnp.zeros(size))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_from_com_takes_numbers_and_no_diagonal():
+    round_, com = 0.01 * np.eye(3), [0.0, 0.0, 0.1]
+    np.testing.assert_array_equal(
+        inertia.from_com(2.0, com, round_), inertia.from_com(jnp.array(2.0), jnp.array(com), round_)
+    )
+    with pytest.raises(ValueError, match=r"inertia has shape \(3,\).*jnp.diag"):
+        inertia.from_com(2.0, com, np.array([0.02, 0.02, 0.01]))

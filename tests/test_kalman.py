@@ -259,3 +259,19 @@ def test_an_update_that_is_not_finite_is_not_made():
         assert not said.accepted
         np.testing.assert_array_equal(after.mean, belief.mean)
         np.testing.assert_array_equal(after.covariance, belief.covariance)
+
+
+@pytest.mark.parametrize("sharp", [1.0, 1e4, 1e9])
+def test_derivatives_of_the_forms_agree_however_sharp_a_measurement_is(sharp):
+    """Of what a measurement leaves of the state, by how sharp it is: nothing is left of it where it is very sharp."""
+    belief, h, _, _, z = problem(3)
+
+    def gone(form):
+        def of(size):
+            rows = size * jnp.asarray(h)
+            out = form.correct(belief.covariance, rows, size * jnp.asarray(z))
+            return jnp.sum(out.step) + out.log_det
+
+        return jax.grad(of)(sharp)
+
+    assert gone(kalman.Information()) == pytest.approx(float(gone(kalman.SquareRoot())), rel=1e-9)

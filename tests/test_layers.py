@@ -9,14 +9,14 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # From the ground up. A folder stands for all that is in it.
 LAYERS: dict[str, str] = {
-    "maths": """_batch_last _readable _vectors spatial inertia charts gates noise physical kalman
+    "maths": """_arguments _batch_last _readable _vectors spatial inertia charts gates noise physical kalman
         least_squares""",
     "logs": """_npz _names _files _torque_unit _contract readers log log_chunks _findings slopes signals motion
         differences _check_channels _check_consistency preflight""",
     "robot": "_mujoco_types robot _geometry _model_text _urdf_base _urdf_repair _descriptions _spec _urdf mjcf robots",
     "dynamics": "kinematics _rows _passes dynamics wrench_axes",
     "estimation and simulation": """measurement fused estimate batch _batch_rows _batch_solve consistency
-        handover logfilter priors identifiability motion_limits suggest_motion stream statefile
+        _filter_settings handover logfilter priors identifiability motion_limits suggest_motion stream statefile
         simulate""",
     "gap": "gap",
     "control": "control",

@@ -1,0 +1,39 @@
+"""Arguments of public functions, looked at before they are used: shapes always, values where they are known."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+
+
+def last_axes(name: str, value: Any, shape: tuple[int, ...], meaning: str) -> Array:
+    """An array whose last axes have a shape; ValueError says which they have instead."""
+    array = jnp.asarray(value)
+    if array.shape[-len(shape) :] != shape:
+        wanted = ", ".join(map(str, shape))
+        raise ValueError(f"{name} has shape {array.shape}; it must end in ({wanted}), {meaning}")
+    return array
+
+
+def known(value: Any) -> np.ndarray | None:
+    """The numbers of an array; None while it is traced, when nothing is known of them."""
+    return None if isinstance(value, Tracer) else np.asarray(value)
+
+
+def require(name: str, value: Any, test: Callable[[np.ndarray], Any], wanted: str) -> None:
+    """ValueError where a setting's numbers, if they are known, are not all what is `wanted`."""
+    numbers = known(value)
+    if numbers is not None and not np.all(test(numbers)):
+        raise ValueError(f"{name} is {numbers}; it must be {wanted}")
+
+
+def floats_as(tree: Any, dtype: jnp.dtype) -> Any:
+    """The same with floating-point arrays of one type."""
+    return jax.tree.map(
+        lambda x: jnp.asarray(x, dtype) if eqx.is_inexact_array_like(x) else x, tree
+    )

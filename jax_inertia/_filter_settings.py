@@ -1,0 +1,78 @@
+"""Settings of the inertial filter, looked at when it is made: each fault in one line."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jax_inertia import charts
+from jax_inertia._arguments import known, require
+from jax_inertia.gates import ChiSquaredGate, Gate
+from jax_inertia.noise import Noise
+from jax_inertia.priors import Uncertainty
+from jax_inertia.robot import Robot
+
+
+def require_filter(
+    iterations: int, gate: Gate | None, reopen_after: Float[Array, ""] | float, robot: Robot
+) -> None:
+    """ValueError for settings that no filter of this robot can have."""
+    if not isinstance(iterations, int | np.integer) or iterations < 1:
+        raise ValueError(f"iterations is {iterations!r}; it must be a whole number, at least one")
+    if gate is not None and not isinstance(gate, Gate):
+        raise ValueError(f"gate is {gate!r}; give a Gate, such as FixedGate(30.0)")
+    if isinstance(gate, ChiSquaredGate) and gate.max_rows < robot.nv:
+        raise ValueError(
+            f"the gate has max_rows {gate.max_rows}; a sample of this robot has {robot.nv}"
+        )
+    require("reopen_after", reopen_after, lambda x: x > 0, "positive [s], or infinite")
+
+
+def require_physical(
+    robot: Robot, chosen: tuple[int, ...], chart: charts.Chart, mean: Float[Array, "bodies 10"]
+) -> None:
+    """ValueError for a body that has no coordinates in the chart."""
+    numbers = known(mean)
+    if numbers is None or np.all(np.isfinite(numbers)):
+        return
+    body = chosen[int(np.argmin(np.all(np.isfinite(numbers), axis=1)))]
+    raise ValueError(
+        f"body {robot.body_names[body]!r} is not physical (mass {float(robot.pi[body, 0]):.4g} kg): "
+        f"{type(chart).__name__} needs a positive-definite pseudo-inertia; estimate the link that carries it, or "
+        "correct its inertial"
+    )
+
+
+def require_noise(noise: Noise, robot: Robot) -> None:
+    """ValueError for noise of other rows than the robot's, or of none."""
+    if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
+        raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
+    sizes = jnp.sqrt(noise.variances())
+    require("sigma of the noise", sizes, lambda x: np.isfinite(x) & (x > 0), "positive in all rows")
+
+
+def covariance(
+    name: str, uncertainty: Uncertainty, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
+) -> Float[Array, "bodies 10 10"]:
+    """Of each body; ValueError for sizes that are none."""
+    for what, size in vars(uncertainty).items():
+        require(f"{what} of {name}", size, _is_size, "finite and not negative")
+    return uncertainty.covariance(chart, nominal)
+
+
+def of_rows(
+    name: str, value: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float, robot: Robot
+) -> Float[Array, " nv"]:
+    """One size for each row, from one for all or one each; ValueError for another count, or for none."""
+    array = jnp.asarray(value, robot.pi.dtype)
+    if array.shape not in ((), (1,), (robot.nv,)):
+        raise ValueError(
+            f"{name} has shape {array.shape}; give one number, or one for each of {robot.nv} rows"
+        )
+    require(name, array, _is_size, "finite and not negative")
+    return jnp.broadcast_to(array, (robot.nv,))
+
+
+def _is_size(x: np.ndarray) -> bool:
+    return bool(np.all(np.isfinite(x) & (x >= 0)))
