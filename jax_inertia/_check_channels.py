@@ -130,6 +130,27 @@ def degrees(log: Log, scalar_kinds: dict[str, str]) -> Iterator[Finding]:
         yield Finding(Severity.WARNING, "degrees", message)
 
 
+def wrapped(log: Log, time: np.ndarray, scalar_kinds: dict[str, str]) -> Iterator[Finding]:
+    """Positions of hinges that jump by a whole turn from one sample to the next."""
+    qpos = np.asarray(log.qpos)
+    for j, name in enumerate(log.joint_names):
+        jump = np.diff(qpos[:, j])
+        turns = np.round(jump / (2 * np.pi))
+        # The rest of the jump is motion: a sample's worth of it is far from half a turn.
+        whole = (turns != 0) & (np.abs(jump - 2 * np.pi * turns) < 1.0)
+        if (
+            scalar_kinds.get(name, "hinge") == "hinge"
+            and whole.any()
+            and np.all(np.abs(jump[~whole]) < 1.0)
+        ):
+            k = int(np.argmax(whole)) + 1
+            message = (
+                f"qpos of {name!r} jumps by {jump[k - 1]:.4g} rad at {time[k]:.4g} s, {whole.sum()} times in all: "
+                "an angle wrapped at half a turn; unwrap it (numpy.unwrap)"
+            )
+            yield Finding(Severity.ERROR, "wrapped", message)
+
+
 def still(log: Log) -> Iterator[Finding]:
     """Joints that never move: one finding for all of them."""
     span = np.ptp(np.asarray(log.qpos), axis=0)

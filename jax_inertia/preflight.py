@@ -25,6 +25,7 @@ _GAP_PERIODS = 3.0
 _JITTER_NOTE, _JITTER_WARNING = 0.05, 0.3
 _FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
 _SLOWEST, _FASTEST = 10.0, 2e4
+_NO_MOTION = 0.5
 
 
 @runtime_checkable
@@ -102,6 +103,7 @@ def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding
     yield from channels.saturated(log, time)
     yield from channels.spikes(log, time)
     yield from channels.degrees(log, kinds)
+    yield from channels.wrapped(log, time, kinds)
     yield from channels.still(log)
     yield from consistency.velocity(log, time)
     yield from consistency.quaternion(log)
@@ -124,17 +126,24 @@ def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
         if name not in scalar:
             message = f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}"
             yield Finding(Severity.ERROR, "joint_name", message)
-    needed = [name for name, kind in kinds.items() if kind != "free" and name not in fixed]
+    for name in (name for name, kind in kinds.items() if kind == "ball" and name not in fixed):
+        message = f"joint {name!r} of the model is a ball, and a log holds hinges and slides: use three hinges for it"
+        yield Finding(Severity.ERROR, "joint_kind", message)
+    needed = [name for name in scalar if name not in fixed]
     if missing := [name for name in needed if name not in log.joint_names]:
         message = (
             f"the log lacks joints of the model: {', '.join(missing)}; log them, or give the "
             "positions they were fixed at"
         )
         yield Finding(Severity.ERROR, "joint_missing", message)
-    floats = any(kind == "free" and name not in fixed for name, kind in kinds.items())
+    floating = [name for name, kind in kinds.items() if kind == "free" and name not in fixed]
+    floats = bool(floating)
     posed = log.base_pos is not None and log.base_quat is not None
     if floats and not posed:
-        message = "the model's base floats but the log lacks base_pos or base_quat; log both"
+        message = (
+            f"the model's base floats (joint {floating[0]!r}) but the log lacks base_pos or base_quat; log both, or "
+            "take what floats out of the model"
+        )
         yield Finding(Severity.ERROR, "base", message)
     if posed and not floats:
         message = "the log has a base pose but the model's base is fixed; the pose is not used"
@@ -169,7 +178,9 @@ def _stamps(time: np.ndarray) -> Iterator[Finding]:
         message = (
             f"the median period is {typical:.3g}; expected seconds: are stamps in another unit?"
         )
-        yield Finding(Severity.WARNING, "rate", message)
+        # A sample a second or fewer holds no motion of a robot.
+        grave = typical >= _NO_MOTION
+        yield Finding(Severity.ERROR if grave else Severity.WARNING, "rate", message)
     gaps = period > _GAP_PERIODS * typical
     if gaps.any():
         k = int(np.argmax(period))

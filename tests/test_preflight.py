@@ -189,7 +189,26 @@ def test_jitter_by_degree(amount, expected):
 
 def test_stamps_in_another_unit():
     log = arm_log(qvel=None)
-    assert (WARNING, "rate") in found(dataclasses.replace(log, time=1e3 * log.time))
+    assert (ERROR, "rate") in found(dataclasses.replace(log, time=1e3 * log.time))
+    assert (WARNING, "rate") in found(dataclasses.replace(log, time=40.0 * log.time))
+
+
+def test_a_joint_that_no_log_holds_is_called_that():
+    shoulder = SimpleNamespace(**(vars(ARM) | {"joint_type": ("ball", "hinge", "hinge")}))
+    assert "'shoulder' of the model is a ball" in message(arm_log(), "joint_kind", shoulder)
+    assert "joint 'root'" in message(arm_log(), "base", WALKER)
+
+
+def test_angles_wrapped_at_half_a_turn():
+    qpos = np.array(arm_log(qvel=None).qpos)
+    qpos[:, 1] *= 4.0
+    turned = arm_log(qvel=None, qpos=qpos)
+    assert found(turned) == []
+    wrapped = arm_log(qvel=None, qpos=(qpos + np.pi) % (2 * np.pi) - np.pi)
+    assert (ERROR, "wrapped") in found(wrapped)
+    assert "qpos of 'elbow' jumps by" in message(wrapped, "wrapped")
+    rail = SimpleNamespace(**(vars(ARM) | {"joint_type": ("slide",) * 3}))
+    assert (ERROR, "wrapped") not in found(wrapped, rail)
 
 
 def test_short_logs():
