@@ -23,7 +23,7 @@ from jax_inertia.inertia import is_physical
 from jax_inertia.log import Log, LogError, TorqueUnit, read_log
 from jax_inertia.mjcf import load_model
 from jax_inertia.physical import Estimate
-from jax_inertia.preflight import Finding, Severity, preflight
+from jax_inertia.preflight import Finding, Preflight, Severity, preflight
 from jax_inertia.priors import Load, Tolerance
 from jax_inertia.robot import Robot
 
@@ -98,6 +98,7 @@ def read(args: argparse.Namespace) -> Inputs:
             found.raise_for_errors()
         except LogError as error:
             raise LogError(f"{path}: {error}") from None
+        found = _with_support(found, one, robot)
         for finding in found.of(Severity.WARNING):
             if finding.check != "torque_unit":
                 warn(f"{path}: {finding.message}")
@@ -116,6 +117,17 @@ def read(args: argparse.Namespace) -> Inputs:
                 f"{path}: tau is in {one.tau_unit_text!r}, in {args.log} {log.tau_unit_text!r}"
             )
     return Inputs(robot, log, tuple(references), tuple(findings))
+
+
+def _with_support(found: Preflight, log: Log, robot: Robot) -> Preflight:
+    """What was found, and that nothing is known to carry a robot that floats."""
+    if not robot.has_free_base or log.contact_wrench is not None:
+        return found
+    message = (
+        "the model's base floats and the log has no contact_wrench: unless the robot flies, what carries its weight is "
+        "taken out of the bodies that are estimated; log the contacts' wrenches"
+    )
+    return Preflight((Finding(Severity.WARNING, "contact_wrench", message), *found.findings))
 
 
 def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], None]) -> Result:

@@ -1,13 +1,16 @@
 """A URDF's root link moves freely where its caller, or its log, says so."""
 
 import dataclasses
+from argparse import Namespace
 from pathlib import Path
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 import jax_inertia as ji
+from jax_inertia import _estimate_run
 from jax_inertia._diagnose_run import read
 from jax_inertia._model_of_log import afloat
 from jax_inertia.dynamics import inverse_dynamics
@@ -89,8 +92,9 @@ def test_what_does_not_float(tmp_path):
         ji.load_model(path, floating_base=True)
     mjcf = tmp_path / "leg.xml"
     mjcf.write_text("<mujoco/>")
-    with pytest.raises(ji.ModelError, match="freejoint"):
-        ji.load_model(mjcf, floating_base=True)
+    for model in (mjcf, mujoco.MjModel.from_xml_path(str(mjcf))):
+        with pytest.raises(ji.ModelError, match="freejoint"):
+            ji.load_model(model, floating_base=True)
 
 
 def test_a_name_adds_nothing_to_the_file(tmp_path):
@@ -119,3 +123,20 @@ def test_a_log_says_that_its_base_floats(tmp_path):
     inputs = read(path, tmp_path / "log.npz", None, ())
     assert inputs.robot.has_free_base
     assert "base" in [finding.check for finding in inputs.quality]
+
+
+def test_who_weighs_a_robot_that_floats_is_told_to_log_what_carries_it(tmp_path, capsys):
+    path, log = leg(tmp_path), standing()
+    wrench = np.zeros((len(log.time), 1, 6))
+    for name, one in {
+        "without": log,
+        "with": dataclasses.replace(log, contact_wrench=wrench, contact_bodies=("foot",)),
+    }.items():
+        write_log(one, tmp_path / f"{name}.npz")
+        asked = {"model": path, "log": tmp_path / f"{name}.npz", "bodies": ["trunk"]}
+        inputs = _estimate_run.read(Namespace(**asked, calibrate=None, gains=None))
+        told = [finding.check for finding in inputs.findings]
+        assert ("contact_wrench" in told) == (name == "without")
+        assert ("no contact_wrench: unless the robot flies" in capsys.readouterr().err) == (
+            name == "without"
+        )
