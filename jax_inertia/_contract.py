@@ -88,7 +88,7 @@ def fields_of(
         "tau_unit_text": unit,
         "notes": (*notes, *_notes(arrays, others)),
     }
-    _check_time(fields["time"])
+    check_time(fields["time"])
     check_structure(fields)
     for name in ("sigma_qpos", "sigma_tau"):
         if name in fields:
@@ -119,18 +119,30 @@ def _check_sigma(array: str, value: np.ndarray) -> None:
         )
 
 
-def _check_time(time: np.ndarray) -> None:
+def check_time(time: np.ndarray) -> None:
+    """Raise `LogError` naming the first stamp that is no second, or does not come after the one
+    before.
+    """
     if time.ndim != 1 or time.size < 2:
         raise LogError(f"time has shape {time.shape}; expected (T,) with at least two samples")
     # The bound leaves room for Unix time in seconds and none for milliseconds or less.
-    if bad := np.flatnonzero(~(np.abs(time) < 1e11)).tolist():
-        raise LogError(f"time[{bad[0]}] is {time[bad[0]]} ({len(bad)} such); expected seconds")
+    _check_stamps(time, np.abs(time) < 1e11)
     if back := np.flatnonzero(~(np.diff(time) > 0)).tolist():
         k = back[0]
         raise LogError(
             f"time[{k + 1}] = {time[k + 1]:.9g} s does not come after time[{k}] = {time[k]:.9g} s "
             f"({len(back)} such); stamps must strictly increase"
         )
+
+
+def check_finite(time: np.ndarray) -> None:
+    """Raise `LogError` naming the first stamp that is not finite."""
+    _check_stamps(time, np.isfinite(time))
+
+
+def _check_stamps(time: np.ndarray, good: np.ndarray) -> None:
+    if bad := np.flatnonzero(~good).tolist():
+        raise LogError(f"time[{bad[0]}] is {time[bad[0]]} ({len(bad)} such); expected seconds")
 
 
 def _notes(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> tuple[str, ...]:

@@ -97,6 +97,7 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where the log or the model cannot be used."""
     from jax_inertia._console import stages, warn
+    from jax_inertia._files import check_target
     from jax_inertia._model_of_log import afloat
     from jax_inertia.log import LogError, read_log, write_log
     from jax_inertia.mjcf import load_model
@@ -104,8 +105,11 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia.readers import Options, WrenchAxes
     from jax_inertia.wrench_axes import wrenches_in_world
 
-    if args.out.suffix.lower() not in (".npz", ".csv", ".parquet"):
-        raise ValueError(f"cannot write {args.out}: a log is written as .npz, .csv or .parquet")
+    check_target(args.out)
+    if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
+        raise ValueError(
+            f"cannot write {args.out}: it is the log to be read; give OUT another name"
+        )
     if args.wrench_axes == "body" and args.model is None:
         raise ValueError("--wrench-axes body needs --model, which says how the body is turned")
     options = Options(

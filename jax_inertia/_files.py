@@ -20,3 +20,11 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_target(path: Path) -> None:
+    """Raise ValueError where a log cannot be written: another suffix, or a folder that is not there."""
+    if path.suffix.lower() not in (".npz", ".csv", ".parquet"):
+        raise ValueError(f"cannot write {path}: a log is written as .npz, .csv or .parquet")
+    if not path.parent.is_dir():
+        raise ValueError(f"cannot write {path}: there is no folder {path.parent}; make it first")

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia import _batch_solve, charts
+from jax_inertia._arguments import require
 from jax_inertia._batch_rows import TERMS, Rows, correlation_inflation, rows_of
 from jax_inertia._readable import line, table
 from jax_inertia.differences import Observation
@@ -140,7 +141,7 @@ def fit(
     "damping", "frictionloss", "armature", "offset" (one of each per joint; never below zero in total, offset apart).
     Where the logged torque is a current, `gains` are the torques per unit to start from and `gain_sigma` their
     relative uncertainty (0: they are exact); the log's torque must then still be in its own unit. Raises ValueError
-    for unknown names or terms.
+    for unknown names or terms, where there is no list of observations, and for a prior that is no positive number.
 
     >>> from jax_inertia import batch, load_model, logfilter
     >>> from jax_inertia.priors import Load
@@ -151,9 +152,9 @@ def fit(
     >>> round(float(found.estimate.pi[0, 0]), 1)  # 1 kg of link, 0.5 kg of load
     1.5
     """
+    _check_observations(observations)
+    _check_terms(joint_terms)
     chosen = _fittable(robot) if bodies is None else resolve_bodies(robot, bodies)
-    if unknown := [t for t in joint_terms if t not in JOINT_TERMS]:
-        raise ValueError(f"unknown joint terms {unknown}; valid: {', '.join(JOINT_TERMS)}")
     # The factor whose t is the centre of mass needs the fewest steps: mass and inertia about it decouple.
     chart = charts.LogCholeskyUUt() if chart is None else chart
     rows, problem = _pose(
@@ -191,6 +192,24 @@ def fit(
     )
 
 
+def _check_observations(observations: Sequence[Observation]) -> None:
+    right = "give a list: [logfilter.observe(log, robot)]"
+    if not isinstance(observations, Sequence):
+        raise ValueError(f"observations is one {type(observations).__name__}; {right}")
+    if not observations:
+        raise ValueError(f"observations is empty; {right}")
+    for k, one in enumerate(observations):
+        if not isinstance(one, Observation):
+            raise ValueError(f"observations[{k}] is of type {type(one).__name__}; {right}")
+
+
+def _check_terms(joint_terms: Sequence[str]) -> None:
+    if isinstance(joint_terms, str):
+        raise ValueError(f"joint_terms is the text {joint_terms!r}; give a list: [{joint_terms!r}]")
+    if unknown := [t for t in joint_terms if t not in JOINT_TERMS]:
+        raise ValueError(f"unknown joint terms {unknown}; valid: {', '.join(JOINT_TERMS)}")
+
+
 def _fittable(robot: Robot) -> tuple[int, ...]:
     """Bodies that a chart reaches: massless frames of a URDF stay as they are."""
     return tuple(int(i) for i in np.flatnonzero(np.asarray(is_physical(robot.pi))))
@@ -210,12 +229,18 @@ def _pose(
 ) -> tuple[Rows, _batch_solve.Problem]:
     """The rows, and the problem with noise still to be found."""
     start = make_estimator(robot, chosen, sigma_tau=1.0, prior=prior, chart=chart).prior
+    root = jnp.linalg.cholesky(start.covariance)
+    if not np.all(np.isfinite(root)):
+        raise ValueError(
+            f"the prior ({type(prior).__name__}) holds a body fast; its numbers must be positive"
+        )
     gain_start = np.ones(robot.nv) if gains is None else np.asarray(gains, float)
     fixed_bias = np.zeros(robot.nv) if bias is None else np.asarray(bias, float)
     carrier, carrying, load_sigma = None, (), np.zeros(0)
     if carried is not None:
         (carrier,) = resolve_bodies(robot, [carried.body])
         carrying, load_sigma = carried.logs, np.asarray(carried.prior.sigma_pi())
+        require("sigma_pi of the load carried", load_sigma, _is_size, "positive and finite")
         if not carrying or not set(carrying) <= set(range(len(observations))):
             raise ValueError(
                 f"logs {list(carrying)} carry the load; expected some of 0 to {len(observations) - 1}"
@@ -226,7 +251,7 @@ def _pose(
         triangles=jnp.asarray(rows.triangles()),
         chart=chart,
         bodies=start.mean,
-        bodies_root=jnp.linalg.cholesky(start.covariance),
+        bodies_root=root,
         load_sigma=jnp.asarray(load_sigma),
         terms_start=jnp.zeros((robot.nv, TERMS)),
         terms_sigma=jnp.asarray(_terms_sigma(robot, rows, scale, joint_terms)),
@@ -246,6 +271,10 @@ def _terms_sigma(
     sigma[:, :3] = np.maximum(sigma[:, :3], _own_terms(robot))
     wanted = np.array([t in joint_terms for t in JOINT_TERMS])
     return np.where(wanted & robot.topology.dof_scalar[:, None] & (size > 0), sigma, 0.0)
+
+
+def _is_size(x: np.ndarray) -> np.ndarray:
+    return np.isfinite(x) & (x > 0)
 
 
 def _own_terms(robot: Robot) -> np.ndarray:
@@ -328,12 +357,15 @@ def _calibrated(
     robot: Robot, chosen: tuple[int, ...], problem: _batch_solve.Problem, z: jax.Array
 ) -> Calibrated:
     unknowns = _batch_solve.unpack(problem, z)
-    fitted = robot.with_pi(chosen, problem.chart.to_pi(unknowns.x.reshape(-1, 10)))
+    # Not `with_pi`: a chart may reach negative masses (`Linear`), and what was found is to be seen.
+    pi = robot.pi.at[np.array(chosen)].set(problem.chart.to_pi(unknowns.x.reshape(-1, 10)))
     # The fit itself keeps totals above zero; a draw from its Gaussian may not.
     total = jnp.maximum(jnp.asarray(_own_terms(robot)) + unknowns.terms[:, :3], 0.0)
     damping, friction, armature = total.T
     fitted = eqx.tree_at(
-        lambda r: (r.damping, r.frictionloss, r.armature), fitted, (damping, friction, armature)
+        lambda r: (r.pi, r.damping, r.frictionloss, r.armature),
+        robot,
+        (pi, damping, friction, armature),
     )
     return Calibrated(fitted, np.asarray(unknowns.gains), np.asarray(unknowns.terms[:, 3]))
 

@@ -39,7 +39,14 @@ else; warnings and progress go to stderr.
 
 
 class _Parser(argparse.ArgumentParser):
-    """An `ArgumentParser` whose errors are one line."""
+    """An `ArgumentParser` whose errors are one line, which points to the help of the command that they are about."""
+
+    def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        # What a command's parser does not know it would hand to the main parser, whose help does not have it either.
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return known, unknown
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"jax-inertia: error: {message} (see {self.prog} --help)\n")

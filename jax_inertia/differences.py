@@ -28,6 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
+from jax_inertia._contract import check_time
 from jax_inertia.log import AnyArray
 from jax_inertia.motion import Motion
 from jax_inertia.slopes import continuous_signs, derivative
@@ -45,10 +46,12 @@ def aligned_differences(motion: Motion, window: int = 1) -> Observation:
     rows.
 
     Row k is known at stamp k + `window` of the motion and belongs to its own `time`. It is valid
-    where the whole window is. Raises `ValueError` for a window below one or longer than the motion.
+    where the whole window is. Raises `ValueError` for a window below one or longer than the motion,
+    and `LogError` for a stamp that does not come after the one before.
     """
     _check_window(window, len(motion.time))
     time = np.asarray(motion.time)
+    check_time(time)
     weight = _trapezoid(np, sliding_window_view(time, window + 1))
 
     def mean(x: AnyArray) -> np.ndarray:
@@ -77,10 +80,12 @@ def central_differences(motion: Motion) -> Observation:
     delay.
 
     v̇_k as in `slopes.centred_slopes`; the other channels stay as they are. A difference amplifies noise:
-    low-pass the log first, all channels alike.
+    low-pass the log first, all channels alike. Raises `ValueError` for fewer than three samples,
+    and `LogError` for a stamp that does not come after the one before.
     """
     _check_window(2, len(motion.time))
     time, v, valid = (np.asarray(x) for x in (motion.time, motion.v, motion.valid))
+    check_time(time)
     a = derivative(time, v)
     inner = jax.tree.map(lambda x: x[1:-1], motion)
     inner = dataclasses.replace(inner, valid=valid[:-2] & valid[1:-1] & valid[2:])
@@ -94,7 +99,8 @@ class Differentiator(eqx.Module):
     Stamps keep their precision in float32 for some minutes only: count them from the start of the
     run. Until `window` + 1 samples have come, observations are not valid. What is not finite in a
     sample is replaced by the value before and marked: a torque its own row, anything else all rows,
-    for as long as a window holds it.
+    for as long as a window holds it. A stamp that does not come after the one before marks all rows
+    too.
     """
 
     window: int = eqx.field(static=True, default=1)
@@ -112,7 +118,7 @@ class Differentiator(eqx.Module):
     def step(
         self, state: "DifferentiatorState", sample: Motion
     ) -> tuple["DifferentiatorState", Observation]:
-        """Take the next sample, with a later stamp than the one before."""
+        """Take the next sample."""
         last = jax.tree.map(lambda x: x[-1], state.buffer)
         held, valid = _held(sample, last)
         held = dataclasses.replace(
@@ -127,6 +133,7 @@ class Differentiator(eqx.Module):
         span = buffer.time[-1] - buffer.time[0]
         span = jnp.where(span > 0, span, 1.0)
         weight = _trapezoid(jnp, buffer.time)
+        seen = (count > self.window) & jnp.all(jnp.diff(buffer.time) > 0)
 
         def mean(x: Array) -> Array:
             return jnp.tensordot(weight, x, axes=1)
@@ -137,7 +144,7 @@ class Differentiator(eqx.Module):
             q=_unit_quaternions(jnp, mean(buffer.q), held.quaternions),
             v=mean(buffer.v),
             tau=mean(buffer.tau),
-            valid=buffer.valid.all(axis=0) & (count > self.window),
+            valid=buffer.valid.all(axis=0) & seen,
             wrench=None if buffer.wrench is None else mean(buffer.wrench),
         )
         a = (buffer.v[-1] - buffer.v[0]) / span

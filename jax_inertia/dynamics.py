@@ -227,15 +227,7 @@ def _indices(robot: Robot, bodies: Sequence[int | str]) -> tuple[int, ...]:
         bodies = [bodies]
     if not isinstance(bodies, Iterable):
         raise ValueError(f"bodies is {bodies!r}; give names or indices, in a list")
-    out = []
-    for body in bodies:
-        if isinstance(body, bool | np.bool_) or not isinstance(body, str | int | np.integer):
-            raise ValueError(f"body {body!r} is neither a name nor an index")
-        index = robot.body_index(body) if isinstance(body, str) else int(body)
-        if not 0 <= index < robot.nb:
-            raise ValueError(f"body index {index} is out of range: the model has {robot.nb} bodies")
-        out.append(index)
-    return tuple(out)
+    return tuple(robot.body_index(body) for body in bodies)
 
 
 def _sample(robot: Robot, **channels: Any) -> tuple[Array, ...]:

@@ -7,18 +7,25 @@ Physical bodies form a convex cone, so a common step along the segment from one 
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from jax_inertia._arguments import require
 
 
 class Slew(eqx.Module):
     """Rate limit on inertial parameters: `rate` [kg/s], with first and second moments weighed by `reach` [m].
 
     The distance between two bodies is max(|Δm|, |Δh| / reach, |ΔI| / reach²), in kg: a load that only shifts is
-    limited too.
+    limited too. Raises ValueError for a rate or reach that is not positive and finite.
     """
 
     rate: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=3.0)
     reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
+
+    def __check_init__(self) -> None:
+        for name, value in vars(self).items():
+            require(name, value, lambda x: np.isfinite(x) & (x > 0), "positive and finite")
 
     def step(
         self,
@@ -29,11 +36,14 @@ class Slew(eqx.Module):
         """What to hand over after `dt` [s], given what was handed over last and the estimate.
 
         π ← π + min(1, rate · dt / distance) (π̂ − π): physical whenever both are; the mass never moves faster than
-        `rate`.
+        `rate`. A body whose estimate is not finite keeps what it was handed, and all bodies do where `dt` is not
+        positive and finite.
         """
-        change = estimate - handed
+        going = jnp.isfinite(dt) & (jnp.asarray(dt) > 0)
+        sound = going & jnp.all(jnp.isfinite(estimate), axis=-1, keepdims=True)
+        change = jnp.where(sound, estimate - handed, 0.0)
         weight = self.reach ** -jnp.array([0.0] + [1.0] * 3 + [2.0] * 6, change.dtype)
         distance = jnp.max(jnp.abs(change) * weight, axis=-1, keepdims=True)
-        allowed = self.rate * dt
+        allowed = self.rate * jnp.where(going, dt, 0.0)
         share = jnp.where(distance > allowed, allowed / jnp.maximum(distance, 1e-30), 1.0)
         return handed + share * change

@@ -59,7 +59,8 @@ def weighted_least_squares(
 ) -> LinearFit:
     """Weighted least squares with a rank report (Foster et al., eq. least-squares); W = diag(`weight`).
 
-    Rows with weight zero are left out. Raises ValueError for non-finite rows or negative weights.
+    Rows with weight zero are left out. Raises ValueError for shapes that do not fit together, non-finite rows, and
+    weights that are negative or not finite.
 
     >>> import numpy as np
     >>> from jax_inertia.least_squares import weighted_least_squares
@@ -68,15 +69,14 @@ def weighted_least_squares(
     >>> fit.identifiability.rank, fit.identifiability.combinations
     (1, ('a +1 b',))
     """
-    y, f = np.asarray(regressor, float), np.asarray(measurement, float)
-    w = np.broadcast_to(np.asarray(weight, float), f.shape)
-    if np.any(w < 0):
-        raise ValueError("a weight is negative; weights are inverse variances")
+    y, f, w = _rows(regressor, measurement, weight)
+    names = tuple(f"x{i}" for i in range(y.shape[1])) if names is None else tuple(names)
+    if len(names) != y.shape[1]:
+        raise ValueError(f"{len(names)} names for {y.shape[1]} columns of the regressor")
     keep = w > 0
     if not (np.isfinite(y[keep]).all() and np.isfinite(f[keep]).all()):
         raise ValueError("a row is not finite; give it weight 0")
     root = np.sqrt(w[keep])
-    names = tuple(names) if names is not None else tuple(f"x{i}" for i in range(y.shape[1]))
     p = y.shape[1]
     # QR first: the singular values of a long regressor are those of its small triangular factor.
     stacked = np.column_stack([y[keep] * root[:, None], f[keep] * root])
@@ -104,6 +104,26 @@ def weighted_least_squares(
         combinations=tuple(combinations(scaled, 1.0 / scale, rank, names)),
     )
     return LinearFit(value, root_covariance @ root_covariance.T, cost, report)
+
+
+def _rows(
+    regressor: Float[np.ndarray, "rows p"],
+    measurement: Float[np.ndarray, " rows"],
+    weight: Float[np.ndarray, " rows"] | float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three as arrays whose rows belong together, one weight for each; ValueError where they do not."""
+    y, f, w = (np.asarray(x, float) for x in (regressor, measurement, weight))
+    if y.ndim != 2:
+        raise ValueError(f"regressor has shape {y.shape}; expected (rows, parameters)")
+    if f.shape != y.shape[:1]:
+        raise ValueError(f"measurement has shape {f.shape}; the regressor has {len(y)} rows")
+    if w.shape not in ((), f.shape):
+        raise ValueError(
+            f"weight has shape {w.shape}; expected one number, or one for each of {len(f)} rows"
+        )
+    if not np.isfinite(w).all() or np.any(w < 0):
+        raise ValueError("a weight is negative or not finite; weights are inverse variances")
+    return y, f, np.broadcast_to(w, f.shape)
 
 
 def combinations(

@@ -10,7 +10,8 @@ in the body).
 import contextlib
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -19,8 +20,16 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia._contract import CHANNELS, SHAPES, TEXTS, check_structure, fields_of
-from jax_inertia._files import whole_file
+from jax_inertia._contract import (
+    CHANNELS,
+    SHAPES,
+    TEXTS,
+    check_finite,
+    check_structure,
+    check_time,
+    fields_of,
+)
+from jax_inertia._files import check_target, whole_file
 from jax_inertia._names import listed
 from jax_inertia._npz import LogError, read_npz
 from jax_inertia._readable import has_numbers, line, table
@@ -36,14 +45,37 @@ __all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log
 AnyArray = np.ndarray | jax.Array
 
 
+def _unit(unit: TorqueUnit | str) -> TorqueUnit:
+    parsed = TorqueUnit.parse(str(unit))
+    if parsed is TorqueUnit.UNKNOWN and unit != TorqueUnit.UNKNOWN:
+        raise LogError(
+            f"tau_unit is {str(unit)[:60]!r}; expected {listed(list(TorqueUnit))} (other words go into "
+            "tau_unit_text)"
+        )
+    return parsed
+
+
+def _kind(kind: TorqueKind | str) -> TorqueKind:
+    if kind not in list(TorqueKind):
+        raise LogError(f"tau_kind is {str(kind)[:60]!r}; expected {listed(list(TorqueKind))}")
+    return TorqueKind(kind)
+
+
+def _tuple(field: str, texts: Iterable[str]) -> tuple[str, ...]:
+    if isinstance(texts, str):
+        raise LogError(f"{field} is the text {texts[:60]!r}; expected a tuple: ({texts[:60]!r},)")
+    return tuple(map(str, texts))
+
+
 class Log(eqx.Module):
     """One log of T samples and n joints, every joint column in the order of `joint_names`.
 
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
     moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
     touch something, and nobody measured how. `sigma_*` are standard deviations of one sample.
-    Raises `LogError` where shapes or names do not fit together; values are not looked at, so that
-    it may be traced.
+    `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or units
+    do not fit together, or a stamp is not finite; other values are not looked at, and it may be
+    traced.
 
     >>> import numpy as np
     >>> from jax_inertia import Log
@@ -54,13 +86,13 @@ class Log(eqx.Module):
     """
 
     time: Float[AnyArray, "T"]
-    joint_names: tuple[str, ...] = eqx.field(static=True)
+    joint_names: tuple[str, ...] = eqx.field(static=True, converter=partial(_tuple, "joint_names"))
     qpos: Float[AnyArray, "T n"]
     tau: Float[AnyArray, "T n"]
     qvel: Float[AnyArray, "T n"] | None = None
-    tau_kind: TorqueKind = eqx.field(static=True, default=TorqueKind.UNKNOWN)
-    tau_unit: TorqueUnit = eqx.field(static=True, default=TorqueUnit.NEWTON_METRE)
-    tau_unit_text: str = eqx.field(static=True, default="N m")
+    tau_kind: TorqueKind = eqx.field(static=True, converter=_kind, default=TorqueKind.UNKNOWN)
+    tau_unit: TorqueUnit = eqx.field(static=True, converter=_unit, default=TorqueUnit.NEWTON_METRE)
+    tau_unit_text: str = eqx.field(static=True, default="")
     tau_command: Float[AnyArray, "T n"] | None = None
     qpos_target: Float[AnyArray, "T n"] | None = None
     sigma_qpos: Float[AnyArray, "n"] | None = None
@@ -70,11 +102,24 @@ class Log(eqx.Module):
     base_linvel: Float[AnyArray, "T 3"] | None = None
     base_angvel: Float[AnyArray, "T 3"] | None = None
     contact_wrench: Float[AnyArray, "T C 6"] | None = None
-    contact_bodies: tuple[str, ...] = eqx.field(static=True, default=())
-    notes: tuple[str, ...] = eqx.field(static=True, default=())
+    contact_bodies: tuple[str, ...] = eqx.field(
+        static=True, converter=partial(_tuple, "contact_bodies"), default=()
+    )
+    notes: tuple[str, ...] = eqx.field(static=True, converter=partial(_tuple, "notes"), default=())
+
+    def __post_init__(self) -> None:
+        self.tau_unit_text = self.tau_unit_text or str(self.tau_unit)
 
     def __check_init__(self) -> None:
         check_structure(vars(self))
+        if has_numbers(self.time):
+            # Stamps that do not increase are for `preflight` to report.
+            check_finite(np.asarray(self.time))
+        if (said := TorqueUnit.parse(self.tau_unit_text)) is not self.tau_unit:
+            raise LogError(
+                f"tau_unit is {self.tau_unit}, but tau_unit_text {self.tau_unit_text[:60]!r} says "
+                f"{said}; give both alike"
+            )
 
     @property
     def duration(self) -> float:
@@ -83,8 +128,13 @@ class Log(eqx.Module):
 
     @property
     def rate(self) -> float:
-        """Samples per second, from the median period: gaps do not count."""
-        return float(1.0 / np.median(np.diff(np.asarray(self.time, dtype=float))))
+        """Samples per second, from the median period: gaps do not count.
+
+        Raises `LogError` naming the first stamp that does not come after the one before.
+        """
+        time = np.asarray(self.time, dtype=float)
+        check_time(time)
+        return float(1.0 / np.median(np.diff(time)))
 
     def between(self, start: float | int, stop: float | int) -> "Log":
         """Keep the samples with start ≤ time ≤ stop [s]; raises `ValueError` where fewer than two
@@ -150,13 +200,20 @@ class Log(eqx.Module):
         }
         return dataclasses.replace(self, **{**mapped, **changes})
 
+    @property
+    def _span(self) -> str:
+        if not has_numbers(self.time):
+            return "traced"
+        if len(self.time) < 2:
+            return "no duration"
+        period = float(np.median(np.diff(np.asarray(self.time, dtype=float))))
+        rate = f"{1.0 / period:.4g} Hz" if period > 0 else "stamps that do not increase"
+        return f"{self.duration:.4g} s at {rate}"
+
     def __repr__(self) -> str:
-        span = (
-            f"{self.duration:.4g} s at {self.rate:.4g} Hz" if has_numbers(self.time) else "traced"
-        )
         has = ", ".join(name for name in CHANNELS if getattr(self, name) is not None)
         text = (
-            f"Log({span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
+            f"Log({self._span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
             f"torque {self.tau_kind} in {self.tau_unit_text}"
         )
         if self.contact_bodies:
@@ -286,7 +343,7 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
 
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     """Write a log that `read_log` reads back, as .npz, .csv or .parquet: whole or not at all (a temporary file takes
-    the name at the end). Raises ValueError for another suffix.
+    the name at the end). Raises ValueError for another suffix, and for a folder that is not there.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -298,6 +355,7 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     'time,qpos.shoulder,qpos.elbow,tau.shoulder,tau.elbow,qvel.shoulder,qvel.elbow,tau_unit,tau_kind'
     """
     path = Path(path)
+    check_target(path)
     arrays = {
         name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
     }
@@ -308,10 +366,8 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     }
     if log.contact_bodies:
         arrays["contact_bodies"] = np.array(log.contact_bodies)
-    if path.suffix.lower() in (".csv", ".parquet"):
-        write_table(arrays, path)
-    elif path.suffix.lower() == ".npz":
+    if path.suffix.lower() == ".npz":
         with whole_file(path) as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
     else:
-        raise ValueError(f"cannot write {path}: a log is written as .npz, .csv or .parquet")
+        write_table(arrays, path)

@@ -48,11 +48,11 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
     """Read an MJCF or URDF file (or take a compiled `MjModel`) as a `Robot`.
 
     `floating_base` lets the root link of a URDF move freely, which the file has no usual way to say (unless that link
-    is called "world"); an MJCF says so itself.
+    is called "world"); an MJCF and an `MjModel` say so themselves.
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
-    welded to a moving one are kept. Raises ModelError for a file that cannot be used; warns (ModelWarning) of what
+    welded to a moving one are kept. Raises ModelError for what cannot be used; warns (ModelWarning) of what
     the model has and rigid-body dynamics does not: tendon forces, equality constraints, fluid, gravity
     compensation. Forces that the model's own flags disable are not there.
 
@@ -61,15 +61,16 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
     >>> load_model(double_pendulum())  # or load_model("arm.urdf")
     Robot(fixed base, 2 bodies, nq=2, nv=2, 3 kg; joints shoulder, elbow)
     """
+    _check_kind(model, floating_base)
     if isinstance(model, str | Path):
-        spec = load_spec(model, floating_base=floating_base)
-        path, compiled = model, compile_spec(spec, model)
-        if not compiled.nv:
-            raise ModelError(
-                f"{path}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"
-            )
+        where = model
+        compiled = compile_spec(load_spec(model, floating_base=floating_base), model)
     else:
-        compiled = model
+        where, compiled = "MjModel", model
+    if not compiled.nv:
+        raise ModelError(
+            f"{where}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"
+        )
     for line in _left_out(compiled):
         warnings.warn(line, ModelWarning, stacklevel=2)
     return _to_robot(compiled)
@@ -89,6 +90,25 @@ def body_pi(model: MjModel, body: int) -> np.ndarray:
     m, c = model.body_mass[body], model.body_ipos[body]
     i = r @ np.diag(model.body_inertia[body]) @ r.T + m * (c @ c * np.eye(3) - np.outer(c, c))
     return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+
+
+def _check_kind(model: object, floating_base: bool) -> None:
+    """Raise `ModelError` for what cannot be loaded, whatever it holds."""
+    if isinstance(model, str) and model.lstrip().startswith("<"):
+        raise ModelError(
+            f"{model.strip()[:60]!r} is a model's text, not its file; save it, or give "
+            "mujoco.MjModel.from_xml_string(text)"
+        )
+    if isinstance(model, mujoco.MjSpec):
+        raise ModelError(
+            "a model is a file or a compiled MjModel, not an MjSpec; give spec.compile()"
+        )
+    if not isinstance(model, str | Path | mujoco.MjModel):
+        raise ModelError(f"a model is a file or a compiled MjModel, not {type(model).__name__}")
+    if floating_base and isinstance(model, mujoco.MjModel):
+        raise ModelError(
+            "an MjModel says itself whether its base floats; give its base a <freejoint/>"
+        )
 
 
 # --- from a compiled model to arrays -----------------------------------------------------------------------------

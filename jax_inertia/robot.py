@@ -6,6 +6,7 @@ last node. `kinematics` walks over it.
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jax_inertia._arguments import known
 from jax_inertia._names import listed
 from jax_inertia._readable import has_numbers, line, table
 
@@ -191,17 +193,39 @@ class Robot(eqx.Module):
         """Whether the first joint is a free joint."""
         return bool(self.joint_type) and self.joint_type[0] == FREE
 
-    def body_index(self, name: str) -> int:
-        """Index of a body by name; ValueError lists the names where there is no such body."""
-        return _index(name, self.body_names, "moving body")
+    def body_index(self, body: int | str) -> int:
+        """Index of a body by name, or by itself; ValueError where there is no such body, with the names there are."""
+        if isinstance(body, str):
+            return _index(body, self.body_names, "moving body")
+        if isinstance(body, bool | np.bool_) or not isinstance(body, int | np.integer):
+            raise ValueError(f"body {body!r} is neither a name nor an index")
+        if not 0 <= body < self.nb:
+            raise ValueError(f"body index {body} is out of range: the model has {self.nb} bodies")
+        return int(body)
 
     def joint_index(self, name: str) -> int:
         """Index of a joint by name; ValueError lists the names where there is no such joint."""
         return _index(name, self.joint_names, "joint")
 
-    def with_pi(self, bodies: tuple[int, ...], pi: Float[Array, "n 10"]) -> "Robot":
-        """The same robot with other inertial parameters for the chosen bodies (by index)."""
-        return eqx.tree_at(lambda r: r.pi, self, self.pi.at[jnp.array(bodies)].set(pi))
+    def with_pi(self, bodies: Sequence[int | str], pi: Float[Array, "n 10"]) -> "Robot":
+        """The same robot with other inertial parameters for the chosen bodies (by name or index).
+
+        Raises ValueError for a body that the robot does not have, one named twice, parameters that are not 10 numbers
+        each, and a negative mass.
+        """
+        chosen = [self.body_index(b) for b in ([bodies] if isinstance(bodies, str) else bodies)]
+        if len(set(chosen)) < len(chosen):
+            raise ValueError(f"a body is named twice in {list(bodies)}")
+        if jnp.shape(pi) != (len(chosen), 10):
+            raise ValueError(
+                f"pi has shape {jnp.shape(pi)}; expected ({len(chosen)}, 10), a row for each body"
+            )
+        masses = known(jnp.asarray(pi)[:, 0])
+        if masses is not None and np.any(masses < 0):
+            row = int(np.argmax(masses < 0))
+            name = self.body_names[chosen[row]]
+            raise ValueError(f"body {name!r}: mass {masses[row]:.4g} kg; it cannot be negative")
+        return eqx.tree_at(lambda r: r.pi, self, self.pi.at[np.array(chosen, int)].set(pi))
 
     def astype(self, dtype: str | type[Any] | np.dtype[Any]) -> "Robot":
         """The same robot with every array in another floating-point type."""

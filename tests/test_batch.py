@@ -12,6 +12,7 @@ from jax_inertia import batch
 from jax_inertia.inertia import is_physical
 from jax_inertia.mjcf import body_pi
 from jax_inertia.priors import Load, Tolerance
+from jax_inertia.robots.pendulum import swing
 
 SAMPLES, SLOW = 500, 0.1
 DAMPING, FRICTION = np.array([1.1, 0.4, 0.15]), np.array([0.8, 0.5, 0.3])
@@ -168,11 +169,28 @@ def test_draws_spread_as_the_posterior_says():
     assert all(np.all(is_physical(one.robot.pi)) for one in drawn)
 
 
-def test_mistakes_are_named():
-    one = log(plant(), 0)
-    with pytest.raises(ValueError, match=r"unknown joint terms \['backlash'\]; valid: damping"):
-        batch.fit(robot(), [one], prior=Load(1.0), joint_terms=("damping", "backlash"))
-    with pytest.raises(ValueError, match="gimbal, tip"):
-        batch.fit(robot(), [one], ["hand"], prior=Load(1.0))
-    with pytest.raises(ValueError, match=r"logs \[1\] carry the load; expected some of 0 to 0"):
-        batch.fit(robot(), [one], prior=Load(1.0), carried=batch.Carried("tip", (1,), Load(1.0)))
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"observations": []}, "observations is empty; give a list"),
+        ({"observations": log(plant(), 0)}, "observations is one Observation; give a list"),
+        ({"observations": [swing()]}, r"observations\[0\] is of type Log; give"),
+        ({"joint_terms": "damping"}, r"the text 'damping'; give a list: \['damping'\]"),
+        ({"joint_terms": ("damping", "backlash")}, r"terms \['backlash'\]; valid: damping"),
+        ({"bodies": ["hand"]}, "gimbal, tip"),
+        ({"prior": Load(np.nan)}, "mass of prior is nan; it must be finite"),
+        ({"prior": Load(0.0)}, r"the prior \(Load\) holds a body fast; .* must be positive"),
+        (
+            {"carried": batch.Carried("tip", (1,), Load(1.0))},
+            r"logs \[1\] carry the load; expected some of 0 to 0",
+        ),
+        (
+            {"carried": batch.Carried("tip", (0,), Load(np.nan))},
+            "sigma_pi of the load carried is .* must be positive",
+        ),
+    ],
+)
+def test_mistakes_are_named(changes, says):
+    with pytest.raises(ValueError, match=says):
+        batch.fit(robot(), **{"observations": [log(plant(), 0)], "prior": Load(1.0)} | changes)

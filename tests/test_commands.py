@@ -158,7 +158,7 @@ def folder(tmp_path_factory):
     full = log_of(loaded(bare, "tip"), 0)
     write_log(full, out / "loaded.npz")
     amperes = log_of(
-        loaded(bare, "tip"), 0, tau=full.tau / GAIN, tau_unit_text="A", tau_kind=TorqueKind.CURRENT
+        loaded(bare, "tip"), 0, tau=full.tau / GAIN, tau_unit="A", tau_kind=TorqueKind.CURRENT
     )
     write_log(amperes, out / "amperes.npz")
     return out

@@ -150,7 +150,12 @@ def test_bad_arguments_are_one_line(tmp_path, model, capsys):
     assert "no pair NAME=VALUE" in refusal(capsys, path, out, "--column", "time")
     assert "one of them twice" in refusal(capsys, path, out, "--rename", "a=b", "--rename", "a=c")
     assert "no such model file" in refusal(capsys, path, out, "--model", tmp_path / "absent.xml")
-    assert "absent" in refusal(capsys, path, tmp_path / "absent" / "run.npz")
+    absent = tmp_path / "absent"
+    assert f"there is no folder {absent};" in refusal(capsys, path, absent / "run.npz")
+    before = path.read_bytes()
+    assert "it is the log to be read" in refusal(capsys, path, tmp_path / "." / "run.csv")
+    assert path.read_bytes() == before
+    assert "(see jax-inertia convert --help)" in refusal(capsys, path, out, "--modell", "x")
     assert "topic_base does not apply to a CSV file" in refusal(
         capsys, path, out, "--topic-base", "/odom"
     )

@@ -84,3 +84,24 @@ def test_the_mass_moves_at_the_paper_s_rate():
     assert float(handed[0]) == pytest.approx(2.5)
     np.testing.assert_allclose(slew.step(handed, four, 0.5), four, rtol=1e-12)
     assert np.array_equal(slew.step(four, four, 0.0), four)
+
+
+@pytest.mark.parametrize("name", ["rate", "reach"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_settings_that_limit_nothing_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} is {value}; it must be positive and finite"):
+        Slew(**{name: value})
+
+
+@pytest.mark.parametrize("dt", [0.0, -DT, np.nan, np.inf])
+def test_the_last_value_is_held_where_time_does_not_pass(pairs, dt):
+    start, end = jnp.asarray(pairs)
+    assert np.array_equal(eqx.filter_jit(Slew().step)(start, end, dt), start)
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf])
+def test_a_body_without_a_finite_estimate_holds_and_the_others_go_on(pairs, fault):
+    start, end = jnp.asarray(pairs)
+    handed = np.array(Slew().step(start, end.at[0, 3].set(fault), DT))
+    assert np.array_equal(handed[0], start[0])
+    np.testing.assert_allclose(handed[1:], Slew().step(start, end, DT)[1:])

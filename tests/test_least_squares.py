@@ -100,3 +100,25 @@ def test_no_rows_and_fewer_rows_than_parameters():
     one = weighted_least_squares(np.array([[1.0, 2.0]]), np.array([5.0]))
     assert one.identifiability.rank == 1
     assert float(np.array([1.0, 2.0]) @ one.value) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"weight": [1.0, np.nan, 1.0]}, "negative or not finite; weights are inverse variances"),
+        (
+            {"weight": np.ones(2)},
+            r"weight has shape \(2,\); expected one number, or one for each of 3 rows",
+        ),
+        ({"weight": np.eye(3)}, r"weight has shape \(3, 3\)"),
+        ({"regressor": np.ones(3)}, r"regressor has shape \(3,\); expected \(rows, parameters\)"),
+        ({"measurement": np.ones(4)}, r"measurement has shape \(4,\); the regressor has 3 rows"),
+        ({"names": ["a"]}, "1 names for 2 columns"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_what_does_not_fit_is_named(changes, said):
+    with pytest.raises(ValueError, match=said):
+        weighted_least_squares(
+            **{"regressor": np.ones((3, 2)), "measurement": np.ones(3)} | changes
+        )

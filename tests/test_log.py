@@ -368,9 +368,41 @@ def test_a_log_is_a_pytree_whose_names_are_static():
     assert jax.jit(lambda x: len(repr(x)))(log) > 0
 
 
-def test_a_log_built_in_memory_refuses_what_does_not_fit():
-    with pytest.raises(LogError, match="'hip' 2 times"):
-        example(joint_names=("hip", "hip"))
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"joint_names": ("hip", "hip")}, "'hip' 2 times"),
+        ({"joint_names": "ab"}, r"joint_names is the text 'ab'; expected a tuple: \('ab',\)"),
+        ({"contact_bodies": "L"}, "contact_bodies is the text 'L'"),
+        ({"tau_unit": "volts"}, "tau_unit is 'volts'; expected N m, A, mA, PWM, unknown"),
+        ({"tau_unit": "A", "tau_unit_text": "Nm"}, "tau_unit is A, but .* 'Nm' says N m"),
+        ({"tau_kind": "guess"}, "tau_kind is 'guess'; expected commanded"),
+        ({"time": np.where(np.arange(50) == 7, np.nan, arrays()["time"])}, r"time\[7\] is nan"),
+    ],
+)
+def test_a_log_built_in_memory_refuses_what_does_not_fit(changes, said):
+    with pytest.raises(LogError, match=said):
+        example(**changes)
+
+
+def test_stamps_that_jump_back_are_for_preflight_and_have_no_rate():
+    log = example(time=swapped_time())
+    assert "50 samples" in repr(log)
+    with pytest.raises(LogError, match=r"time\[5\] = 0.04 s does not come after time\[4\]"):
+        _ = log.rate
+
+
+def test_texts_are_taken_as_what_they_say():
+    log = example(joint_names=["hip", "knee"], tau_unit="A", tau_kind="current")
+    assert (log.joint_names, log.tau_kind) == (("hip", "knee"), TorqueKind.CURRENT)
+    assert log.tau_unit is TorqueUnit.AMPERE
+    assert "current in A" in repr(log)
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_a_log_of_next_to_nothing_can_be_shown(samples):
+    short = {name: x[:samples] for name, x in arrays().items() if x.shape[:1] == (50,)}
+    assert f"no duration, {samples} samples" in repr(example(**short))
 
 
 def test_between_cuts_every_channel_and_select_every_joint():
@@ -424,6 +456,8 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert (tmp_path / "log.npz").read_bytes() == before
     with pytest.raises(ValueError, match=r"written as \.npz"):
         write_log(example(), tmp_path / "log.mat")
+    with pytest.raises(ValueError, match=f"there is no folder {tmp_path / 'absent'}; make it"):
+        write_log(example(), tmp_path / "absent" / "log.npz")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real logs (../shared/data) are not here")

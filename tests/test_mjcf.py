@@ -154,6 +154,22 @@ def test_files_that_are_no_robots(load, tmp_path, text, says):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("model", "says"),
+    [
+        (None, "a model is a file or a compiled MjModel, not NoneType"),
+        (b"robot.xml", "not bytes"),
+        (mujoco.MjSpec(), r"not an MjSpec; give spec\.compile\(\)"),
+        (mujoco.MjModel.from_xml_string("<mujoco/>"), "MjModel: nothing in it moves"),
+        (f"{mjcf(ARM)}>", r"'<mujoco><worldbody>.{41}' is a model's text, not its file"),
+    ],
+)
+def test_what_is_no_model(model, says):
+    with pytest.raises(ModelError, match=says):
+        ji.load_model(model)
+
+
 def test_files_that_are_not_there(tmp_path):
     with pytest.raises(ModelError, match=r"none\.urdf: no such model file"):
         ji.load_model(tmp_path / "none.urdf")

@@ -65,11 +65,26 @@ def test_the_changed_model_is_the_changed_robot():
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    chosen = (robot.body_index("pack"), robot.body_index("forearm"))
-    robot = robot.with_pi(chosen, jnp.asarray(new))
+    robot = robot.with_pi(("pack", robot.body_index("forearm")), jnp.asarray(new))
     got = jax.jit(ji.inverse_dynamics)(robot, jnp.asarray(data.qpos), jnp.asarray(data.qvel), a)
     wanted = mass @ a + data.qfrc_bias
     np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.max(np.abs(wanted)))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("bodies", "pi", "says"),
+    [
+        ((17,), np.ones((1, 10)), "body index 17 is out of range: the model has"),
+        (("pakc",), np.ones((1, 10)), "no moving body named 'pakc'"),
+        (("pack", "pack"), np.ones((2, 10)), "named twice"),
+        (("pack",), 1.0, r"pi has shape \(\); expected \(1, 10\)"),
+        (("pack",), -np.ones((1, 10)), "body 'pack': mass -1 kg; it cannot be negative"),
+    ],
+)
+def test_a_robot_takes_no_parameters_that_do_not_fit(cases, bodies, pi, says):
+    with pytest.raises(ValueError, match=says):
+        cases("floating_tree").robot.with_pi(bodies, pi)
 
 
 def test_mass_from_shapes_is_replaced(tmp_path):

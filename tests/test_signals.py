@@ -463,6 +463,23 @@ def test_a_bad_first_sample_is_only_marked(walker):
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(seen))
 
 
+@pytest.mark.parametrize("late", [0.0, -0.005], ids=["repeated", "backward"])
+def test_a_stamp_that_does_not_come_later_is_refused_and_online_marked(walker, late):
+    motion = walking(walker)
+    time = np.array(motion.time)
+    time[30] = time[29] + late
+    faulty = dataclasses.replace(motion, time=time)
+    for differences in (aligned_differences, central_differences):
+        with pytest.raises(LogError, match=r"time\[30\] = .* does not come after time\[29\]"):
+            differences(faulty)
+    seen, clean = online(faulty, window=2), online(motion, window=2)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(seen))
+    lost = np.array(clean.motion.valid & ~seen.motion.valid).any(axis=1)
+    # Sample 30 enters as step 29; the period that ends there is in two windows.
+    assert set(np.flatnonzero(lost)) == {29, 30}
+    assert not np.array(seen.motion.valid)[[29, 30]].any()
+
+
 def test_windows_are_checked(walker):
     with pytest.raises(ValueError, match="window of 0"):
         Differentiator(0)
