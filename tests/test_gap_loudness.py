@@ -103,13 +103,29 @@ def biased():
     ("parts", "first", "taken"), [(True, -1, 0), (True, 0, 0), (False, -1, -1)]
 )
 def test_where_the_ways_part_the_likelier_end_is_taken(biased, monkeypatch, parts, first, taken):
-    ends = {0: biased.chosen, -1: [biased.ranking[-1]]}
-
-    def path(pool, max_effects, floor, *, own_rows):
-        end = ends[-1 - first if own_rows else first]
-        return select._Path(end, biased.ranking, parts and not own_rows)
-
-    monkeypatch.setattr(select, "_path", path)
+    ends = two_ends(biased, monkeypatch, first, parts)
     chosen, _, misfits = select.select(biased.pool, 3, biased.noise_by_row)
     assert chosen == ends[taken]
     assert len(misfits) == len(chosen) + 1
+
+
+@pytest.mark.parametrize(("noise", "taken"), [(1.0, -1), (1e-6, 0)])
+def test_far_above_the_noise_the_end_that_foretells_more_is_taken(
+    biased, monkeypatch, noise, taken
+):
+    """Whatever noise's own units say of it."""
+    ends = two_ends(biased, monkeypatch, first=-1, parts=True)
+    monkeypatch.setattr(select, "_likelier", lambda *_: False)
+    assert select.select(biased.pool, 3, noise * biased.noise_by_row)[0] == ends[taken]
+
+
+def two_ends(biased, monkeypatch, first: int, parts: bool) -> dict:
+    """Two ways on, which end at the cause and at what is least like it, in one order or the other."""
+    ends = {0: biased.chosen, -1: [biased.ranking[-1]]}
+
+    def path(pool, chosen, max_effects, floor, *, own_rows):
+        end = ends[-1 - first if own_rows else first]
+        return select._Path(end, biased.ranking, [] if parts and not own_rows else None)
+
+    monkeypatch.setattr(select, "_path", path)
+    return ends

@@ -78,6 +78,7 @@ def diagnose(
         raise ValueError(
             f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering; at least 100 are needed"
         )
+    _require_newton_metres(prepared)
     library = [*(f for f in LIBRARY if f.name not in exclude), *extra]
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
@@ -141,6 +142,25 @@ def diagnose(
             checked.sight,
         ),
     )
+
+
+# No joint's friction or load is this many times what the model needs, or it needs so many times more, everywhere.
+OTHER_UNITS = 100.0
+
+
+def _require_newton_metres(prepared: Prepared) -> None:
+    """ValueError where torques are far too large or too small for the model at every joint."""
+    needed, logged = (
+        np.sqrt(np.mean(prepared.finish_torque(x) ** 2, axis=0))
+        for x in (prepared.inverse, prepared.tau)
+    )
+    told = (needed > 0) & (logged > 0)
+    ratios = logged[told] / needed[told]
+    if len(ratios) and (ratios.min() > OTHER_UNITS or ratios.max() < 1 / OTHER_UNITS):
+        raise ValueError(
+            f"the log's torques are {np.median(ratios):.3g} times what the model needs, and at every joint far from "
+            "it: expected N m (N mm are 1000 times as many)"
+        )
 
 
 def _finding(

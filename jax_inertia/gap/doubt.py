@@ -12,6 +12,7 @@ from jax_inertia.gap.constancy import Inconstant, crowded
 from jax_inertia.gap.outsiders import Outsider, outsiders
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
+from jax_inertia.gap.select import SWAPS
 from jax_inertia.gap.together import misfit, remaining, stacked
 from jax_inertia.gap.verdict import DOUBT
 
@@ -40,9 +41,12 @@ def better_than(
         rest = Beside.of(pool.evidence, *stacked(pool, kept))
         size = sum(c.size for c in replaced)
         allowed = sum(c.excuses(c.effect) for c in replaced)
+        enough = STOP
         if replaced and replaced[0].family.passing:
-            # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there.
+            # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there. But what happens
+            # where a joint is, or by its speed, and would be drawn by one seldom is: fewer numbers speak for it.
             allowed = min(allowed, max(now - noise, 0.0))
+            enough = SWAPS + 2 * np.log(len(others))
         for o in others:
             columns = o.columns if replaced else o.beyond
             free = rest.free(columns)
@@ -52,7 +56,7 @@ def better_than(
             if not replaced:
                 # It is the best of many, and nothing else speaks for it.
                 price += 2 * np.log(len(others))
-            won = (now - after - allowed) / unit - price - STOP
+            won = (now - after - allowed) / unit - price - enough
             if won > most:
                 best, most = (replaced, o), won
     return best

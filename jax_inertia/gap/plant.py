@@ -1,7 +1,8 @@
 """A model in MuJoCo C, run from a log's states by its torques, and the log as that needs it."""
 
+import contextlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -23,6 +24,24 @@ from jax_inertia.slopes import derivative
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
 # ω² h² of a joint on its bristles, at most.
 STIFFEST = 0.2
+
+
+_UNSTABLE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """MuJoCo without its warnings, which go to the terminal and into a file in the user's folder."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class _Torque:
@@ -137,6 +156,7 @@ class Plant:
         mujoco.mj_fullM(self.model, self.data, full)
         return np.diagonal(full)[self.rows]
 
+    @_silent()
     def run(
         self, recording: Recording, k: int, samples: np.ndarray, erring: Trace | None = None
     ) -> Float[np.ndarray, "S nv"]:
@@ -187,6 +207,10 @@ class Plant:
             if torque.wrench is not None:
                 self._push(torque.bodies, torque.wrench[held[n]])
             mujoco.mj_step(model, data)
+            if any(data.warning[kind].number for kind in _UNSTABLE):
+                # MuJoCo starts anew from its home pose, which is no prediction of anything.
+                out[[s for at, s in marks.items() if at > n]] = np.nan
+                break
         return out
 
     def _on_rows(self, tau: np.ndarray) -> np.ndarray:

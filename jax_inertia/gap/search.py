@@ -26,7 +26,7 @@ from jax_inertia.gap.nuisance import CAUSES, Nuisances, Tolerance, nuisances
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.propose import Rows
-from jax_inertia.gap.select import select
+from jax_inertia.gap.select import WORSE, select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Left, strained, strangeness
@@ -313,7 +313,5 @@ LEAST = 100
 WELL, MOSTLY, SEVERAL = 0.1, 0.3, 4
 # Effects and the tolerances' scales are found in turn; more seldom changes either.
 ROUNDS = 3
-# A second pass where more than this multiple of the noise's misfit is left.
-WORSE = 3.0
 # Torque noise learned from what is left counts where some row's noise becomes this many times as loud, or as quiet.
 LOUDER = 1.3

@@ -1,5 +1,6 @@
 """Which effects: forward with joint refits, then backward and swaps."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -12,6 +13,7 @@ from jax_inertia.gap.evidence import acting
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP, Rows, faint, loudness, propose, score
+from jax_inertia.gap.shrink import what_is_left
 from jax_inertia.gap.together import misfit, remaining, solved, stacked
 
 
@@ -22,15 +24,15 @@ def select(
 
     `floor` is the J that noise alone would have on each row. A leader that is heard beside all rows as one and not
     beside its own is the first of several causes there, or beside what no effect explains: both ways on are tried, and
-    the other end is taken where it is likelier by as much as a swap has to be.
+    the other end is taken where it is better.
     """
-    path = _path(pool, max_effects, floor, own_rows=False)
-    if path.parts:
-        other = _path(pool, max_effects, floor, own_rows=True)
-        if _likelier(pool, other.chosen, path.chosen, floor):
-            path = other
-        pool.look_again(_windows(pool, path.chosen, floor))
+    path = _path(pool, [], max_effects, floor, own_rows=False)
     chosen = path.chosen
+    if path.parts is not None:
+        other = _path(pool, path.parts, max_effects, floor, own_rows=True).chosen
+        if _better(pool, other, chosen, floor):
+            chosen = other
+        pool.look_again(_windows(pool, chosen, floor))
     return chosen, path.ranking, [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
 
 
@@ -41,22 +43,25 @@ class _Path:
     chosen: list[Candidate]
     ranking: list[Candidate]
     """Of the first step."""
-    parts: bool
-    """Whether some leader was heard beside all rows as one and not beside its own: there the ways part."""
+    parts: list[Candidate] | None
+    """Effects beside which some leader was first heard beside all rows as one and not beside its own: there the ways
+    part."""
 
 
-def _path(pool: Pool, max_effects: int, floor: Rows, *, own_rows: bool) -> _Path:
-    """Forward steps; `own_rows`: a leader has to be heard beside those on which it acts."""
-    chosen: list[Candidate] = []
+def _path(
+    pool: Pool, chosen: list[Candidate], max_effects: int, floor: Rows, *, own_rows: bool
+) -> _Path:
+    """Forward steps beside those chosen; `own_rows`: a leader has to be heard beside those on which it acts."""
     ranking: list[Candidate] = []
-    parts = False
+    parts = None
     while len(chosen) < max_effects:
         pool.look_again(_windows(pool, chosen, floor))
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
         own, all_ = _heard(pool, chosen, step[0], floor) if step else (False, False)
-        parts |= all_ and not own
+        if parts is None and all_ and not own:
+            parts = chosen
         heard = own or (all_ and not own_rows)
         more = _with_one_more(pool, chosen, step, max_effects, floor, heard=heard)
         more = more or split(pool, chosen, floor)
@@ -232,11 +237,17 @@ def settle(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
             c.family.physical(pool.context, c.place, c.shape, x)
             for c, x in zip(chosen, parts, strict=True)
         ):
-            for c, x in zip(chosen, parts, strict=True):
-                c.theta = x
+            chosen = [_at(c, x) for c, x in zip(chosen, parts, strict=True)]
         if before - misfit(pool, chosen) < SETTLED * before:
             break
     return chosen
+
+
+def _at(c: Candidate, theta: Float[np.ndarray, " p"]) -> Candidate:
+    """The same with other numbers: the effects of another way on keep theirs."""
+    out = copy.copy(c)
+    out.theta = theta
+    return out
 
 
 def prune(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
@@ -275,6 +286,22 @@ def _contained(these: Candidate, those: Candidate) -> bool:
     return these.family.freer is those.family or these.family.name in those.family.simpler
 
 
+def _better(pool: Pool, these: list[Candidate], those: list[Candidate], floor: Rows) -> bool:
+    """Whether other effects are likelier, or, where both leave far more than noise, foretell more of the log.
+
+    There the noise is not what it is taken for, and likelihood in its units prefers what fits where sensors are best.
+    What is left in newton metres, each stretch predicted from the others, is what the effects are wanted for.
+    """
+    worse = min(misfit(pool, x) for x in (these, those)) > WORSE * floor.sum()
+    if not (worse or pool.evidence.whitener.of_misses):
+        return _likelier(pool, these, those, floor)
+    used = pool.evidence.used
+    sizes = [float(np.sum(what_is_left(pool, x, foretold=True)[used] ** 2)) for x in (these, those)]
+    return sizes[0] < sizes[1]
+
+
+# A model is worse than its sensors where more than this multiple of the noise's misfit is left.
+WORSE = 3.0
 # By how much likelier (twice the log of the odds) effects are than those they are swapped for.
 SWAPS = 6.0
 
