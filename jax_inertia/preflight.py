@@ -58,7 +58,8 @@ class Preflight(eqx.Module):
         """Raise `LogError` with the first error, and how many more there are."""
         errors = self.of(Severity.ERROR)
         if len(errors) > 0:
-            more = f" (and {len(errors) - 1} more errors)" if len(errors) > 1 else ""
+            others = len(errors) - 1
+            more = f" (and {others} more error{'s' * (others > 1)})" if others else ""
             raise LogError(errors[0].message + more)
 
     def __str__(self) -> str:
@@ -187,8 +188,8 @@ def _stamps(time: np.ndarray) -> Iterator[Finding]:
         masked = int(np.sum(period > gap_limit(time)))
         fate = f"{masked} of them will be masked" if masked else "short enough to be bridged"
         message = (
-            f"time has {gaps.sum()} gaps above three periods, the longest {1e3 * period[k]:.3g} ms "
-            f"at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); {fate}"
+            f"time has {gaps.sum()} gap{'s' * bool(gaps.sum() > 1)} above three periods, "
+            f"the longest {1e3 * period[k]:.3g} ms at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); {fate}"
         )
         yield Finding(Severity.WARNING if masked else Severity.NOTE, "gap", message)
     low, high = np.percentile(period, [5, 95])

@@ -276,16 +276,6 @@ def test_passive_torque_is_mujoco_s(cases):
         np.testing.assert_allclose(got, data.qfrc_passive - friction, rtol=0, atol=1e-10)
 
 
-def test_a_world_without_moving_bodies():
-    robot = ji.load_model(mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>"))
-    empty = jnp.zeros(0)
-    assert (robot.nb, robot.nq, robot.nv) == (0, 0, 0)
-    assert ji.inverse_dynamics(robot, empty, empty, empty).shape == (0,)
-    assert ji.torque_regressor(robot, empty, empty, empty).shape == (0, 0, 10)
-    assert ji.mass_matrix(robot, empty).shape == (0, 0)
-    assert ji.body_poses(robot, empty)[0].shape == (0, 3, 3)
-
-
 def test_unknown_bodies_are_named(cases):
     robot = cases("planar_2r").robot
     q = jnp.zeros(2)

@@ -1,12 +1,14 @@
 """The diagnosis on small logs made by MuJoCo C, effects in forms of its own; nothing of the generator's code."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
 from arm_log import ARM, loaded, nothing, simulate
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap import Verdict, diagnose, plant
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.report import to_report
 
@@ -136,3 +138,29 @@ def test_too_short_a_log_is_refused(robot):
     log = simulate(nothing, seconds=1.0)
     with pytest.raises(ValueError, match="at least 100 are needed"):
         diagnose(robot, log)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_torques_in_another_unit_are_refused(robot, factor):
+    log = simulate(nothing)
+    with pytest.raises(ValueError, match=r"times what the model needs.*expected N m"):
+        diagnose(robot, dataclasses.replace(log, tau=factor * np.asarray(log.tau)))
+
+
+def test_who_asks_for_one_effect_of_two_is_told(robot):
+    log = simulate(lambda t, q, v, u: np.array([0.5, -0.15 * v[1]]))
+    found = diagnose(robot, log, max_effects=1)
+    assert found.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
+    assert "no more than 1 effect was looked for" in found.doubts[-1]
+    assert diagnose(robot, log).doubts == ()
+
+
+def test_a_simulation_that_bursts_leaves_nothing_in_the_user_s_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1e12
+    with plant._silent():
+        mujoco.mj_step(model, data)
+    assert any(data.warning[kind].number for kind in plant._UNSTABLE)
+    assert list(tmp_path.iterdir()) == []

@@ -172,7 +172,7 @@ def test_gaps_are_counted_and_placed():
     keep = np.r_[0:1000, 1016:2000]
     log = log.map_channels(lambda x: x[keep], time=log.time[keep])
     assert found(log) == [(WARNING, "gap")]
-    assert "1 gaps above three periods, the longest 85 ms at 4.995 s" in message(log, "gap")
+    assert "1 gap above three periods, the longest 85 ms at 4.995 s" in message(log, "gap")
     fast = arm_log(time=0.2 * arm_log().time, qvel=None)
     keep = np.r_[0:1000, 1007:2000]
     fast = fast.map_channels(lambda x: x[keep], time=fast.time[keep])

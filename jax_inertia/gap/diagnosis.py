@@ -129,7 +129,11 @@ def diagnose(
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=(*log.notes, *_unmeasured(prepared), *_unstated(search, log), *checked.notes),
-        doubts=(*beside, *_what_it_leans_on(search, chosen, verdict)),
+        doubts=(
+            *beside,
+            *_what_it_leans_on(search, chosen, verdict),
+            *_cut_short(chosen, max_effects, verdict),
+        ),
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
@@ -228,6 +232,16 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         *beyond,
         f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
         "not in the library",
+    ]
+
+
+def _cut_short(chosen: list[Candidate], max_effects: int, verdict: Verdict) -> list[str]:
+    """That no more effects were asked for than were found, where that may be why much is left."""
+    if len(chosen) < max_effects or verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
+        return []
+    return [
+        f"no more than {max_effects} {'effect was' if max_effects == 1 else 'effects were'} looked for: with more "
+        "(--max-effects) more of it may be explained"
     ]
 
 
