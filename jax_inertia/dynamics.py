@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -114,8 +115,9 @@ def passive_torque(
     *,
     friction_velocity: float = 1e-3,
 ) -> Float[Array, " nv"]:
-    """Torque of the model's own joint damping, springs and dry friction: −d v − k (q − q₀) − F tanh(v/v_f).
+    """Torque of the model's own damping, springs, dry friction and gravity compensation.
 
+    −d v − k (q − q₀) − F tanh(v/v_f) − Σ Jᵀ γ m g, γ being a body's `gravcomp` (MuJoCo, *Computation*, passive forces).
     MuJoCo treats `frictionloss` as a constraint; away from rest it is F sign(v), which tanh with
     `friction_velocity` [rad/s] smooths. Springs act on hinge and slide joints.
 
@@ -133,7 +135,13 @@ def passive_torque(
     adr = np.array(top.qpos_adr)[top.dof_node]
     spring = robot.stiffness * (q[adr] - robot.spring_reference)
     friction = robot.frictionloss * jnp.tanh(v / friction_velocity)
-    return -robot.damping * v - spring - friction
+    out = -robot.damping * v - spring - friction
+    if robot.compensated is None:
+        return out
+    still = jnp.zeros_like(v)
+    lifted = jnp.zeros_like(robot.pi).at[:, :4].set(robot.compensated)
+    held = eqx.tree_at(lambda r: r.pi, robot, lifted)
+    return out + inverse_dynamics(held, q, still, still)
 
 
 def body_poses(

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -52,9 +53,9 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
-    welded to a moving one are kept. Raises ModelError for what cannot be used; warns (ModelWarning) of what
-    the model has and rigid-body dynamics does not: tendon forces, equality constraints, fluid, gravity
-    compensation. Forces that the model's own flags disable are not there.
+    welded to a moving one are kept. Raises ModelError for what cannot be used; warns (ModelWarning) of what the model
+    has and rigid-body dynamics does not: tendon forces, equality constraints, fluid. Forces that the model's own flags
+    disable are not there.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.robots.pendulum import double_pendulum
@@ -190,8 +191,17 @@ def _to_robot(model: MjModel) -> Robot:
         nq=model.nq,
         nv=model.nv,
         surface=surface_of(model, bodies),
+        compensated=_compensated(model, bodies),
         **{name: jnp.asarray(value) for name, value in stacked.items()},
     )
+
+
+def _compensated(model: MjModel, bodies: list[int]) -> jax.Array | None:
+    """What of each body's mass and first moment gravity compensation lifts; None where it lifts nothing."""
+    share = model.body_gravcomp[bodies]
+    if not share.any():
+        return None
+    return jnp.asarray(share[:, None] * np.array([body_pi(model, b)[:4] for b in bodies]))
 
 
 def _enabled(model: MjModel, flag: mujoco.mjtDisableBit) -> bool:
@@ -240,7 +250,5 @@ def _left_out(model: MjModel) -> Iterator[str]:
             yield f"actuator {model.actuator(u).name or int(u)!r}: its armature or damping is left out"
     for u in np.flatnonzero(np.any(model.actuator_dampingpoly, axis=1)):
         yield f"actuator {model.actuator(u).name or int(u)!r}: its nonlinear damping is left out"
-    for b in np.flatnonzero(model.body_gravcomp):
-        yield f"body {model.body(b).name!r}: gravity compensation is left out"
     if model.opt.density or model.opt.viscosity:
         yield "fluid forces (option density, viscosity) are left out"

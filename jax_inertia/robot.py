@@ -182,6 +182,8 @@ class Robot(eqx.Module):
     spring_reference: Float[Array, " nv"]
     gravity: Float[Array, "3"]
     surface: Surface
+    compensated: Float[Array, "nb 4"] | None = None
+    """Mass and first moment of each body that MuJoCo's `gravcomp` lifts [kg, kg m]; None where it lifts nothing."""
 
     @property
     def nb(self) -> int:

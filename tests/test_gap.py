@@ -9,6 +9,8 @@ from arm_log import ARM, loaded, nothing, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose, plant
+from jax_inertia.gap.correct import corrected
+from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.report import to_report
 
@@ -164,3 +166,21 @@ def test_a_simulation_that_bursts_leaves_nothing_in_the_user_s_folder(tmp_path, 
         mujoco.mj_step(model, data)
     assert any(data.warning[kind].number for kind in plant._UNSTABLE)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_model_lifts_is_no_gap():
+    """Torques logged without what carries the lower arm, as some drives report them and `gravcomp` says."""
+    lifted = ARM.replace('<body name="lower"', '<body name="lower" gravcomp="1"')
+    robot = load_model(mujoco.MjModel.from_xml_string(lifted))
+
+    def log(**more):
+        carries = np.array([0.0, 0.0, 1.2 * 9.81])
+        return simulate(force=lambda t: carries, at=np.array([0.02, 0.0, -0.15]), **more)
+
+    assert diagnose(robot, log()).verdict is Verdict.NO_GAP
+    found = diagnose(robot, log(edit=loaded(0.25, (0.02, 0.03, -0.3))))
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("payload", "lower")
+    body = corrected(mujoco.MjSpec.from_string(lifted), effects_of(found)).spec.body("lower")
+    assert body.mass == pytest.approx(1.45, abs=0.02)
+    assert body.gravcomp * body.mass == pytest.approx(1.2, rel=1e-9)

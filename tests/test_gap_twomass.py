@@ -9,11 +9,13 @@ from scipy.integrate import solve_ivp
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.chain import prepare
+from jax_inertia.gap.correct import corrected
+from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.families.encoder import ALL
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find, finder
-from jax_inertia.gap.twomass import DrivenLink
+from jax_inertia.gap.twomass import DrivenLink, OwnFriction
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
 TIME = np.arange(0.0, 6.0, 0.004)
@@ -22,7 +24,7 @@ TIME = np.arange(0.0, 6.0, 0.004)
 def path(needed, carried, stiffness=STIFFNESS, dead_zone=0.0):
     still = np.zeros_like(TIME)
     link = DrivenLink(TIME, needed, carried, still + MASS, still, still)
-    return link.separation((stiffness, RATIO, dead_zone, 0.0))
+    return link.separation((stiffness, RATIO, dead_zone, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("frequency", [0.7, 3.0, 5.3])
@@ -83,6 +85,42 @@ def test_teeth_meet_where_they_are_measured_to():
     assert np.std((found - delta)[TIME > 1.0]) < 0.15 * np.std(delta)
 
 
+def test_a_link_that_rubs_stays_where_it_is_while_its_teeth_part():
+    """Its own friction holds it in its play, by SciPy: friction of the motor's leaves it to what it needs."""
+    gap, dry, viscous = 0.03, 6.0, 0.4
+    speed, turned = 2.0 * np.cos(2 * np.pi * 0.6 * TIME), 2 * np.pi * 0.6
+    inertial = -MASS * 2.0 * turned * np.sin(turned * TIME)
+    loss = 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+
+    def teeth(x, v):
+        over = abs(x) - gap / 2
+        return np.sign(x) * max(STIFFNESS * over + np.sign(x) * loss * v, 0.0) if over > 0 else 0.0
+
+    def rub(link):
+        return dry * np.tanh(link / 2e-3) + viscous * link
+
+    def rates(t, state):
+        moving = np.interp(t, TIME, speed)
+        push = np.interp(t, TIME, inertial) + rub(moving - state[1]) - teeth(*state)
+        return state[1], push / MASS
+
+    begun = [gap / 2 + rub(2.0) / STIFFNESS, 0.0]
+    delta, rate = solve_ivp(
+        rates, (0, TIME[-1]), begun, t_eval=TIME, method="LSODA", max_step=1e-3
+    ).y
+    carried = np.array([teeth(x, v) for x, v in zip(delta, rate, strict=True)])
+    still = np.zeros_like(TIME)
+    friction = OwnFriction(speed, viscous, dry, carried)
+    link = DrivenLink(TIME, inertial, carried, still + MASS, still, still, friction)
+    on_link, on_motor = ((STIFFNESS, RATIO, gap, 0.0, side) for side in (1.0, 0.0))
+    late = TIME > 0.5
+    assert np.std((link.separation(on_link) - delta)[late]) < 0.05 * np.std(delta)
+    assert np.std((link.separation(on_motor) - delta)[late]) > 0.2 * np.std(delta)
+    rubbed = dry * np.tanh((speed - rate) / 2e-3)
+    assert np.mean(np.abs(link.rubbing(on_link) - rubbed)[late] > 0.2 * dry) < 0.05
+    assert not link.rubbing(on_motor).any()
+
+
 # The arm with the elbow's motor apart from its link: the same hinge twice, the second one passive.
 APART = ARM.replace(
     '<joint name="elbow" axis="0 1 0.3" damping="0.2" armature="0.03"/>',
@@ -96,10 +134,20 @@ SPRING = 'stiffness="60" damping="0.1"'
 TEETH = 'limited="true" range="-{0} {0}" solreflimit="-1e5 -300" solimplimit="0.9 0.9 1"'
 
 
-def log_of(coupling, seed=0, encoder=2e-5, friction=0.0, own=APART, wave=wave, ahead=0.0):
+def log_of(
+    coupling,
+    seed=0,
+    encoder=2e-5,
+    friction=0.0,
+    own=APART,
+    wave=wave,
+    ahead=0.0,
+    of_link=(0.0, 0.0),
+):
     """A log of the real arm, whose encoders sit on the motors; `friction` of the elbow's motor [N m].
 
-    `ahead`: how far its link is ahead of the motor when the log begins [rad].
+    `ahead`: how far its link is ahead of the motor when the log begins [rad]. `of_link`: dry [N m] and viscous
+    [N m s/rad] friction between the elbow's link and the upper arm.
     """
     model = mujoco.MjModel.from_xml_string(own.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
@@ -115,6 +163,10 @@ def log_of(coupling, seed=0, encoder=2e-5, friction=0.0, own=APART, wave=wave, a
         for _ in range(4):
             data.qfrc_applied[:2] = u
             data.qfrc_applied[1] -= friction * np.tanh(data.qvel[1] / 0.01)
+            speed = data.qvel[1] + data.qvel[2]
+            rub = of_link[0] * np.tanh(speed / 0.005) + of_link[1] * speed
+            data.qfrc_applied[2] = -rub
+            data.qfrc_applied[1] -= rub
             mujoco.mj_step(model, data)
     return logged(rows, encoder, TORQUE)
 
@@ -157,6 +209,38 @@ def test_play_between_stops_of_mujoco_is_named_and_sized(half):
     assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.2)
 
 
+def test_play_before_a_link_that_rubs_is_named_and_sized():
+    """Friction that the model has at the joint, and that is the link's: it holds the link while the teeth part."""
+    own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.5"')
+    rubbing = APART.replace('damping="0.2"', 'damping="0"')
+    robot, half = load_model(mujoco.MjModel.from_xml_string(own)), 0.01
+    logs = [log_of(TEETH.format(half), seed, own=rubbing, of_link=(0.5, 0.2)) for seed in (0, 5)]
+    found = diagnose(robot, logs[0], test_log=logs[1])
+    (effect,) = found.findings
+    assert found.verdict is Verdict.EXPLAINED
+    assert (effect.family, effect.place.name) == ("backlash", "elbow")
+    assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.1)
+    assert effect.parameters["friction_on_link"].value == 1.0
+    assert found.test.share > 0.95
+
+
+def test_the_corrected_models_friction_follows_the_link():
+    own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.5"')
+    values = {"stiffness": 80.0, "dead_zone": 0.04, "friction_on_link": 1.0}
+    made = corrected(mujoco.MjSpec.from_string(own), [Effect("backlash", "joint", "elbow", values)])
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    elbow, between = (model.joint(n).dofadr[0] for n in ("elbow", "elbow_deflection"))
+    shoulder = model.joint("shoulder").dofadr[0]
+    for motor, link in ((1.0, 0.5), (-1.0, 1.0), (2.0, -1.0)):
+        data.qvel[[elbow, between]] = motor, link - motor
+        mujoco.mj_forward(model, data)
+        rubs = data.qfrc_passive + data.qfrc_constraint
+        expected = -(0.2 * link + 0.5 * np.sign(link))
+        np.testing.assert_allclose(rubs[[elbow, between]], expected, atol=0.01)
+        assert rubs[shoulder] == 0.0
+
+
 def from_rest(t, seed):
     """From point to point, a second each, after standing for a second."""
     points = np.random.default_rng(seed).uniform(-0.8, 0.8, (12, 2))
@@ -178,7 +262,7 @@ def test_where_in_its_play_a_link_without_weight_rests_is_found(ahead):
     first, _ = find(finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 3))
     (play,) = first.chosen
     assert play.key == ("backlash", "joint", "elbow")
-    gap, _, _, begins, _ = play.shape
+    gap, _, _, begins, *_ = play.shape
     assert gap == pytest.approx(0.04, rel=0.2)
     assert begins == pytest.approx(-ahead / 0.02, abs=0.3)
 

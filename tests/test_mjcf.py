@@ -1,5 +1,7 @@
 """Reading MJCF and URDF: what loads, what is refused with one line, what is warned of by name."""
 
+import itertools
+import re
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -9,6 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from models import MODELS
 
 import jax_inertia as ji
 from jax_inertia.mjcf import ModelError, ModelWarning
@@ -188,7 +191,7 @@ ACTUATORS = '<actuator><motor name="belt" tendon="idle" armature="0.1"/></actuat
 
 
 def test_what_rigid_bodies_leave_out_is_named(load):
-    body = f"""<body name="a" gravcomp="1"><joint name="ball" type="ball" stiffness="3"/>
+    body = f"""<body name="a"><joint name="ball" type="ball" stiffness="3"/>
       {INERTIAL}{SITES}</body>"""
     rest = f'<option density="1.2"/>{TENDONS}{EQUALITIES}{ACTUATORS}'
     with pytest.warns(ModelWarning) as caught:
@@ -196,7 +199,6 @@ def test_what_rigid_bodies_leave_out_is_named(load):
     lines = sorted(str(w.message).split(":")[0] for w in caught)
     assert lines == [
         "actuator 'belt'",
-        "body 'a'",
         "connect equality 'loop'",
         "fluid forces (option density, viscosity) are left out",
         "joint 'ball'",
@@ -241,6 +243,20 @@ def test_disabled_forces_and_reflected_inertia(load):
         np.testing.assert_allclose(ji.mass_matrix(robot, q), mass, rtol=1e-12)
         np.testing.assert_allclose(bias, data.qfrc_bias, atol=1e-12)
         np.testing.assert_allclose(ji.passive_torque(robot, q, v), data.qfrc_passive, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["three_joints", "floating_tree", "two_trees"])
+def test_gravity_compensation_is_mujoco_s(cases, name):
+    case, share = cases(name), itertools.cycle((0.7, 1.0, 0.0, -0.2))
+    text = re.sub("<body ", lambda m: f'<body gravcomp="{next(share)}" ', MODELS[name])
+    model = mujoco.MjModel.from_xml_string(text)
+    robot, data = ji.load_model(model), mujoco.MjData(model)
+    for q, v, _ in zip(*case.states(3, seed=2), strict=True):
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        got = ji.passive_torque(robot, jnp.asarray(q), jnp.asarray(v))
+        np.testing.assert_allclose(got, data.qfrc_passive, rtol=0, atol=1e-10)
+        assert np.abs(data.qfrc_gravcomp).max() > 0.1
 
 
 @pytest.mark.parametrize("name", ["three_joints", "floating_tree", "two_trees"])

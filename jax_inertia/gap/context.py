@@ -18,7 +18,7 @@ from jax_inertia.gap.chain import (
 )
 from jax_inertia.gap.creep import DAMPING, softness
 from jax_inertia.gap.dry import bristle, direction, share_below, stillness
-from jax_inertia.gap.twomass import DrivenLink
+from jax_inertia.gap.twomass import DrivenLink, OwnFriction
 from jax_inertia.inertia import centre_of_mass
 from jax_inertia.robot import HINGE, SLIDE
 
@@ -159,7 +159,7 @@ class Context:
     def link_torque(self) -> np.ndarray:
         """What each joint's link alone needs (T, nv): the rotor's inertia, damping and dry friction apart.
 
-        A model has one of each per joint; those of a geared joint sit on the motor.
+        A model has one of each per joint; those of a geared joint sit on the motor (see `twomass` for where not).
         """
         return self.inverse - self.prepared.dry - self._rotor
 
@@ -272,8 +272,24 @@ class Context:
                 inertia=np.maximum(da[:, row, row] - self.armature[row], 1e-9),
                 damping=dv[:, row, row] - self.damping[row],
                 stiffness=dq[:, row, row],
+                friction=self._own_friction(row),
             )
         return self._driven_links[row]
+
+    def rubs(self, row: int) -> bool:
+        """Whether the model knows friction of a joint's own."""
+        return bool(self.frictionloss[row] > 0 or self.damping[row] > 0)
+
+    def _own_friction(self, row: int) -> OwnFriction | None:
+        if not self.rubs(row):
+            return None
+        carried = self.tau[:, row] - self.armature[row] * self.a[:, row]
+        return OwnFriction(
+            speed=self.v[:, row],
+            viscous=float(self.damping[row]),
+            dry=float(self.frictionloss[row]),
+            carried=self.below(self.prepared.settings.after, carried),
+        )
 
     def _carried(self, row: int) -> np.ndarray:
         """What a joint's coupling carries by its motor: the logged torque less what the rotor takes (T,).

@@ -1,8 +1,9 @@
 """Found effects put into a MuJoCo model: attributes where MJCF has them, a callback for the rest.
 
 Attributes of corrected.xml: damping, frictionloss, armature, stiffness and springref, ref (encoder offset), gravity,
-inertials, a second hinge in line with the first (elasticity, backlash), an actuator's gain and delay, its joint's
-`actuatorfrcrange` (`edits`). What no attribute can say is listed in <custom> and done by `callbacks`.
+inertials, a second hinge in line with the first (elasticity, backlash; where friction is the link's, a tendon along
+both), an actuator's gain and delay, its joint's `actuatorfrcrange` (`edits`). What no attribute can say is listed in
+<custom> and done by `callbacks`.
 """
 
 import dataclasses

@@ -16,6 +16,8 @@ SOFT = 1e-6
 """Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
 DEFLECTION = "_deflection"
 """Added to a joint's name for the hinge between motor and link."""
+FRICTION = "_friction"
+"""Added to a joint's name for the tendon by which its friction acts on the link."""
 DAMPING_RATIO = 0.06
 """Of a coupling between motor and link, of the link alone: a log says little of it."""
 
@@ -133,10 +135,21 @@ def _inertial(change: Callable[[np.ndarray, Effect], np.ndarray]):
         if effect.name not in names:
             raise ValueError(f"the model has no body {effect.name!r}; it has: {', '.join(names)}")
         pi = body_pi(model, model.body(effect.name).id)
-        set_inertials(spec, {effect.name: change(pi, effect)})
-        return True, ""
+        changed = change(pi, effect)
+        set_inertials(spec, {effect.name: changed})
+        body = spec.body(effect.name)
+        if not body.gravcomp:
+            return True, ""
+        # What lifts a body goes on lifting what the model said it weighs.
+        body.gravcomp *= pi[0] / changed[0]
+        return True, _LIFTED.format(effect.name)
 
     return edit
+
+
+_LIFTED = (
+    "body {0!r}: its gravity compensation lifts as much as before, but at the centre of mass found"
+)
 
 
 def _about_origin(m: float, c: np.ndarray, central: np.ndarray) -> np.ndarray:
@@ -207,7 +220,7 @@ def _elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
         return False, _CROWDED.format(effect.name)
     hinge.stiffness = _set_first(hinge.stiffness, stiffness)
     hinge.damping = _set_first(hinge.damping, 2 * DAMPING_RATIO * np.sqrt(stiffness * link))
-    return True, _TWO.format(effect.name)
+    return True, _two(effect)
 
 
 def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
@@ -227,15 +240,21 @@ def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
     damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
     hinge.solref_limit = [-stiffness * inverse, -damping * inverse]
     hinge.solimp_limit = [1e-4, 1e-4, 1e-3, 0.5, 2]
-    return True, _TWO.format(effect.name)
+    return True, _two(effect)
 
 
-_TWO = (
-    "joint {0!r} is its motor's side, where the encoder is; {0}"
-    + DEFLECTION
-    + " is between motor and link, at zero "
-    "where nothing is transmitted"
-)
+def _two(effect: Effect) -> str:
+    """How a joint in two parts is to be read."""
+    joint = effect.name
+    text = (
+        f"joint {joint!r} is its motor's side, where the encoder is; {joint}{DEFLECTION} is between motor and link, at "
+        "zero where nothing is transmitted"
+    )
+    if effect.values.get("friction_on_link"):
+        text += f"; friction acts on the link, by the tendon {joint}{FRICTION}"
+    return text
+
+
 _CROWDED = (
     "joint {0!r} is followed by another on the same body: its coupling is not in corrected.xml"
 )
@@ -267,7 +286,18 @@ def _between(spec: MjSpec, model: MjModel, effect: Effect):
     hinge.armature, hinge.frictionloss, hinge.ref, hinge.springref = 0.0, 0.0, 0.0, 0.0
     hinge.damping, hinge.stiffness = np.zeros(3), np.zeros(3)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    if effect.values.get("friction_on_link"):
+        _to_link(spec, joint, hinge)
     return hinge, link
+
+
+def _to_link(spec: MjSpec, joint, hinge) -> None:
+    """A joint's friction from its motor to its link, which turns by the sum of both: a tendon along the two."""
+    tendon = spec.add_tendon(name=f"{joint.name}{FRICTION}")
+    for side in (joint, hinge):
+        tendon.wrap_joint(side.name, 1.0)
+    tendon.damping, tendon.frictionloss = joint.damping, joint.frictionloss
+    joint.damping, joint.frictionloss = np.zeros(3), 0.0
 
 
 EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {

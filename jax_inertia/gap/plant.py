@@ -80,8 +80,8 @@ class Recording:
         rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
         for e in effects:
             if e.family in ("joint_elasticity", "backlash"):
-                play = e.values.get("dead_zone", 0.0)
-                coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0
+                play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
+                coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
                 ahead = self._context.driven_link(rows[e.name]).separation(coupling)
                 self.twists[e.name] = -ahead, -derivative(self.prepared.time, ahead)
 
@@ -144,6 +144,8 @@ class Plant:
         sharp = np.ones(model.nv, bool)
         sharp[self.rows[turning == CREEPS]] = False
         model.dof_solref[sharp], model.dof_solimp[sharp, :2] = (2.0 * step, 1.0), 0.999
+        # Likewise of a link behind its coupling.
+        model.tendon_solref_fri, model.tendon_solimp_fri[:, :2] = (2.0 * step, 1.0), 0.999
         self.friction = model.dof_frictionloss.copy()
         # Bristles too stiff for the step to follow are as good as sharp.
         stiff = self.friction[self.rows] * step**2 > STIFFEST * turning * self._inertia()

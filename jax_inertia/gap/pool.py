@@ -185,7 +185,18 @@ class Pool:
         shapes = self._heard(best.family, restarts)
         for c in self.best_at(shapes, best.family, best, left):
             best = max(best, self.between(c, left), key=lambda c: c.gain)
-        return best
+        return self._plain(best, left)
+
+    def _plain(self, best: Candidate, left: Beside) -> Candidate:
+        """A refined candidate as the model has it, where what it says beyond that is hardly told."""
+        entry, family = self._entry_of(best), best.family
+        if entry is None or family.plain(best.shape):
+            return best
+        enough = best.gain - family.set_apart * best.noise(left.loudness)
+        plain = ([c for c in fits if family.plain(c.shape)] for fits in self._ranked(entry, left))
+        found = [self.between(fits[0], left) for fits in plain if fits]
+        near = [c for c in found if c.gain > enough]
+        return max(near, key=lambda c: c.gain, default=best)
 
     def between(self, candidate: Candidate, left: Beside) -> Candidate:
         """The candidate with its shape between the grid points about it."""

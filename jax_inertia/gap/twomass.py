@@ -15,6 +15,10 @@ What the coupling carried is known from the motor's side as well, s = n − y = 
     M_jj δ̈ + ... + f(δ, δ̇) + D₀ (δ̇ − ṡ/K) = n(t),    D₀ = 2 ζ₀ √(K mean M_jj)
 
 which the true path obeys as well, but for the coupling's own loss, and in which errors decay.
+
+A model has one friction per joint. Of a geared motor it sits on the motor, of bearings and seals behind the coupling on
+the link. There it takes part in n and s, and follows the link's velocity θ̇ − δ̇: while the teeth part it may hold the
+link, whatever the motor does.
 """
 
 import dataclasses
@@ -37,8 +41,23 @@ OBSERVED = 0.3
 LEANS = 0.03
 
 
-Coupling = tuple[float, float, float, float]
-"""(K [N m/rad], damping ratio ζ, dead zone b [rad], s): D = 2 ζ √(K mean M_jj), the path begins at s b/2."""
+Coupling = tuple[float, float, float, float, float]
+"""(K [N m/rad], damping ratio ζ, dead zone b [rad], s, h): D = 2 ζ √(K mean M_jj), the path begins at s b/2.
+
+h: one where the joint's own friction is the link's, zero where it is the motor's.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnFriction:
+    """A joint's friction as the model has it, which may be the motor's or the link's."""
+
+    speed: Float[np.ndarray, " T"]
+    """θ̇."""
+    viscous: float
+    dry: float
+    carried: Float[np.ndarray, " T"]
+    """s where it is the link's [N m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +72,8 @@ class DrivenLink:
     inertia: Float[np.ndarray, " T"]
     damping: Float[np.ndarray, " T"]
     stiffness: Float[np.ndarray, " T"]
-    """The link's own: M_jj, (∂ID/∂v)_jj and (∂ID/∂q)_jj."""
+    """The link's own: M_jj, (∂ID/∂v)_jj and (∂ID/∂q)_jj, like `needed` and `carried` without the joint's friction."""
+    friction: OwnFriction | None = None
     _paths: dict[Coupling, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
@@ -72,7 +92,12 @@ class DrivenLink:
         Where the log begins with torque on the teeth that says on which side they lie, whatever s is.
         """
         self.separate([coupling])
-        return self._paths[coupling]
+        return self._paths[coupling][:, 0]
+
+    def rubbing(self, coupling: Coupling) -> Float[np.ndarray, " T"]:
+        """Torque of dry friction on the link along that path; zero where friction is the motor's."""
+        self.separate([coupling])
+        return self._paths[coupling][:, 1]
 
     def separate(self, couplings: list[Coupling]) -> None:
         """`separation` of many couplings at once; every later call finds them.
@@ -87,45 +112,64 @@ class DrivenLink:
         if self.leans:
             values[:, 3] = self.leans
         period = float(self.time[1] - self.time[0])
-        rate = derivative(self.time, self.carried)
-        signals = np.stack([self.needed, rate, self.inertia, self.damping, self.stiffness])
-        # As an array: a number would be compiled in, and every log has another.
-        first = jnp.asarray(self.carried[0])
+        still = np.zeros_like(self.needed)
+        own = self.friction or OwnFriction(still, 0.0, 0.0, self.carried)
+        signals = [self.needed, self.inertia, self.damping, self.stiffness, own.speed]
+        carried = np.stack([self.carried, own.carried])
+        rates = [derivative(self.time, s) for s in carried]
+        # As arrays: a number would be compiled in, and every log has another.
+        numbers = (jnp.array([own.viscous, own.dry]), jnp.asarray(carried[:, 0]))
         substeps = max(1, math.ceil(period / STEP))
-        paths = _separation(jnp.asarray(signals), jnp.asarray(values), first, period, substeps)
+        paths = _separation(
+            jnp.asarray(np.stack([*signals, *rates])),
+            jnp.asarray(values),
+            numbers,
+            period,
+            substeps,
+        )
         self._paths.update(zip(new, np.asarray(paths), strict=True))
 
 
 @eqx.filter_jit
 def _separation(
-    signals: Array, coupling: Array, first: Array, period: float, substeps: int
+    signals: Array, coupling: Array, numbers: tuple[Array, Array], period: float, substeps: int
 ) -> Array:
-    k, ratio, gap, side = coupling.T
-    critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[2]))
+    k, ratio, gap, side, on_link = coupling.T
+    (viscous, dry), first = on_link * numbers[0][:, None], numbers[1]
+    critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[1]))
     d, drawn = ratio * critical, OBSERVED * critical
     half, h = 0.5 * gap, period / substeps
 
+    def of_side(motor, link):
+        return motor + on_link * (link - motor)
+
     def substep(state, x):
-        delta, rate = state
-        n, ds, m, c, kq = x
+        delta, rate, _ = state
+        n, m, c, kq, speed, *ds = x
         tooth = jnp.sign(delta)
         force = k * (delta - tooth * half) + d * rate
         touching = (half == 0.0) | ((jnp.abs(delta) > half) & (force * tooth >= 0.0))
-        kt, ct = jnp.where(touching, k, 0.0) + kq, jnp.where(touching, d + drawn, 0.0) + c
-        push = n + jnp.where(touching, k * tooth * half + drawn * ds / k, 0.0)
+        kt = jnp.where(touching, k, 0.0) + kq
+        ct = jnp.where(touching, d + drawn, 0.0) + c + viscous
+        pull = jnp.where(touching, k * tooth * half + drawn * of_side(*ds) / k, 0.0)
         left = m / h + 0.5 * ct + 0.25 * kt * h
-        new = (push + rate * (m / h - 0.5 * ct - 0.25 * kt * h) - kt * delta) / left
-        return (delta + 0.5 * h * (rate + new), new), None
+        free = n + viscous * speed + pull + rate * (m / h - 0.5 * ct - 0.25 * kt * h) - kt * delta
+        # What would hold the link still, as far as dry friction reaches.
+        rub = jnp.clip(left * speed - free, -dry, dry)
+        new = (free + rub) / left
+        return (delta + 0.5 * h * (rate + new), new, rub), None
 
     def sample(state, x):
         before, after = x
         weights = (jnp.arange(substeps) + 0.5) / substeps
         inner = before + weights[:, None] * (after - before)
         state, _ = jax.lax.scan(substep, state, inner)
-        return state, state[0]
+        return state, (state[0], state[2])
 
     # A log may begin in the middle of a motion.
-    start = first / k + side * half
+    start = of_side(*first) / k + side * half
+    begun = (start, of_side(signals[5, 0], signals[6, 0]) / k, dry * jnp.sign(signals[4, 0]))
     pairs = (signals.T[:-1], signals.T[1:])
-    _, path = jax.lax.scan(sample, (start, signals[1, 0] / k), pairs)
-    return jnp.concatenate([start[None], path]).T
+    _, path = jax.lax.scan(sample, begun, pairs)
+    whole = [jnp.concatenate([a[None], b]) for a, b in zip((begun[0], begun[2]), path, strict=True)]
+    return jnp.stack(whole, axis=-1).swapaxes(0, 1)

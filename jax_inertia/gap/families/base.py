@@ -133,6 +133,10 @@ class Family(abc.ABC):
         """Frequency [Hz] up to which a shape counts, for families that may be judged in one of several, else 0."""
         return 0.0
 
+    def plain(self, shape: Shape) -> bool:
+        """Whether a shape leaves where the model has what it has; others are taken where they do better by far."""
+        return True
+
     free_shape: ClassVar[int | None] = None
     """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""
 

@@ -17,16 +17,21 @@ from jax_inertia.slopes import derivative
 
 
 def off_path(
-    context: Context, row: int, delta: Float[np.ndarray, "T k"], motor_side: bool = False
+    context: Context,
+    row: int,
+    delta: Float[np.ndarray, "T k"],
+    rotor: tuple[float, float] = (0.0, 0.0),
 ) -> Columns:
-    """What each error δ of a joint's logged path does to the missing torque."""
+    """What each error δ of a joint's logged path does to the missing torque.
+
+    `rotor`: inertia and damping that turn with what the encoder saw, so that they felt no error.
+    """
     dq, dv, da = context.sensitivity
     rate = derivative(context.time, delta)
     twice = derivative(context.time, rate)
     mass, drag = da[:, :, row].copy(), dv[:, :, row].copy()
-    if motor_side:
-        mass[:, row] -= context.armature[row]
-        drag[:, row] -= context.damping[row]
+    mass[:, row] -= rotor[0]
+    drag[:, row] -= rotor[1]
     return Columns(
         dq[:, :, row, None] * delta[:, None, :]
         + drag[:, :, None] * rate[:, None, :]
@@ -36,8 +41,6 @@ def off_path(
 
 class Encoder(Family):
     kind = "joint"
-    motor_side = False
-    """Whether the rotor turns with what the encoder saw, so that its inertia felt no error."""
     # What an encoder misreads does not depend on a load: what does is a joint that yields.
     changes = ("time", "position", "speed")
 
@@ -46,13 +49,12 @@ class Encoder(Family):
         """δ(t) for θ = 1 (T,)."""
 
     def columns(self, context, place, shape):
-        delta = self.path(context, place, shape)[:, None]
-        return off_path(context, place.index, delta, self.motor_side)
+        return off_path(context, place.index, self.path(context, place, shape)[:, None])
 
     def varying(self, context, place, shape, theta, factors):
         size = float(self.weights(context, place, theta)[0])
         delta = size * self.path(context, place, shape)[:, None] * factors
-        return off_path(context, place.index, delta, self.motor_side)
+        return off_path(context, place.index, delta)
 
 
 class EncoderOffset(Encoder):
@@ -101,10 +103,11 @@ class TwoMass(Encoder):
 
     The last shape is the frequency [Hz] up to which it counts: the motion's band, or all. Teeth rattle at other moments
     than computed, resonances ring by the encoder's own noise: then the computed effect is worse than none above the
-    motion's band. Which of the two is no number of the robot's, so what brings more decides.
+    motion's band. Which of the two is no number of the robot's, so what brings more decides. The last but one says
+    whether the joint's own friction, as the model has it, is the motor's or the link's.
     """
 
-    motor_side, whole = True, 0.2
+    whole = 0.2
     # Teeth rattle, resonances decay: not as computed.
     changes = ()
 
@@ -125,13 +128,28 @@ class TwoMass(Encoder):
         return shape[-1]
 
     def columns(self, context, place, shape):
-        every = super().columns(context, place, shape)
-        band = self.band(shape)
-        return every if band == ALL else Columns(context.below(band, every.values))
+        row, on_link, band = place.index, *shape[-2:]
+        rotor = context.armature[row], (1.0 - on_link) * context.damping[row]
+        every = off_path(context, row, self.path(context, place, shape)[:, None], rotor).values
+        if on_link:
+            rubbing = context.driven_link(row).rubbing(self.coupling(shape))
+            every[:, row, 0] += context.prepared.dry[:, row] - rubbing
+        return Columns(every if band == ALL else context.below(band, every))
 
     def around(self, context, place, shape):
-        *free, _ = super().around(context, place, shape)
-        return [*free, (shape[-1], shape[-1])]
+        free = super().around(context, place, shape)[:-2]
+        return [*free, *((x, x) for x in shape[-2:])]
+
+    def sides(self, context: Context, place: Place) -> tuple[float, ...]:
+        """Where the joint's own friction may be: zero on the motor, one on the link."""
+        return (0.0, 1.0) if context.rubs(place.index) else (0.0,)
+
+    def plain(self, shape):
+        return not shape[-2]
+
+    def where(self, shape: Shape) -> dict[str, Parameter]:
+        """That the joint's own friction is the link's, where it is."""
+        return {"friction_on_link": Parameter(1.0, "1")} if shape[-2] else {}
 
     def stiffnesses(self, context: Context, place: Place, n: int) -> np.ndarray:
         """From 0.12 rad at the joint's peak torque, as a series-elastic drive has it, to 0.0003 rad."""
@@ -151,17 +169,18 @@ class JointElasticity(TwoMass):
 
     def grid(self, context, place):
         dampings = (0.01, 0.03, 0.08, 0.25)
-        return (self.stiffnesses(context, place, 31), dampings, (context.slow_band, ALL))
+        bands = (context.slow_band, ALL)
+        return (self.stiffnesses(context, place, 31), dampings, self.sides(context, place), bands)
 
     def first(self, context, place):
-        stiffness, damping, bands = self.grid(context, place)
-        return itertools.product(stiffness[1::3], damping[1::2], bands)
+        stiffness, damping, sides, bands = self.grid(context, place)
+        return itertools.product(stiffness[1::3], damping[1::2], sides[:1], bands)
 
     def coupling(self, shape):
-        return shape[0], shape[1], 0.0, 0.0
+        return shape[0], shape[1], 0.0, 0.0, shape[2]
 
     def parameters(self, context, place, shape, theta):
-        return {"stiffness": Parameter(shape[0], "N m/rad")}
+        return {"stiffness": Parameter(shape[0], "N m/rad"), **self.where(shape)}
 
 
 class Backlash(TwoMass):
@@ -174,7 +193,8 @@ class Backlash(TwoMass):
         gaps = np.geomspace(2e-4, 0.05, 13)
         bands = (context.slow_band, ALL)
         # Stiffnesses so close that between two of them the effect is not larger or smaller than `whole` allows.
-        return (gaps, self.stiffnesses(context, place, 19), (0.15,), (0.0,), bands)
+        sides = self.sides(context, place)
+        return (gaps, self.stiffnesses(context, place, 19), (0.15,), (0.0,), sides, bands)
 
     def first(self, context, place):
         gap, stiffness, *others = self.grid(context, place)
@@ -189,14 +209,15 @@ class Backlash(TwoMass):
     def restarts(self, context, place, shape):
         if context.driven_link(place.index).leans:
             return ()
-        _, stiffness, *_, bands = self.grid(context, place)
-        return itertools.product(shape[:1], stiffness[::2], shape[2:3], (-1.0, 1.0), bands)
+        _, stiffness, *_, sides, bands = self.grid(context, place)
+        return itertools.product(shape[:1], stiffness[::2], shape[2:3], (-1.0, 1.0), sides, bands)
 
     def coupling(self, shape):
-        return shape[1], shape[2], shape[0], shape[3]
+        return shape[1], shape[2], shape[0], shape[3], shape[4]
 
     def parameters(self, context, place, shape, theta):
         return {
             "dead_zone": Parameter(shape[0], "rad"),
             "stiffness": Parameter(shape[1], "N m/rad"),
+            **self.where(shape),
         }
