@@ -12,7 +12,7 @@ from mujoco import mjx
 import jax_inertia as ji
 from jax_inertia.gap.callbacks import HANDLED, Callback, callback, law, mjx_callback
 from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.edits import DEFLECTION
+from jax_inertia.gap.couplings import DEFLECTION
 from jax_inertia.gap.effect import Effect, effects_in
 
 ARM = """

@@ -9,51 +9,26 @@ import mujoco
 import numpy as np
 
 from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia.gap.couplings import backlash, elasticity
 from jax_inertia.gap.effect import Effect
+from jax_inertia.gap.spec_joints import joint_of, set_first, unit_of
 from jax_inertia.mjcf import body_pi, set_inertials
 
 SOFT = 1e-6
 """Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
-DEFLECTION = "_deflection"
-"""Added to a joint's name for the hinge between motor and link."""
-FRICTION = "_friction"
-"""Added to a joint's name for the tendon by which its friction acts on the link."""
-DAMPING_RATIO = 0.06
-"""Of a coupling between motor and link, of the link alone: a log says little of it."""
-
-
-def _joint(spec: MjSpec, effect: Effect):
-    joint = spec.joint(effect.name)
-    if joint is None:
-        names = ", ".join(j.name for j in spec.joints)
-        raise ValueError(f"the model has no joint {effect.name!r}; it has: {names}")
-    return joint
-
-
-def _unit(spec: MjSpec, joint) -> float:
-    """Radians in the unit of a joint's positions in the spec; 1 for metres."""
-    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-    return float(np.deg2rad(1.0)) if spec.compiler.degree and hinge else 1.0
-
-
-def _set_first(vector, value: float) -> np.ndarray:
-    """A polynomial's linear coefficient set, its others kept."""
-    out = np.array(vector, float)
-    out[0] = value
-    return out
 
 
 def _damping(number: str, *, whole: bool):
     def edit(spec, model, effect: Effect) -> tuple[bool, str]:
-        joint = _joint(spec, effect)
-        joint.damping = _set_first(joint.damping, joint.damping[0] + effect.values[number])
+        joint = joint_of(spec, effect)
+        joint.damping = set_first(joint.damping, joint.damping[0] + effect.values[number])
         return whole, ""
 
     return edit
 
 
 def _coulomb(spec, model, effect: Effect) -> tuple[bool, str]:
-    joint = _joint(spec, effect)
+    joint = joint_of(spec, effect)
     joint.frictionloss = max(joint.frictionloss + effect.values["coulomb"], 0.0)
     return True, ""
 
@@ -67,26 +42,26 @@ def _dry_law(spec, model, effect: Effect) -> tuple[bool, str]:
 def _asymmetric(spec, model, effect: Effect) -> tuple[bool, str]:
     """F⁺ and F⁻ are their mean as friction, and half their difference as a constant torque."""
     plus, minus = effect.values["positive"], effect.values["negative"]
-    joint = _joint(spec, effect)
+    joint = joint_of(spec, effect)
     joint.frictionloss = max(joint.frictionloss + 0.5 * (plus + minus), 0.0)
     _wind(spec, joint, 0.0, 0.0, -0.5 * (plus - minus))
     return True, ""
 
 
 def _armature(spec, model, effect: Effect) -> tuple[bool, str]:
-    joint = _joint(spec, effect)
+    joint = joint_of(spec, effect)
     joint.armature = max(joint.armature + effect.values["armature"], 0.0)
     return True, ""
 
 
 def _spring(spec, model, effect: Effect) -> tuple[bool, str]:
     values = effect.values
-    _wind(spec, _joint(spec, effect), values["stiffness"], values["rest_angle"], 0.0)
+    _wind(spec, joint_of(spec, effect), values["stiffness"], values["rest_angle"], 0.0)
     return True, ""
 
 
 def _bias(spec, model, effect: Effect) -> tuple[bool, str]:
-    _wind(spec, _joint(spec, effect), 0.0, 0.0, effect.values["bias"])
+    _wind(spec, joint_of(spec, effect), 0.0, 0.0, effect.values["bias"])
     return True, ""
 
 
@@ -94,17 +69,17 @@ def _wind(spec, joint, stiffness: float, rest: float, torque: float) -> None:
     """Add −k (q − rest) + torque to a joint's spring."""
     own = float(joint.stiffness[0])
     total = own + stiffness
-    moment = own * _unit(spec, joint) * joint.springref + stiffness * rest + torque
+    moment = own * unit_of(spec, joint) * joint.springref + stiffness * rest + torque
     if abs(total) < SOFT:
         total = SOFT
-    joint.stiffness = _set_first(joint.stiffness, total)
-    joint.springref = moment / total / _unit(spec, joint)
+    joint.stiffness = set_first(joint.stiffness, total)
+    joint.springref = moment / total / unit_of(spec, joint)
 
 
 def _encoder_offset(spec, model, effect: Effect) -> tuple[bool, str]:
     """q_logged = q + o: the position that the model calls its reference moves by o, and so do spring and range."""
-    joint = _joint(spec, effect)
-    offset = effect.values["offset"] / _unit(spec, joint)
+    joint = joint_of(spec, effect)
+    offset = effect.values["offset"] / unit_of(spec, joint)
     joint.ref += offset
     joint.springref += offset
     joint.range = np.asarray(joint.range) + offset
@@ -193,7 +168,7 @@ def _gain(spec, model, effect: Effect) -> tuple[bool, str]:
 
 
 def _saturation(spec, model, effect: Effect) -> tuple[bool, str]:
-    joint = _joint(spec, effect)
+    joint = joint_of(spec, effect)
     joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
     joint.actfrcrange = np.array([-1.0, 1.0]) * effect.values["limit"]
     return False, ""
@@ -211,93 +186,6 @@ def _actuators(spec: MjSpec, effect: Effect) -> list:
     """Actuators on the effect's joint, or on every joint."""
     on_joint = [a for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
     return [a for a in on_joint if effect.kind == "global" or a.target == effect.name]
-
-
-def _elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
-    stiffness = effect.values["stiffness"]
-    hinge, link = _between(spec, model, effect)
-    if hinge is None:
-        return False, _CROWDED.format(effect.name)
-    hinge.stiffness = _set_first(hinge.stiffness, stiffness)
-    hinge.damping = _set_first(hinge.damping, 2 * DAMPING_RATIO * np.sqrt(stiffness * link))
-    return True, _two(effect)
-
-
-def _backlash(spec, model, effect: Effect) -> tuple[bool, str]:
-    """The dead zone as a range whose limit is a spring.
-
-    With a direct `solref` and an impedance d → 0, MuJoCo's limit is a₁ = a₀ − K' r − B' ṙ, a spring of K' over the
-    inverse inertia A that the limit meets (Computation, *Constraint model*).
-    """
-    stiffness, half = effect.values["stiffness"], 0.5 * effect.values["dead_zone"]
-    hinge, link = _between(spec, model, effect)
-    if hinge is None:
-        return False, _CROWDED.format(effect.name)
-    whole = spec.compile()
-    inverse = whole.dof_invweight0[whole.joint(hinge.name).dofadr[0]]
-    hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    hinge.range = np.array([-1.0, 1.0]) * half / _unit(spec, hinge)
-    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * link)
-    hinge.solref_limit = [-stiffness * inverse, -damping * inverse]
-    hinge.solimp_limit = [1e-4, 1e-4, 1e-3, 0.5, 2]
-    return True, _two(effect)
-
-
-def _two(effect: Effect) -> str:
-    """How a joint in two parts is to be read."""
-    joint = effect.name
-    text = (
-        f"joint {joint!r} is its motor's side, where the encoder is; {joint}{DEFLECTION} is between motor and link, at "
-        "zero where nothing is transmitted"
-    )
-    if effect.values.get("friction_on_link"):
-        text += f"; friction acts on the link, by the tendon {joint}{FRICTION}"
-    return text
-
-
-_CROWDED = (
-    "joint {0!r} is followed by another on the same body: its coupling is not in corrected.xml"
-)
-
-
-def _between(spec: MjSpec, model: MjModel, effect: Effect):
-    """A second hinge in line with the joint, and the link's inertia about it; (None, 0) where there is no room."""
-    joint = _joint(spec, effect)
-    body = joint.parent
-    if body.joints[-1].name != joint.name:
-        return None, 0.0
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dof = model.joint(effect.name).dofadr[0]
-    data.qvel[:], data.qacc[:] = 0.0, 0.0
-    still, moved = np.zeros(model.nv), np.zeros(model.nv)
-    mujoco.mj_rne(model, data, 1, still)
-    data.qacc[dof] = 1.0
-    mujoco.mj_rne(model, data, 1, moved)
-    # mj_rne knows no armature: this is the link alone.
-    link = max(float(moved[dof] - still[dof]), 1e-6)
-    if joint.armature <= 0:
-        # A motor without inertia behind a spring has no equation of motion.
-        joint.armature = 0.05 * link
-    hinge = body.add_joint(
-        name=f"{effect.name}{DEFLECTION}", type=joint.type, axis=joint.axis, pos=joint.pos
-    )
-    # What its default class may give to other joints.
-    hinge.armature, hinge.frictionloss, hinge.ref, hinge.springref = 0.0, 0.0, 0.0, 0.0
-    hinge.damping, hinge.stiffness = np.zeros(3), np.zeros(3)
-    hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-    if effect.values.get("friction_on_link"):
-        _to_link(spec, joint, hinge)
-    return hinge, link
-
-
-def _to_link(spec: MjSpec, joint, hinge) -> None:
-    """A joint's friction from its motor to its link, which turns by the sum of both: a tendon along the two."""
-    tendon = spec.add_tendon(name=f"{joint.name}{FRICTION}")
-    for side in (joint, hinge):
-        tendon.wrap_joint(side.name, 1.0)
-    tendon.damping, tendon.frictionloss = joint.damping, joint.frictionloss
-    joint.damping, joint.frictionloss = np.zeros(3), 0.0
 
 
 EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {
@@ -319,6 +207,6 @@ EDITS: dict[str, Callable[[MjSpec, MjModel, Effect], tuple[bool, str]]] = {
     "payload": _inertial(_payload),
     "com_shift": _inertial(_com_shift),
     "link_inertia": _inertial(_link_inertia),
-    "joint_elasticity": _elasticity,
-    "backlash": _backlash,
+    "joint_elasticity": elasticity,
+    "backlash": backlash,
 }

@@ -12,7 +12,7 @@ from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.callbacks import Callback, law
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.edits import DAMPING_RATIO, DEFLECTION
+from jax_inertia.gap.couplings import DAMPING_RATIO, DEFLECTION
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.turning import CREEPS

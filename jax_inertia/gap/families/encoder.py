@@ -107,7 +107,7 @@ class TwoMass(Encoder):
     whether the joint's own friction, as the model has it, is the motor's or the link's.
     """
 
-    whole = 0.2
+    whole, law_of = 0.2, "coupling"
     # Teeth rattle, resonances decay: not as computed.
     changes = ()
 
