@@ -151,6 +151,22 @@ def test_a_two_mass_joint_settles_at_its_twist():
             assert part.transmitted(0.51 * zone, -100.0) == 0.0
 
 
+def test_friction_of_a_two_mass_joint_is_the_motors_or_the_links():
+    machine = MACHINES["six"](np.random.default_rng(3))
+    which = machine.of_joint(machine.joints[1])
+    link = machine.links[which]
+    assert link.damping > 0
+    for at_link in (False, True):
+        part = TwoMass(1, 200.0, 0.3, rubs_at_link=at_link)
+        left = part.edit(machine).links[which]
+        assert (left.damping + part.damping, left.friction + part.friction) == (
+            link.damping,
+            link.friction,
+        )
+        assert (part.damping == 0.0) == at_link
+        assert (left.armature, part.armature) == (0.0, link.armature)
+
+
 @pytest.mark.parametrize(("robot", "engine"), [("two", "mujoco"), ("seven", "pinocchio")])
 def test_a_log_without_a_gap_is_at_the_noise_under_mujoco(robot, engine, tmp_path):
     """Residual of MuJoCo's inverse dynamics with the nominal model, from the written files, against the sensors."""

@@ -260,17 +260,20 @@ def _encoder_scale(s: Scene) -> Hidden:
 def _joint_elasticity(s: Scene) -> Hidden:
     k, name, top = s.joint()
     stiffness, harder = top / s.size(0.01, 0.05), float(s.rng.choice([0.0, 200.0]))
-    part = me.TwoMass(k, stiffness, 0.05, harder, 0.0, s.presliding())
+    at_link = bool(s.rng.random() < 0.5)
+    part = me.TwoMass(k, stiffness, 0.05, harder, 0.0, s.presliding(), at_link)
     numbers = {"stiffness": (stiffness, "N m/rad")}
-    return Hidden("joint_elasticity", "joint", name, numbers, [part], details={"hardening": harder})
+    details = {"hardening": harder, "rubs_at_link": at_link}
+    return Hidden("joint_elasticity", "joint", name, numbers, [part], details=details)
 
 
 def _backlash(s: Scene) -> Hidden:
     k, name, top = s.joint()
     zone, stiffness = s.size(0.1, 2.0) * DEGREE, top / s.between(0.002, 0.008)
-    part = me.TwoMass(k, stiffness, 0.25, 0.0, zone, s.presliding())
+    at_link = bool(s.rng.random() < 0.5)
+    part = me.TwoMass(k, stiffness, 0.25, 0.0, zone, s.presliding(), at_link)
     numbers = {"dead_zone": (zone, "rad"), "stiffness": (stiffness, "N m/rad")}
-    return Hidden("backlash", "joint", name, numbers, [part])
+    return Hidden("backlash", "joint", name, numbers, [part], details={"rubs_at_link": at_link})
 
 
 def _drive(s: Scene) -> tuple[str, str, slice]:

@@ -203,17 +203,24 @@ class TwoMass(Part):
     """A motor behind a spring, with play if `dead_zone`: J θ̈ = u − d θ̇ − friction − s, the link feels s.
 
     s = K g (1 + h g²) + c ġ over the gap g = θ − q outside the play, never pulling inside it. Nominal armature,
-    damping and friction of the joint move to the motor, and so does the encoder.
+    damping and friction of the joint move to the motor, and so does the encoder; with `rubs_at_link`, damping and
+    friction stay: those of bearings and seals behind the gear.
     """
 
-    def __init__(self, k, stiffness, ratio, hardening=0.0, dead_zone=0.0, presliding=3e-4):
+    def __init__(
+        self, k, stiffness, ratio, hardening=0.0, dead_zone=0.0, presliding=3e-4, rubs_at_link=False
+    ):
         self.k, self.stiffness, self.ratio = k, stiffness, ratio
         self.hardening, self.half, self.presliding = hardening, 0.5 * dead_zone, presliding
+        self.rubs_at_link = rubs_at_link
 
     def edit(self, machine):
         which = machine.of_joint(machine.joints[self.k])
         link = machine.links[which]
-        self.armature, self.damping, self.friction = link.armature, link.damping, link.friction
+        self.armature, self.damping, self.friction = link.armature, 0.0, 0.0
+        if self.rubs_at_link:
+            return machine.edited(which, armature=0.0)
+        self.damping, self.friction = link.damping, link.friction
         return machine.edited(which, armature=0.0, damping=0.0, friction=0.0)
 
     def bind(self, machine, inertia):
