@@ -96,7 +96,9 @@ class Whitening:
 
     def _along_and_across(self, x: np.ndarray, stage: int) -> np.ndarray:
         coefficients, triangles = self._stages[stage]
-        return triangles[self._which] @ _innovations(x, coefficients.T[:, :, None])
+        live = x.any(axis=(0, 2))
+        out = _innovations(x[:, live], coefficients.T[:, live, None])
+        return triangles[:, :, live][self._which] @ out
 
 
 def with_all_before(used: Bool[np.ndarray, "R nv"]) -> Bool[np.ndarray, "R nv"]:

@@ -26,17 +26,18 @@ def off_path(
 
     `rotor`: inertia and damping that turn with what the encoder saw, so that they felt no error.
     """
-    dq, dv, da = context.sensitivity
+    at = context.coupled(row)
+    dq, dv, da = (x[:, :, row][:, at, None] for x in context.sensitivity)
+    own = (at == row)[:, None]
     rate = derivative(context.time, delta)
     twice = derivative(context.time, rate)
-    mass, drag = da[:, :, row].copy(), dv[:, :, row].copy()
-    mass[:, row] -= rotor[0]
-    drag[:, row] -= rotor[1]
-    return Columns(
-        dq[:, :, row, None] * delta[:, None, :]
-        + drag[:, :, None] * rate[:, None, :]
-        + mass[:, :, None] * twice[:, None, :]
+    out = np.zeros((len(delta), context.robot.nv, delta.shape[1]))
+    out[:, at] = (
+        dq * delta[:, None]
+        + (dv - rotor[1] * own) * rate[:, None]
+        + (da - rotor[0] * own) * twice[:, None]
     )
+    return Columns(out)
 
 
 class Encoder(Family):
