@@ -83,7 +83,7 @@ class Prepared(eqx.Module):
         out = np.zeros((len(self.kept), wide.shape[1]))
         if live.any():
             out[:, live] = below(self.settings.after, wide[:, live], self.rate)[self.kept]
-        return out.reshape(-1, *x.shape[1:])
+        return out.reshape(len(out), *x.shape[1:])
 
     def finish_torque(
         self, x: Float[np.ndarray, "T *c"], row: int | None = None
