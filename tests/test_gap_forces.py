@@ -188,6 +188,18 @@ def test_a_push_does_not_excuse_another_cause_on_another_motion(robot, push_log)
     assert diagnose(robot, push_log, test_log=other).verdict is Verdict.UNKNOWN
 
 
+def test_a_body_that_is_pushed_twice_is_named_twice(robot):
+    """By two forces at two times: what is left of one that is found is no push on the next body."""
+    twice = (pushed(1.8, 2.0 * PULL), pushed(5.2, np.array([-3.0, 0.0, -5.0])))
+    found = diagnose(robot, simulate(force=lambda t: sum(push(t) for push in twice), seconds=8.0))
+    assert found.verdict is Verdict.EXPLAINED
+    assert [(f.family, f.place.name) for f in found.findings] == [("push", "lower")] * 2
+    forces = {round(f.parameters["start"].value): f.parameters for f in found.findings}
+    assert set(forces) == {2, 5}
+    assert forces[2]["force_x"].value == pytest.approx(8.0, rel=0.1)
+    assert forces[5]["force_x"].value == pytest.approx(-3.0, rel=0.2)
+
+
 def test_a_push_beside_a_load_is_no_error_of_the_loads_equation(robot):
     found = diagnose(
         robot, simulate(edit=loaded(3.0, (0.0, 0.05, -0.3)), force=pushed(3.0, 0.1 * PULL))

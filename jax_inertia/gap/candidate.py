@@ -74,9 +74,16 @@ class Candidate:
             return self.family.doubt
         return self.family.doubt + float(np.sum((self.family.tightness() * self.theta) ** 2))
 
+    def same_cause(self, other: "Candidate") -> bool:
+        """Whether it is the same family at the same place; of what passes, at times that overlap."""
+        if self.key != other.key or not self.family.passing:
+            return self.key == other.key
+        (start, stop, *_), (begins, ends, *_) = self.shape, other.shape
+        return bool(start < ends and begins < stop)
+
     def same_as(self, other: "Candidate") -> bool:
-        """Whether it is the same equation at the same place."""
-        return self.key == other.key and self.family is other.family
+        """Whether it is the same cause by the same equation."""
+        return self.same_cause(other) and self.family is other.family
 
     @property
     def effect(self) -> Float[np.ndarray, " n"]:

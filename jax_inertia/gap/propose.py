@@ -208,10 +208,13 @@ def others(
     pool: Pool, chosen: list[Candidate], columns: np.ndarray, target: np.ndarray
 ) -> list[Candidate]:
     """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
-    own = {c.key for c in chosen}
     laws = {(c.family.law_of, c.place) for c in chosen if c.family.law_of}
     every = pool.best(Beside.of(pool.evidence, columns, target))
-    return [c for c in every if c.key not in own and (c.family.law_of, c.place) not in laws]
+    return [
+        c
+        for c in every
+        if (c.family.law_of, c.place) not in laws and not any(c.same_cause(x) for x in chosen)
+    ]
 
 
 def loudness(pool: Pool, chosen: list[Candidate], floor: Rows) -> Loudness:

@@ -187,15 +187,14 @@ def material_by_row(pool: Pool, fewer: list[Candidate], more: list[Candidate]) -
     """
     unflatten = pool.evidence.unflatten
     before, after = (unflatten(remaining(pool, chosen)) ** 2 for chosen in (fewer, more))
-    keys, had = {c.key for c in more}, {c.key for c in fewer}
-    added = [c for c in more if c.key not in had]
+    added = [c for c in more if not any(c.same_cause(x) for x in fewer)]
     when = np.ones(len(before), bool)
     if added and all(c.family.passing for c in added):
         when = _lasts(np.sum([unflatten(c.effect) ** 2 for c in added], axis=0))
     drops = (before - after) * when[:, None]
     drop = np.sum(drops, axis=0)
     for c in fewer:
-        if c.key in keys:
+        if any(c.same_cause(x) for x in more):
             energy = unflatten(c.effect) ** 2
             there = slice(None) if c.family.kind == "joint" else when
             excused = c.family.form_error**2 * np.sum(energy[there], axis=0)
