@@ -75,11 +75,12 @@ class Candidate:
         return self.family.doubt + float(np.sum((self.family.tightness() * self.theta) ** 2))
 
     def same_cause(self, other: "Candidate") -> bool:
-        """Whether it is the same family at the same place; of what passes, at times that overlap."""
+        """Whether it is the same family at the same place; of what passes, with no pause as long as either between."""
         if self.key != other.key or not self.family.passing:
             return self.key == other.key
         (start, stop, *_), (begins, ends, *_) = self.shape, other.shape
-        return bool(start < ends and begins < stop)
+        pause = max(begins - stop, start - ends)
+        return bool(pause < min(stop - start, ends - begins))
 
     def same_as(self, other: "Candidate") -> bool:
         """Whether it is the same cause by the same equation."""

@@ -68,10 +68,10 @@ def inconstant(pool: Pool, chosen: list[Candidate], noise: float) -> Inconstant 
 
 
 def crowded(chosen: list[Candidate]) -> tuple[Candidate, Candidate] | None:
-    """Two effects in passing at different bodies: likelier than two events is one cause that has no equation here."""
+    """Two effects in passing, at different bodies or without a pause: likelier is one cause, of no equation here."""
     passing = [c for c in chosen if c.family.passing]
     pairs = itertools.combinations(passing, 2)
-    return next(((a, b) for a, b in pairs if a.place != b.place), None)
+    return next(((a, b) for a, b in pairs if a.place != b.place or a.same_cause(b)), None)
 
 
 def _variations(pool: Pool, c: Candidate) -> Iterator[tuple[str, float, Float[np.ndarray, "n k"]]]:

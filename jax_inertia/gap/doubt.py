@@ -43,9 +43,11 @@ def better_than(
         allowed = sum(c.excuses(c.effect) for c in replaced)
         enough = STOP
         if replaced and replaced[0].family.passing:
-            # Any bump may be drawn by enough pushes: what they miss is excused as far as it is there. But what happens
-            # where a joint is, or by its speed, and would be drawn by one seldom is: fewer numbers speak for it.
-            allowed = min(allowed, max(now - noise, 0.0))
+            # Any bump may be drawn by enough pushes: what one misses is excused as far as it is there. But what happens
+            # where a joint is, or by its speed, and would be drawn by one seldom is: fewer numbers speak for it. Where
+            # it draws several, it need do so no better than a push's equation is good: events seldom recur as one law.
+            several = len(replaced) > 1 and all(c.family.passing for c in replaced)
+            allowed = -allowed if several else min(allowed, max(now - noise, 0.0))
             enough = SWAPS + 2 * np.log(len(others))
         for o in others:
             columns = o.columns if replaced else o.beyond

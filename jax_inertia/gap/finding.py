@@ -38,9 +38,11 @@ class Finding:
 
     @property
     def sizes(self) -> tuple[str, ...]:
-        """Every parameter with its 95 % interval."""
+        """Every parameter with its 95 % interval; one that only says where something is has none."""
         return tuple(
             f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
+            if p.low < p.high
+            else f"{name} {p.value:.4g}"
             for name, p in self.parameters.items()
         )
 
