@@ -32,6 +32,11 @@ def require(name: str, value: Any, test: Callable[[np.ndarray], Any], wanted: st
         raise ValueError(f"{name} is {numbers}; it must be {wanted}")
 
 
+def is_positive(x: np.ndarray) -> np.ndarray | np.bool_:
+    """Where numbers are positive and finite."""
+    return np.isfinite(x) & (x > 0)
+
+
 def floats_as(tree: Any, dtype: jnp.dtype) -> Any:
     """The same with floating-point arrays of one type."""
     return jax.tree.map(

@@ -120,9 +120,7 @@ def _check_sigma(array: str, value: np.ndarray) -> None:
 
 
 def check_time(time: np.ndarray) -> None:
-    """Raise `LogError` naming the first stamp that is no second, or does not come after the one
-    before.
-    """
+    """Raise `LogError` naming the first stamp that is no second, or does not come after the one before."""
     if time.ndim != 1 or time.size < 2:
         raise LogError(f"time has shape {time.shape}; expected (T,) with at least two samples")
     # The bound leaves room for Unix time in seconds and none for milliseconds or less.

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia import charts
-from jax_inertia._arguments import known, require
+from jax_inertia._arguments import is_positive, known, require
 from jax_inertia.gates import ChiSquaredGate, Gate
 from jax_inertia.noise import Noise
 from jax_inertia.priors import Uncertainty
@@ -49,7 +49,7 @@ def require_noise(noise: Noise, robot: Robot) -> None:
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
         raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
     sizes = jnp.sqrt(noise.variances())
-    require("sigma of the noise", sizes, lambda x: np.isfinite(x) & (x > 0), "positive in all rows")
+    require("sigma of the noise", sizes, is_positive, "positive in all rows")
 
 
 def covariance(

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia import _batch_solve, charts
-from jax_inertia._arguments import require
+from jax_inertia._arguments import is_positive, require
 from jax_inertia._batch_rows import TERMS, Rows, correlation_inflation, rows_of
 from jax_inertia._readable import line, table
 from jax_inertia.differences import Observation
@@ -240,7 +240,7 @@ def _pose(
     if carried is not None:
         (carrier,) = resolve_bodies(robot, [carried.body])
         carrying, load_sigma = carried.logs, np.asarray(carried.prior.sigma_pi())
-        require("sigma_pi of the load carried", load_sigma, _is_size, "positive and finite")
+        require("sigma_pi of the load carried", load_sigma, is_positive, "positive and finite")
         if not carrying or not set(carrying) <= set(range(len(observations))):
             raise ValueError(
                 f"logs {list(carrying)} carry the load; expected some of 0 to {len(observations) - 1}"
@@ -271,10 +271,6 @@ def _terms_sigma(
     sigma[:, :3] = np.maximum(sigma[:, :3], _own_terms(robot))
     wanted = np.array([t in joint_terms for t in JOINT_TERMS])
     return np.where(wanted & robot.topology.dof_scalar[:, None] & (size > 0), sigma, 0.0)
-
-
-def _is_size(x: np.ndarray) -> np.ndarray:
-    return np.isfinite(x) & (x > 0)
 
 
 def _own_terms(robot: Robot) -> np.ndarray:
@@ -357,15 +353,13 @@ def _calibrated(
     robot: Robot, chosen: tuple[int, ...], problem: _batch_solve.Problem, z: jax.Array
 ) -> Calibrated:
     unknowns = _batch_solve.unpack(problem, z)
-    # Not `with_pi`: a chart may reach negative masses (`Linear`), and what was found is to be seen.
-    pi = robot.pi.at[np.array(chosen)].set(problem.chart.to_pi(unknowns.x.reshape(-1, 10)))
+    # A chart may reach negative masses (`Linear`), and what was found is to be seen.
+    fitted = robot.believed(chosen, problem.chart.to_pi(unknowns.x.reshape(-1, 10)))
     # The fit itself keeps totals above zero; a draw from its Gaussian may not.
     total = jnp.maximum(jnp.asarray(_own_terms(robot)) + unknowns.terms[:, :3], 0.0)
     damping, friction, armature = total.T
     fitted = eqx.tree_at(
-        lambda r: (r.pi, r.damping, r.frictionloss, r.armature),
-        robot,
-        (pi, damping, friction, armature),
+        lambda r: (r.damping, r.frictionloss, r.armature), fitted, (damping, friction, armature)
     )
     return Calibrated(fitted, np.asarray(unknowns.gains), np.asarray(unknowns.terms[:, 3]))
 

@@ -6,7 +6,7 @@ runs with the batch as the last axis (see `_batch_last`). The paper's condensed 
 `condensed_dynamics`: one forward pass shared by the regressor of the chosen bodies and the torque of all the others.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -203,7 +203,7 @@ def contact_torque(
     Array([-10.,   0.], dtype=float64)
     """
     (q,) = _sample(robot, q=q)
-    chosen = _indices(robot, bodies)
+    chosen = robot.body_indices(bodies, distinct=False)
     wrenches = last_axes("wrenches", wrenches, (len(chosen), 6), f"one for each of {list(bodies)}")
     kin = forward_kinematics(robot, q)
     torques = [
@@ -223,19 +223,7 @@ def resolve_bodies(robot: Robot, bodies: Sequence[int | str] | None) -> tuple[in
     """
     if bodies is None:
         return tuple(range(robot.nb))
-    out = _indices(robot, bodies)
-    if len(set(out)) != len(out):
-        raise ValueError(f"a body is named twice in {list(bodies)}")
-    return out
-
-
-def _indices(robot: Robot, bodies: Sequence[int | str]) -> tuple[int, ...]:
-    """Of names or indices, each as often as it is named."""
-    if isinstance(bodies, str):
-        bodies = [bodies]
-    if not isinstance(bodies, Iterable):
-        raise ValueError(f"bodies is {bodies!r}; give names or indices, in a list")
-    return tuple(robot.body_index(body) for body in bodies)
+    return robot.body_indices(bodies)
 
 
 def _sample(robot: Robot, **channels: Any) -> tuple[Array, ...]:

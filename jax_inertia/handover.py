@@ -7,10 +7,9 @@ Physical bodies form a convex cone, so a common step along the segment from one 
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from jax_inertia._arguments import require
+from jax_inertia._arguments import is_positive, require
 
 
 class Slew(eqx.Module):
@@ -25,7 +24,7 @@ class Slew(eqx.Module):
 
     def __check_init__(self) -> None:
         for name, value in vars(self).items():
-            require(name, value, lambda x: np.isfinite(x) & (x > 0), "positive and finite")
+            require(name, value, is_positive, "positive and finite")
 
     def step(
         self,

@@ -9,7 +9,6 @@ friction. What is left is Y^est π^est + noise (eq. measurement).
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia import dynamics
@@ -62,9 +61,7 @@ def agreed_residual(
     [N m, N] is all that does not come from v̇.
     """
     measured, delta = torque_residual(robot, observation, bodies, bias)
-    # Not `with_pi`: in a chart that reaches them, a belief's mass may be negative.
-    believed = eqx.tree_at(lambda r: r.pi, robot, robot.pi.at[np.array(bodies)].set(pi))
-    inertia = dynamics.mass_matrix(believed, jnp.asarray(observation.motion.q))
+    inertia = dynamics.mass_matrix(robot.believed(bodies, pi), jnp.asarray(observation.motion.q))
     spread = inertia * sigma_a**2
     of_all = noise.plus(spread @ inertia.T)
     flat = measured.reshape(len(delta), -1)

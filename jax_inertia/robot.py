@@ -6,7 +6,7 @@ last node. `kinematics` walks over it.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -205,6 +205,22 @@ class Robot(eqx.Module):
             raise ValueError(f"body index {body} is out of range: the model has {self.nb} bodies")
         return int(body)
 
+    def body_indices(
+        self, bodies: Sequence[int | str], *, distinct: bool = True
+    ) -> tuple[int, ...]:
+        """`body_index` of several, or of one name alone.
+
+        Raises ValueError for what is no list, a body that is not there, and, if they are to be `distinct`, one named
+        twice.
+        """
+        bodies = [bodies] if isinstance(bodies, str) else bodies
+        if not isinstance(bodies, Iterable):
+            raise ValueError(f"bodies is {bodies!r}; give names or indices, in a list")
+        out = tuple(self.body_index(body) for body in bodies)
+        if distinct and len(set(out)) < len(out):
+            raise ValueError(f"a body is named twice in {list(bodies)}")
+        return out
+
     def joint_index(self, name: str) -> int:
         """Index of a joint by name; ValueError lists the names where there is no such joint."""
         return _index(name, self.joint_names, "joint")
@@ -215,9 +231,7 @@ class Robot(eqx.Module):
         Raises ValueError for a body that the robot does not have, one named twice, parameters that are not 10 numbers
         each, and a negative mass.
         """
-        chosen = [self.body_index(b) for b in ([bodies] if isinstance(bodies, str) else bodies)]
-        if len(set(chosen)) < len(chosen):
-            raise ValueError(f"a body is named twice in {list(bodies)}")
+        chosen = self.body_indices(bodies)
         if jnp.shape(pi) != (len(chosen), 10):
             raise ValueError(
                 f"pi has shape {jnp.shape(pi)}; expected ({len(chosen)}, 10), a row for each body"
@@ -227,7 +241,11 @@ class Robot(eqx.Module):
             row = int(np.argmax(masses < 0))
             name = self.body_names[chosen[row]]
             raise ValueError(f"body {name!r}: mass {masses[row]:.4g} kg; it cannot be negative")
-        return eqx.tree_at(lambda r: r.pi, self, self.pi.at[np.array(chosen, int)].set(pi))
+        return self.believed(chosen, pi)
+
+    def believed(self, bodies: tuple[int, ...], pi: Float[Array, "n 10"]) -> "Robot":
+        """`with_pi` by index, unchecked: in a chart that reaches them, a belief's mass may be negative."""
+        return eqx.tree_at(lambda r: r.pi, self, self.pi.at[np.array(bodies, int)].set(pi))
 
     def astype(self, dtype: str | type[Any] | np.dtype[Any]) -> "Robot":
         """The same robot with every array in another floating-point type."""

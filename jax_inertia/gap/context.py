@@ -62,14 +62,14 @@ class Context:
         self._bristles: dict[tuple[int, float, bool], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}
         self._bends: dict[int, np.ndarray] = {}
-        self._coupled: dict[int, np.ndarray] = {}
+        self._along: dict[int, tuple[np.ndarray, ...]] = {}
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
         out = Context(again, self.band)
         # A cached property lives in the instance's dictionary.
         out.__dict__["sensitivity"] = self.sensitivity
-        out._bends, out._coupled = self._bends, self._coupled
+        out._bends, out._along = self._bends, self._along
         return out
 
     @functools.cached_property
@@ -139,17 +139,16 @@ class Context:
 
         Dry friction apart: it depends on the side of a velocity, whose error does not change it.
         """
-        every = derivatives.sensitivity(without_friction(self.robot), self.prepared.observation)
-        # Families read those along one row: side by side in memory.
-        dq, dv, da = (np.moveaxis(np.moveaxis(x, 2, 0).copy(), 0, 2) for x in every)
-        return dq, dv, da
+        return derivatives.sensitivity(without_friction(self.robot), self.prepared.observation)
 
-    def coupled(self, row: int) -> np.ndarray:
-        """Rows whose torque a joint's motion changes."""
-        if row not in self._coupled:
-            felt = [x[:, :, row].any(axis=0) for x in self.sensitivity]
-            self._coupled[row] = np.flatnonzero(np.any(felt, axis=0))
-        return self._coupled[row]
+    def along(self, row: int) -> tuple[np.ndarray, ...]:
+        """The rows whose torque a joint's motion changes (n,), and the three of `sensitivity` there (T, n)."""
+        if row not in self._along:
+            # Families read them shape by shape: side by side in memory.
+            every = [x[:, :, row] for x in self.sensitivity]
+            at = np.flatnonzero(np.any([x.any(axis=0) for x in every], axis=0))
+            self._along[row] = (at, *(x[:, at] for x in every))
+        return self._along[row]
 
     def bend(self, row: int) -> np.ndarray:
         """∂²(needed torque)/∂q² along a hinge or slide row, dry friction apart (T, nv)."""

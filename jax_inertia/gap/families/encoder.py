@@ -26,8 +26,8 @@ def off_path(
 
     `rotor`: inertia and damping that turn with what the encoder saw, so that they felt no error.
     """
-    at = context.coupled(row)
-    dq, dv, da = (x[:, :, row][:, at, None] for x in context.sensitivity)
+    at, *slopes = context.along(row)
+    dq, dv, da = (x[:, :, None] for x in slopes)
     own = (at == row)[:, None]
     rate = derivative(context.time, delta)
     twice = derivative(context.time, rate)
