@@ -32,7 +32,7 @@ def select(
         other = _path(pool, path.parts, max_effects, floor, own_rows=True).chosen
         if _better(pool, other, chosen, floor):
             chosen = other
-        pool.look_again(_windows(pool, chosen, floor))
+        pool.look_again(windows(pool, chosen, floor))
     return chosen, path.ranking, [misfit(pool, chosen[:k]) for k in range(len(chosen) + 1)]
 
 
@@ -55,7 +55,7 @@ def _path(
     ranking: list[Candidate] = []
     parts = None
     while len(chosen) < max_effects:
-        pool.look_again(_windows(pool, chosen, floor))
+        pool.look_again(windows(pool, chosen, floor))
         step = propose(pool, chosen, floor)
         if not chosen:
             ranking = step
@@ -148,8 +148,8 @@ def _worth(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[float]:
     ]
 
 
-def _windows(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[tuple[float, float], ...]:
-    """Stretches of time that stand out of what is left.
+def windows(pool: Pool, chosen: list[Candidate], floor: Rows) -> tuple[tuple[float, float], ...]:
+    """Stretches of time that stand out of what effects leave.
 
     Also of what is left with the model's numbers right: bent to a hard push, they spread it over the whole log.
     """

@@ -10,14 +10,19 @@ from jax_inertia.gap.families.friction import DRY
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import propose
-from jax_inertia.gap.select import settle
+from jax_inertia.gap.select import settle, windows
 from jax_inertia.gap.verdict import ties
 
 
 def rivals(search: Search, chosen: list[Candidate], i: int) -> list[Candidate]:
     """Candidates for the i-th effect's part beside the others, best first."""
     others = [c for k, c in enumerate(chosen) if k != i]
-    return propose(search.pool, others, search.noise_by_row) if others else search.ranking
+    if not others:
+        return search.ranking
+    pool, floor = search.pool, search.noise_by_row
+    # Beside all that is chosen nothing may stand out any more that could have happened in passing elsewhere.
+    pool.look_again(windows(pool, others, floor))
+    return propose(pool, others, floor)
 
 
 def tied(search: Search, c: Candidate, among: list[Candidate]) -> list[Candidate]:

@@ -160,6 +160,8 @@ class Passing(Force):
 
     name = "push"
     passing, smooth, form_error = True, True, 0.1
+    # Where its torque changes sign midway, the louder half alone is a peak too.
+    peaks = 2
 
     def hardest(self, context):
         return HARDEST_PUSH
