@@ -269,7 +269,13 @@ class Evidence:
         modes = max(self.slow_modes, int(quiet[0]) if len(quiet) else len(energy))
         return cosines[:modes].reshape(-1, x.shape[-1])
 
-    def _cosines(self, x: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "R nv k"]:
+    def by_band(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "b nv"]:
+        """Energy of whitened samples on each row in the motion's own band, the octave above it and all above that."""
+        energy = self._cosines(x) ** 2
+        starts = np.minimum(self.slow_modes * np.array([0, 1, 2]), len(energy) - 1)
+        return np.add.reduceat(energy, starts, axis=0)
+
+    def _cosines(self, x: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "R nv *k"]:
         return np.asarray(scipy.fft.dct(self.unflatten(x), axis=0, norm="ortho"))
 
     def unflatten(self, x: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "R nv *k"]:

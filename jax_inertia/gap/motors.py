@@ -3,12 +3,12 @@
 The roughness of a torque's samples does not tell it. A command is exact, and what the motor makes of it moves the
 robot: a motor that misses it at random makes more noise than the samples show. A controller writes its encoders' noise
 into its commands: that moves the robot too, and is no noise of the torque at all. So where a log states none, each
-joint's share h² is estimated from the energy on each row,
+joint's share h² is estimated from the energy on each row in each of a few bands of frequency,
 
     e_i − s_i = Σ_j G_ij h_j²,   h ≥ 0
 
 s_i what the other sensors' noise leaves there, G_ij what unit torque noise of joint j does, all in the metric in which
-effects are judged.
+effects are judged. An encoder is heard by its second difference, where it is fast; a torque also where the motion is.
 
 What a log states is the least there is: it is of the sensor. A command that changes between two samples of the log,
 as a loop's does that is quicker than its log, acts as the robot's torque and is not in it; such noise is no louder than
@@ -31,6 +31,8 @@ from jax_inertia.robot import Robot
 DRAWS = 3
 # Of a joint's usual torque: a unit of noise for joints whose samples show none.
 UNIT = 1e-3
+# How well the energy of noise is known on a row where chance says nothing, as a share of it.
+EXACT = 0.1
 
 
 def by_samples(log: Log, robot: Robot) -> Float[np.ndarray, " nv"]:
@@ -75,23 +77,32 @@ def torque_noise(
     tau = np.asarray(log.tau, float)
     unit = UNIT * np.maximum(np.nanstd(tau, axis=0), 1e-9)
     rng = np.random.default_rng(0)
-    gain = np.zeros((robot.nv, len(rows)))
+
+    def energies(torque: Float[np.ndarray, "R nv"]) -> Float[np.ndarray, " i"]:
+        return evidence.by_band(evidence.charged(torque)).ravel()
+
+    def mean(draws: Float[np.ndarray, "K R nv"]) -> Float[np.ndarray, " i"]:
+        return np.mean([energies(x) for x in draws], axis=0)
+
+    there = evidence.by_band(left).ravel()
+    gain = np.zeros((len(there), len(rows)))
     for _ in range(DRAWS):
         noisy = dataclasses.replace(log, tau=tau + unit * rng.standard_normal(tau.shape))
         torque = prepare(robot, noisy, prepared.settings).tau - prepared.tau
         for k, row in enumerate(rows):
             alone = np.zeros_like(torque)
             alone[:, row] = torque[:, row]
-            gain[:, k] += evidence.by_row(evidence.charged(prepared.finish_torque(alone))) / DRAWS
-    now = evidence.noise_by_row(replicas)
-    chain = evidence.noise_by_row(arithmetic(prepared, rng, replicas.shape))
+            gain[:, k] += energies(prepared.finish_torque(alone)) / DRAWS
+    now = mean(replicas)
+    chain = mean(arithmetic(prepared, rng, replicas.shape))
     before = (taken[rows] / unit) ** 2
     # The chain's arithmetic is seldom as bad as it is taken for.
     others = np.maximum(now - chain - gain @ before, 0.0)
-    there = evidence.by_row(left)
     seen = (there > 0) & (now > 0)
-    # Each row's energy is known to about the same share of itself.
-    scale = 1.0 / np.maximum(there, others)[seen, None]
+    # Each energy is known to a share of itself: what chance leaves of so many cosines, about one unit each, and the
+    # chain's own errors.
+    share = np.sqrt(EXACT**2 + 2.0 / np.maximum(now[seen], 1.0))
+    scale = (1.0 / np.maximum(there, others)[seen] / share)[:, None]
     target = scale[:, 0] * np.maximum(there - others, 0.0)[seen]
     least, most = 0.0, np.inf if louder else np.maximum(before, 1e-12)
     if log.sigma_tau is not None:

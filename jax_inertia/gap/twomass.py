@@ -118,7 +118,10 @@ class DrivenLink:
         carried = np.stack([self.carried, own.carried])
         rates = [derivative(self.time, s) for s in carried]
         # As arrays: a number would be compiled in, and every log has another.
-        numbers = (jnp.array([own.viscous, own.dry]), jnp.asarray(carried[:, 0]))
+        numbers = (
+            jnp.array([own.viscous, own.dry]),
+            *_begun(self.time, carried, self.inertia, values),
+        )
         substeps = max(1, math.ceil(period / STEP))
         paths = _separation(
             jnp.asarray(np.stack([*signals, *rates])),
@@ -130,12 +133,38 @@ class DrivenLink:
         self._paths.update(zip(new, np.asarray(paths), strict=True))
 
 
+# The torque that a coupling carries as a log begins, and how fast it changes, are read off this share of a period of
+# its resonance, and no fewer seconds: from two samples they would be noise, which rings on.
+OF_PERIOD, SHORTEST = 0.25, 0.05
+
+
+def _begun(
+    time: Float[np.ndarray, " T"],
+    carried: Float[np.ndarray, "2 T"],
+    inertia: Float[np.ndarray, " T"],
+    couplings: Float[np.ndarray, "K 5"],
+) -> tuple[Float[np.ndarray, "2 K"], Float[np.ndarray, "2 K"]]:
+    """s and ṡ at a log's first sample by the line through its first stretch, for friction on the motor or the link."""
+    periods = 2.0 * np.pi * np.sqrt(np.mean(inertia) / couplings[:, 0])
+    since = time - time[0]
+    lines = []
+    for most in np.maximum(OF_PERIOD * periods, SHORTEST):
+        count = max(3, int(np.searchsorted(since, most, side="right")))
+        lines.append(np.polynomial.polynomial.polyfit(since[:count], carried[:, :count].T, 1))
+    values, slopes = np.stack(lines, axis=-1)
+    return values, slopes
+
+
 @eqx.filter_jit
 def _separation(
-    signals: Array, coupling: Array, numbers: tuple[Array, Array], period: float, substeps: int
+    signals: Array,
+    coupling: Array,
+    numbers: tuple[Array, Array, Array],
+    period: float,
+    substeps: int,
 ) -> Array:
     k, ratio, gap, side, on_link = coupling.T
-    (viscous, dry), first = on_link * numbers[0][:, None], numbers[1]
+    (viscous, dry), first, slope = on_link * numbers[0][:, None], *numbers[1:]
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[1]))
     d, drawn = ratio * critical, OBSERVED * critical
     half, h = 0.5 * gap, period / substeps
@@ -168,7 +197,7 @@ def _separation(
 
     # A log may begin in the middle of a motion.
     start = of_side(*first) / k + side * half
-    begun = (start, of_side(signals[5, 0], signals[6, 0]) / k, dry * jnp.sign(signals[4, 0]))
+    begun = (start, of_side(*slope) / k, dry * jnp.sign(signals[4, 0]))
     pairs = (signals.T[:-1], signals.T[1:])
     _, path = jax.lax.scan(sample, begun, pairs)
     whole = [jnp.concatenate([a[None], b]) for a, b in zip((begun[0], begun[2]), path, strict=True)]
