@@ -33,6 +33,8 @@ DRAWS = 3
 UNIT = 1e-3
 # How well the energy of noise is known on a row where chance says nothing, as a share of it.
 EXACT = 0.1
+# How often the energies that are expected, which the fit is weighted by, are computed again.
+TURNS = 4
 
 
 def by_samples(log: Log, robot: Robot) -> Float[np.ndarray, " nv"]:
@@ -102,14 +104,19 @@ def torque_noise(
     # Each energy is known to a share of itself: what chance leaves of so many cosines, about one unit each, and the
     # chain's own errors.
     share = np.sqrt(EXACT**2 + 2.0 / np.maximum(now[seen], 1.0))
-    scale = (1.0 / np.maximum(there, others)[seen] / share)[:, None]
-    target = scale[:, 0] * np.maximum(there - others, 0.0)[seen]
+    target = np.maximum(there - others, 0.0)[seen]
     least, most = 0.0, np.inf if louder else np.maximum(before, 1e-12)
     if log.sigma_tau is not None:
         least = (sensor_noise(tau, log.sigma_tau) / unit) ** 2
         rough = (sensor_noise(tau) / unit) ** 2
         most = np.maximum(np.minimum(most, rough), (1.0 + 1e-6) * least + 1e-12)
-    shares = scipy.optimize.lsq_linear(scale * gain[seen], target, (least, most)).x
+    expected = np.maximum(there, others)[seen]
+    for _ in range(TURNS):
+        scale = 1.0 / (expected * share)
+        scaled = scale[:, None] * gain[seen]
+        shares = scipy.optimize.lsq_linear(scaled, scale * target, (least, most)).x
+        # By chance some are low: weighted by what was seen they would count for more.
+        expected = np.maximum(others[seen] + gain[seen] @ shares, 1e-300)
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
     factor = (others + chain + gain @ shares)[seen] / now[seen]

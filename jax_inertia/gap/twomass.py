@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.polynomial import polynomial
 
 from jax_inertia.slopes import derivative
 
@@ -135,7 +136,9 @@ class DrivenLink:
 
 # The torque that a coupling carries as a log begins, and how fast it changes, are read off this share of a period of
 # its resonance, and no fewer seconds: from two samples they would be noise, which rings on.
-OF_PERIOD, SHORTEST = 0.25, 0.05
+OF_PERIOD, SHORTEST = 0.5, 0.05
+# Of a polynomial that half a period of a sine is, within 5 % of its amplitude.
+DEGREE = 3
 
 
 def _begun(
@@ -144,14 +147,14 @@ def _begun(
     inertia: Float[np.ndarray, " T"],
     couplings: Float[np.ndarray, "K 5"],
 ) -> tuple[Float[np.ndarray, "2 K"], Float[np.ndarray, "2 K"]]:
-    """s and ṡ at a log's first sample by the line through its first stretch, for friction on the motor or the link."""
+    """s and ṡ at a log's first sample by a cubic through its first stretch, for friction on the motor or the link."""
     periods = 2.0 * np.pi * np.sqrt(np.mean(inertia) / couplings[:, 0])
     since = time - time[0]
-    lines = []
+    cubics = []
     for most in np.maximum(OF_PERIOD * periods, SHORTEST):
-        count = max(3, int(np.searchsorted(since, most, side="right")))
-        lines.append(np.polynomial.polynomial.polyfit(since[:count], carried[:, :count].T, 1))
-    values, slopes = np.stack(lines, axis=-1)
+        count = max(DEGREE + 2, int(np.searchsorted(since, most, side="right")))
+        cubics.append(polynomial.polyfit(since[:count], carried[:, :count].T, DEGREE))
+    values, slopes, *_ = np.stack(cubics, axis=-1)
     return values, slopes
 
 
