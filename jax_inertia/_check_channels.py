@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jax_inertia._findings import Finding, Severity, run_bounds, spans
 from jax_inertia.log import CHANNELS, Log
@@ -96,23 +97,44 @@ def spikes(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Single samples far off both neighbours, measured by the channel's usual changes."""
     for array, least in _SPIKE_LEAST.items():
         for label, x in _columns(log, (array,)):
-            left, right = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-            off = np.minimum(np.abs(left), np.abs(right)) * (left * right > 0)
-            spread = np.percentile(np.abs(np.diff(x)), 75)
-            low, high = np.percentile(x, [0.5, 99.5])
-            bad = off > max(
-                _SPIKE_SPREADS * spread,
-                _SPIKE_SHARE_OF_RANGE * (high - low),
-                _SPIKE_QUANTA * _quantum(x),
-                least,
-            )
+            off, enough = _off_neighbours(x)
+            bad = off > max(enough, least)
             if bad.any():
-                k = int(np.argmax(off)) + 1
+                k = int(np.argmax(off))
                 message = (
                     f"{label} has {bad.sum()} single samples far off their neighbours, the largest "
-                    f"{x[k]:.4g} at {time[k]:.4g} s; outliers: set them to NaN, or gate"
+                    f"{x[k]:.4g} at {time[k]:.4g} s; outliers: a diagnosis leaves them out; "
+                    "for an estimate set them to NaN, or gate"
                 )
                 yield Finding(Severity.WARNING, "spike", message)
+
+
+def torque_spikes(log: Log) -> Bool[np.ndarray, "T n"]:
+    """Single samples of torque that `spikes` warns of; none beside what is not finite."""
+    tau = np.asarray(log.tau, float)
+    out = np.zeros(tau.shape, bool)
+    for told, x in zip(out.T, tau.T, strict=True):
+        off, enough = _off_neighbours(x)
+        told[:] = off > enough
+    return out
+
+
+def _off_neighbours(x: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, " T"], float]:
+    """How far each sample is off both neighbours, to the same side, and from where on that is a spike."""
+    left, right = x[1:-1] - x[:-2], x[1:-1] - x[2:]
+    off = np.zeros_like(x)
+    off[1:-1] = np.nan_to_num(np.minimum(np.abs(left), np.abs(right)) * (left * right > 0))
+    changes, finite = np.abs(np.diff(x)), x[np.isfinite(x)]
+    changes = changes[np.isfinite(changes)]
+    if not changes.size:
+        return off, np.inf
+    low, high = np.percentile(finite, [0.5, 99.5])
+    enough = max(
+        _SPIKE_SPREADS * np.percentile(changes, 75),
+        _SPIKE_SHARE_OF_RANGE * (high - low),
+        _SPIKE_QUANTA * _quantum(finite),
+    )
+    return off, float(enough)
 
 
 def degrees(log: Log, scalar_kinds: dict[str, str]) -> Iterator[Finding]:

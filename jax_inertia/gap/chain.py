@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia import dynamics
+from jax_inertia._check_channels import torque_spikes
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import softness
@@ -126,12 +127,14 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
     equation must agree. A commanded torque or a current is held over its period and so acts half a period late; a
     sensor's sample may be of the moment or of the period after it, so it is put in the middle between the two
-    (`nuisance` holds the rest).
+    (`nuisance` holds the rest). Single samples of torque that no motor makes (`preflight` names them) are taken for
+    missing, those of an encoder for what they should be.
     Raises LogError for what `generalised` refuses.
     """
     if settings is None:
         settings = CONTACT if log.contact_wrench is not None or robot.has_free_base else Settings()
-    log = dataclasses.replace(log, qvel=None, qpos=without_outliers(np.asarray(log.qpos)))
+    tau = np.where(torque_spikes(log), np.nan, np.asarray(log.tau))
+    log = dataclasses.replace(log, qvel=None, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
     source = mask(log)
     data = source.log
     late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5

@@ -15,8 +15,7 @@ import numpy as np
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.doubt import better_than, leans_on
+from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
@@ -24,6 +23,7 @@ from jax_inertia.gap.harm import without_harm
 from jax_inertia.gap.intervals import Interval, intervals
 from jax_inertia.gap.motors import by_samples
 from jax_inertia.gap.nuisance import Tolerance
+from jax_inertia.gap.objections import objections
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
@@ -36,7 +36,7 @@ from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
 from jax_inertia.gap.verdict import Verdict, probabilities
-from jax_inertia.gap.words import named, number, percent
+from jax_inertia.gap.words import number
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -129,11 +129,7 @@ def diagnose(
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
         undetectable_below=_undetectable(pool),
         notes=(*log.notes, *_unmeasured(prepared), *_unstated(search, log), *checked.notes),
-        doubts=(
-            *beside,
-            *_what_it_leans_on(search, chosen, verdict),
-            *_cut_short(chosen, max_effects, verdict),
-        ),
+        doubts=objections(search, chosen, verdict, trial, beside, max_effects),
         trace=collect(
             first.pool,
             tuple(prepared.finish_torque(effect_torque(context, c)) for c in chosen),
@@ -192,59 +188,6 @@ def _finding(
     )
 
 
-# An outsider says something of what is left from this share of it.
-TELLING = 0.3
-# Numbers of the model that are told to be beyond their tolerances, at most.
-SHOWN = 3
-
-
-def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict) -> list[str]:
-    """What the log says of an effect that is not in the library."""
-    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
-        return []
-    beyond = [
-        f"the log wants the model's {x}: the number is wrong, or stands for an effect that is not in the library"
-        for x in search.strains[:SHOWN]
-    ]
-    if search.missed is not None:
-        beyond.append(search.missed.at(search.pool.context.row_names[search.missed.row]))
-    if search.inconstant is not None:
-        beyond.append(f"{search.inconstant}: the cause resembles it and is not in the library")
-    if (pushes := crowded(search.chosen)) is not None:
-        names = " and ".join(c.place.name for c in pushes)
-        beyond.append(
-            f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
-        )
-    if search.entangled is not None and verdict is Verdict.UNKNOWN:
-        beyond.append(
-            f"each alone, the effects explain {search.entangled:.1f} times what they explain together: "
-            "likelier than as many causes is one that is none of them"
-        )
-    if search.rival is not None:
-        replaced, outsider = search.rival
-        found = " and ".join(named(c.family.name, c.place) for c in replaced)
-        does = f"fits better than {found}" if replaced else "explains what is there"
-        return [*beyond, f"{outsider.name} {does}: the cause is not in the library"]
-    outsider, share = leans_on(search.pool, chosen)
-    if share < TELLING:
-        return beyond
-    return [
-        *beyond,
-        f"{outsider.name} takes {percent(share)} of what is left (energy against the noise): look there for what is "
-        "not in the library",
-    ]
-
-
-def _cut_short(chosen: list[Candidate], max_effects: int, verdict: Verdict) -> list[str]:
-    """That no more effects were asked for than were found, where that may be why much is left."""
-    if len(chosen) < max_effects or verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
-        return []
-    return [
-        f"no more than {max_effects} {'effect was' if max_effects == 1 else 'effects were'} looked for: with more "
-        "(--max-effects) more of it may be explained"
-    ]
-
-
 def _unmeasured(prepared: Prepared) -> list[str]:
     """What a log without contact wrenches can tell."""
     if prepared.support is None:
@@ -295,6 +238,6 @@ def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
             continue
         price = STOP + np.log(pool.evidence.rows)
         theta = np.array([np.sqrt(price) / np.sqrt(block.gram[0, 0])])
-        parameter = next(iter(family.parameters(pool.context, place, block.shape, theta).values()))
+        parameter = next(iter(family.reported(pool.context, place, block.shape, theta).values()))
         out.append((family.name, place, parameter))
     return tuple(out)

@@ -92,7 +92,7 @@ def _reported(
     point, n = np.concatenate([c.theta, c.shape]), len(c.theta)
 
     def values(x: np.ndarray) -> dict[str, Parameter]:
-        return c.family.parameters(pool.context, c.place, tuple(x[n:]), x[:n])
+        return c.family.reported(pool.context, c.place, tuple(x[n:]), x[:n])
 
     base = values(point)
     jacobian = {name: np.zeros(len(point)) for name in base}
@@ -109,7 +109,8 @@ def _reported(
         sizes = [np.sqrt(max(slope @ s @ slope, 0.0)) for s in (noise, spread)]
         half = float(max(1.96 * sizes[0], wide * sizes[1]))
         value = float(parameter.value)
-        out[name] = Interval(value, value - half, value + half, parameter.unit)
+        low = max(value - half, min(float(parameter.least), value))
+        out[name] = Interval(value, low, value + half, parameter.unit)
     return out
 
 

@@ -34,7 +34,7 @@ UNIT = 1e-3
 # How well the energy of noise is known on a row where chance says nothing, as a share of it.
 EXACT = 0.1
 # How often the energies that are expected, which the fit is weighted by, are computed again.
-TURNS = 4
+TURNS = 3
 
 
 def by_samples(log: Log, robot: Robot) -> Float[np.ndarray, " nv"]:
@@ -110,13 +110,16 @@ def torque_noise(
         least = (sensor_noise(tau, log.sigma_tau) / unit) ** 2
         rough = (sensor_noise(tau) / unit) ** 2
         most = np.maximum(np.minimum(most, rough), (1.0 + 1e-6) * least + 1e-12)
-    expected = np.maximum(there, others)[seen]
-    for _ in range(TURNS):
-        scale = 1.0 / (expected * share)
+
+    def solved(expected: Float[np.ndarray, " i"]) -> Float[np.ndarray, " j"]:
+        scale = 1.0 / (np.maximum(expected, 1e-300) * share)
         scaled = scale[:, None] * gain[seen]
-        shares = scipy.optimize.lsq_linear(scaled, scale * target, (least, most)).x
+        return scipy.optimize.lsq_linear(scaled, scale * target, (least, most)).x
+
+    shares = solved(np.maximum(there, others)[seen])
+    for _ in range(TURNS):
         # By chance some are low: weighted by what was seen they would count for more.
-        expected = np.maximum(others[seen] + gain[seen] @ shares, 1e-300)
+        shares = solved((others + gain @ shares)[seen])
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
     factor = (others + chain + gain @ shares)[seen] / now[seen]

@@ -119,10 +119,8 @@ class DrivenLink:
         carried = np.stack([self.carried, own.carried])
         rates = [derivative(self.time, s) for s in carried]
         # As arrays: a number would be compiled in, and every log has another.
-        numbers = (
-            jnp.array([own.viscous, own.dry]),
-            *_begun(self.time, carried, self.inertia, values),
-        )
+        first, slope = _begun(self.time, carried, self.inertia, values)
+        numbers = (jnp.array([own.viscous, own.dry]), jnp.asarray(first), jnp.asarray(slope))
         substeps = max(1, math.ceil(period / STEP))
         paths = _separation(
             jnp.asarray(np.stack([*signals, *rates])),

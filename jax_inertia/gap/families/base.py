@@ -43,6 +43,20 @@ class Parameter:
 
     value: float
     unit: str
+    least: float = -np.inf
+    """Less it cannot be, so its interval does not reach below."""
+
+
+# Units of a hinge's numbers, and of a slide's.
+_OF_SLIDE = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+}
 
 
 class Family(abc.ABC):
@@ -152,7 +166,21 @@ class Family(abc.ABC):
     def parameters(
         self, context: Context, place: Place, shape: Shape, theta: np.ndarray
     ) -> dict[str, Parameter]:
-        """What is reported, in the field's own terms."""
+        """What is reported, in the field's own terms; of a joint as of a hinge."""
+
+    def reported(
+        self, context: Context, place: Place, shape: Shape, theta: np.ndarray
+    ) -> dict[str, Parameter]:
+        """`parameters`, in newtons and metres of a joint that slides; a phase is an angle there too."""
+        out = self.parameters(context, place, shape, theta)
+        if place.kind != "joint" or not context.slides(place.index):
+            return out
+        return {
+            name: p
+            if name == "phase"
+            else dataclasses.replace(p, unit=_OF_SLIDE.get(p.unit, p.unit))
+            for name, p in out.items()
+        }
 
     def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
         """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""

@@ -71,7 +71,7 @@ class LoadOfSomeSize(Load):
         return super().physical(context, place, shape, theta) and 0 < theta[4] < WIDEST**2
 
     def parameters(self, context, place, shape, theta):
-        own = {"gyration_radius": Parameter(float(np.sqrt(theta[4])), "m")}
+        own = {"gyration_radius": Parameter(float(np.sqrt(theta[4])), "m", 0.0)}
         return super().parameters(context, place, shape, theta) | own
 
 

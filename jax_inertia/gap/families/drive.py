@@ -71,7 +71,7 @@ class TorqueSaturation(Family):
         return bool(np.median((needed * np.sign(asked))[over]) > 0.5 * shape[0])
 
     def parameters(self, context, place, shape, theta):
-        return {"limit": Parameter(shape[0], "N m")}
+        return {"limit": Parameter(shape[0], "N m", 0.0)}
 
 
 class _Late(Family):
@@ -125,7 +125,7 @@ class TimeDelay(_Late):
         return shifted[: len(tau)]
 
     def parameters(self, context, place, shape, theta):
-        return {"delay": Parameter(shape[0], "s")}
+        return {"delay": Parameter(shape[0], "s", 0.0)}
 
 
 class ActuatorLag(_Late):
@@ -142,4 +142,4 @@ class ActuatorLag(_Late):
         return signal.lfilter([b0, b1], [1.0, -decay], tau, axis=0, zi=start[:, None] * tau[0])[0]
 
     def parameters(self, context, place, shape, theta):
-        return {"time_constant": Parameter(shape[0], "s")}
+        return {"time_constant": Parameter(shape[0], "s", 0.0)}

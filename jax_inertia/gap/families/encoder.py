@@ -181,7 +181,7 @@ class JointElasticity(TwoMass):
         return shape[0], shape[1], 0.0, 0.0, shape[2]
 
     def parameters(self, context, place, shape, theta):
-        return {"stiffness": Parameter(shape[0], "N m/rad"), **self.where(shape)}
+        return {"stiffness": Parameter(shape[0], "N m/rad", 0.0), **self.where(shape)}
 
 
 class Backlash(TwoMass):
@@ -218,7 +218,7 @@ class Backlash(TwoMass):
 
     def parameters(self, context, place, shape, theta):
         return {
-            "dead_zone": Parameter(shape[0], "rad"),
-            "stiffness": Parameter(shape[1], "N m/rad"),
+            "dead_zone": Parameter(shape[0], "rad", 0.0),
+            "stiffness": Parameter(shape[1], "N m/rad", 0.0),
             **self.where(shape),
         }

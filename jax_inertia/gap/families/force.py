@@ -138,7 +138,7 @@ class Drag(Family):
         return bool(0 < theta[0] < 200)
 
     def parameters(self, context, place, shape, theta):
-        return {"coefficient": Parameter(theta[0], "N s²/m²")}
+        return {"coefficient": Parameter(theta[0], "N s²/m²", 0.0)}
 
 
 # A person, or a light collision [N].
@@ -199,7 +199,7 @@ class Passing(Force):
             **super().parameters(context, place, shape, theta),
             "start": Parameter(start, "s"),
             "end": Parameter(stop, "s"),
-            "flank": Parameter(shape[2], "1"),
+            "flank": Parameter(shape[2], "1", 0.0),
             "skew": Parameter(shape[3], "1"),
         }
 

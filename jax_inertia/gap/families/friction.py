@@ -170,8 +170,8 @@ class StribeckFriction(DryFriction):
     def parameters(self, context, place, shape, theta):
         return {
             "coulomb": Parameter(theta[0], "N m"),
-            "stiction": Parameter(theta[0] + theta[1], "N m"),
-            "stribeck_velocity": Parameter(shape[0], "rad/s"),
+            "stiction": Parameter(theta[0] + theta[1], "N m", theta[0]),
+            "stribeck_velocity": Parameter(shape[0], "rad/s", 0.0),
             "exponent": Parameter(shape[1], "1"),
         }
 

@@ -44,7 +44,7 @@ class FrictionDrift(Joint):
         return {
             "damping": Parameter(theta[0] + theta[1], "N m s/rad"),
             "damping_final": Parameter(theta[0], "N m s/rad"),
-            "time_constant": Parameter(shape[0], "s"),
+            "time_constant": Parameter(shape[0], "s", 0.0),
         }
 
 
@@ -105,7 +105,7 @@ class Cogging(Joint):
 
     def parameters(self, context, place, shape, theta):
         return {
-            "amplitude": Parameter(float(np.hypot(*theta)), "N m"),
-            "frequency": Parameter(shape[0], "1/rad"),
+            "amplitude": Parameter(float(np.hypot(*theta)), "N m", 0.0),
+            "frequency": Parameter(shape[0], "1/rad", 0.0),
             "phase": Parameter(float(np.arctan2(theta[1], theta[0])), "rad"),
         }
