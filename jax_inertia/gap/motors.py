@@ -122,7 +122,9 @@ def torque_noise(
         shares = solved((others + gain @ shares)[seen])
     out = np.zeros(robot.nv)
     out[rows] = unit * np.sqrt(shares)
-    factor = (others + chain + gain @ shares)[seen] / now[seen]
+    # In one band alone the model's own misses may be louder than noise.
+    then, now = (x.reshape(-1, robot.nv).sum(axis=0) for x in (others + chain + gain @ shares, now))
+    factor = then[now > 0] / now[now > 0]
     quieter = 1.0 / factor if log.sigma_tau is None else 0.0
     return out, float(np.max(np.maximum(factor, quieter), initial=1.0))
 
