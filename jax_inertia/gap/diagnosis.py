@@ -103,6 +103,9 @@ def diagnose(
             verdict = search.apart
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
+    # The most important first.
+    brings = [_brought(pool, chosen, c) for c in chosen]
+    chosen = [chosen[k] for k in np.argsort(-np.array(brings), kind="stable")]
     # A force in passing that is not known for the cause foretells nothing: each stretch is predicted without it.
     foretold = verdict is Verdict.UNKNOWN
     steps = tuple(
@@ -172,6 +175,7 @@ def _finding(
     """The i-th effect beside its rivals, given the others."""
     pool, c = search.pool, chosen[i]
     others = rivals(search, chosen, i)
+    gap = max(misfit(pool, []) - search.floor, 1e-300)
     equivalent = {
         t.key: Tie(t.family.name, t.place, kind_of_tie(pool, c, t)) for t in tied(search, c, others)
     }
@@ -181,7 +185,7 @@ def _finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
-        explained=_explained(pool, chosen, i, search.floor),
+        explained=float(np.clip(_brought(pool, chosen, c) / gap, 0.0, 1.0)),
         probability=probabilities(others).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
         equation=c.family.equation,
@@ -221,12 +225,9 @@ def _unstated(search: Search, log: Log) -> list[str]:
     ]
 
 
-def _explained(pool: Pool, chosen: list[Candidate], i: int, floor: float) -> float:
-    """Share of the excess misfit that returns when the effect is left out."""
-    rest = [c for k, c in enumerate(chosen) if k != i]
-    y = pool.evidence.y
-    gap = max(float(y @ y) - floor, 1e-300)
-    return float(np.clip((misfit(pool, rest) - misfit(pool, chosen)) / gap, 0.0, 1.0))
+def _brought(pool: Pool, chosen: list[Candidate], effect: Candidate) -> float:
+    """Misfit that returns when one of the effects is left out."""
+    return misfit(pool, [c for c in chosen if c is not effect]) - misfit(pool, chosen)
 
 
 def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:

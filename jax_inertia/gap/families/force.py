@@ -12,6 +12,12 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 HARDEST_HOIST, HAND = 3.0, 50.0
 
 
+def hardest(context: Context) -> float:
+    """More than any force on a robot for good [N]."""
+    weight = context.pi[:, 0].sum() * np.linalg.norm(np.asarray(context.robot.gravity))
+    return float(HARDEST_HOIST * weight + HAND)
+
+
 class Force(Family):
     """Jᵀ f, f fixed in the world, on a body's centre of mass."""
 
@@ -106,8 +112,7 @@ class Lasting(Force):
     name = "constant_force"
 
     def hardest(self, context):
-        weight = context.pi[:, 0].sum() * np.linalg.norm(np.asarray(context.robot.gravity))
-        return float(HARDEST_HOIST * weight + HAND)
+        return hardest(context)
 
     def columns(self, context, place, shape):
         return Columns(self.rows(context, place))
