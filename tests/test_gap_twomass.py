@@ -39,6 +39,17 @@ def test_a_link_on_a_spring_moves_as_the_closed_form_says(frequency):
     assert np.max(np.abs(found - delta.imag)) < 0.08 * np.abs(delta[0])
 
 
+def test_noise_of_the_first_torques_does_not_ring():
+    """Two samples of it would tell a speed that the link never had."""
+    omega, loss = 2 * np.pi * 0.7, 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+    turn = np.exp(1j * omega * TIME)
+    delta = (5.0 / (STIFFNESS - MASS * omega**2 + 1j * loss * omega) * turn).imag
+    noise = 0.01 * 5.0 * np.random.default_rng(4).standard_normal((20, len(TIME)))
+    errors = [path(5.0 * turn.imag, STIFFNESS * delta + x) - delta for x in noise]
+    first, later = (np.std(np.array(errors)[:, part]) for part in (TIME < 0.3, TIME > 3.0))
+    assert first < 5.0 * later
+
+
 def needed_near_resonance():
     return sum(
         a * np.sin(2 * np.pi * f * TIME + f) for a, f in ((20.0, 0.6), (6.0, 2.0), (2.0, 4.6))

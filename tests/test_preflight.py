@@ -288,6 +288,10 @@ def test_spikes_are_told_from_steps_and_noise():
     log = changed("qpos", 500, 0, 3.0)
     assert "qpos of 'shoulder' has 1 single samples far off" in message(log, "spike")
     assert "3 at 2.5 s" in message(log, "spike")
+    # Beside samples that were lost, too.
+    qpos = np.array(log.qpos)
+    qpos[200:203] = np.nan
+    assert "3 at 2.5 s" in message(dataclasses.replace(log, qpos=qpos), "spike")
     steps = np.sign(np.sin(2 * np.pi * log.time))[:, None] * [1.0, 2.0, 3.0]
     square = dataclasses.replace(arm_log(), tau=steps + 1e-3 * arm_log().tau)
     assert "spike" not in [check for _, check in found(square)]
