@@ -176,10 +176,14 @@ class Pool:
         of = candidate.family, candidate.place
         return next((e for e in self.entries if (e.family, e.place) == of), None)
 
-    def refined(self, candidate: Candidate, left: Beside) -> Candidate:
-        """The same candidate with its shape between grid points, from wherever the grid shows a peak."""
+    def refined(self, candidate: Candidate, left: Beside, *, everywhere: bool = True) -> Candidate:
+        """The same candidate with its shape between grid points, from wherever the grid shows a peak.
+
+        Not `everywhere`: about the candidate's own shape alone.
+        """
         best = self._on_all(candidate, left)
-        found = [self.between(c, left) for c in (best, *self._other_peaks(best, left))]
+        others = self._other_peaks(best, left) if everywhere else []
+        found = [self.between(c, left) for c in (best, *others)]
         best = max(found, key=lambda c: c.gain)
         restarts = best.family.restarts(self.context, best.place, best.shape)
         shapes = self._heard(best.family, restarts)

@@ -84,7 +84,7 @@ def _led(pool: Pool, near: list[Candidate], left: Beside) -> list[Candidate]:
         times = _times(lead) if c.family.passing else []
         start = max([c, *pool.best_at(times, c.family, c, left)], key=lambda x: x.aim)
         behind = bool(times) and start.gain < CLOSE * max(x.gain for x in lead)
-        lead.append(start if behind else pool.refined(start, left))
+        lead.append(start if behind else pool.refined(start, left, everywhere=not times))
     return [_as_another(pool, c, lead, left) for c in lead]
 
 
