@@ -67,8 +67,7 @@ def test_a_weight_comes_before_what_is_not_in_the_library():
     wander = signal.sosfiltfilt(band, noise, axis=0)
     wander *= 0.02 * np.std(log.tau, axis=0) / np.std(wander, axis=0)
     found = diagnose(load_model(model), dataclasses.replace(log, tau=log.tau + wander))
-    # A twentieth of the torque is of no cause, at most a fifth of it (rms) may be left of what is partly explained.
-    assert found.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
+    assert found.verdict is Verdict.UNKNOWN
     first = found.findings[0]
     assert (first.family, first.place.name) == ("payload", "segment5")
 

@@ -79,11 +79,6 @@ class Context:
         rows = zip(r.joint_names, r.joint_type, r.joint_dofadr, strict=True)
         return {name: dof for name, kind, dof in rows if kind in (HINGE, SLIDE)}
 
-    def slides(self, row: int) -> bool:
-        """Whether a row is a slide joint's."""
-        r = self.robot
-        return (SLIDE, row) in zip(r.joint_type, r.joint_dofadr, strict=True)
-
     @property
     def row_names(self) -> tuple[str, ...]:
         """What each row is called: its joint's name, or where it is among the base's."""

@@ -34,19 +34,15 @@ def objections(
         for c in search.chosen
         if len(chosen) < len(search.chosen) and not any(c.same_cause(x) for x in chosen)
     ]
-    out = [
-        *beside,
-        *dropped,
-        *_what_it_leans_on(search, chosen, verdict),
-        *_cut_short(chosen, max_effects, verdict),
-    ]
-    return tuple(out or _what_is_left(search, chosen, verdict, trial))
+    told = [*beside, *dropped]
+    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
+        return tuple(told)
+    told += [*_what_it_leans_on(search, chosen, verdict), *_cut_short(chosen, max_effects)]
+    return tuple(told or _what_is_left(search, chosen, trial))
 
 
 def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict) -> list[str]:
     """What the log says of an effect that is not in the library."""
-    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
-        return []
     beyond = [
         f"the log wants the model's {x}: the number is wrong, or stands for an effect that is not in the library"
         for x in search.strains[:SHOWN]
@@ -80,19 +76,16 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
     ]
 
 
-def _what_is_left(
-    search: Search, chosen: list[Candidate], verdict: Verdict, trial: Trial | None
-) -> list[str]:
+def _what_is_left(search: Search, chosen: list[Candidate], trial: Trial | None) -> list[str]:
     """How much effects leave of a gap, where it resembles nothing."""
-    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
-        return []
     pool = search.pool
     energy = pool.evidence.by_row(remaining(pool, chosen)) - search.noise_by_row
     gap = max(misfit(pool, []) - search.floor, 1e-300)
     here = _share(energy.sum() / gap)
     if trial is not None:
-        before, after, floor = (getattr(trial.misfit, x) for x in ("before", "after", "floor"))
-        if (there := _share((after - floor) / max(before - floor, 1e-300))) > here:
+        tried = trial.misfit
+        there = _share((tried.after - tried.floor) / max(tried.before - tried.floor, 1e-300))
+        if there > here:
             return [
                 f"of the other motion's gap {percent(there)} is left (energy against the noise), of this log's "
                 f"{percent(here)}: more is missing there, or its noise is louder"
@@ -107,9 +100,9 @@ def _share(x: float) -> float:
     return float(np.clip(x, 0.0, 1.0))
 
 
-def _cut_short(chosen: list[Candidate], max_effects: int, verdict: Verdict) -> list[str]:
+def _cut_short(chosen: list[Candidate], max_effects: int) -> list[str]:
     """That no more effects were asked for than were found, where that may be why much is left."""
-    if len(chosen) < max_effects or verdict not in (Verdict.UNKNOWN, Verdict.PARTLY):
+    if len(chosen) < max_effects:
         return []
     return [
         f"no more than {max_effects} {'effect was' if max_effects == 1 else 'effects were'} looked for: with more "

@@ -173,7 +173,7 @@ class Family(abc.ABC):
     ) -> dict[str, Parameter]:
         """`parameters`, in newtons and metres of a joint that slides; a phase is an angle there too."""
         out = self.parameters(context, place, shape, theta)
-        if place.kind != "joint" or not context.slides(place.index):
+        if place.kind != "joint" or context.robot.topology.dof_rotates[place.index]:
             return out
         return {
             name: p
