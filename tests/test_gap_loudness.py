@@ -11,9 +11,10 @@ from jax_inertia.gap import Verdict, diagnose, select
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.finder import finder
 from jax_inertia.gap.loudness import QUIETEST, Loudness
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.search import find, finder
+from jax_inertia.gap.search import find
 
 LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
 

@@ -194,7 +194,8 @@ def test_products_of_columns_need_no_charging(robot):
         )
         np.testing.assert_allclose(block.slow, at_once.slow(expected), atol=1e-8 * size)
         left = Beside.of(after, expected[:, :1], after.y)
-        gram, cross = left.moments(block, left.shared(block))
+        moments = left.moments(block)
+        gram, cross = moments.gram, moments.cross
         free = left.free(expected)
         np.testing.assert_allclose(gram[1:, 1:], (free.T @ free)[1:, 1:], atol=1e-8 * size**2)
         np.testing.assert_allclose(cross[1:], free[:, 1:].T @ after.y, atol=1e-7 * size * 1e2)

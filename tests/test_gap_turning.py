@@ -16,10 +16,11 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.finder import finder
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.propose import propose
 from jax_inertia.gap.rollout import rollouts
-from jax_inertia.gap.search import finder
+from jax_inertia.gap.search import search
 from jax_inertia.gap.turning import CREEPS
 
 NOMINAL = chain_xml(FRICTION)
@@ -82,7 +83,7 @@ def test_a_joint_has_one_dry_friction():
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(0.0 * FRICTION)))
     log = simulate(friction=np.where(np.arange(JOINTS) == 2, 0.5, 0.0))
     ready = finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 1)
-    found = ready.search(ready.white)
+    found = search(ready, ready.white)
     (rubbing,) = found.chosen
     assert rubbing.key == ("coulomb_friction", "joint", "axis3")
     dry = [c for c in propose(found.pool, found.chosen, found.noise_by_row) if c.family.law_of]

@@ -13,8 +13,9 @@ from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.families.encoder import ALL
+from jax_inertia.gap.finder import finder
 from jax_inertia.gap.nuisance import Tolerance
-from jax_inertia.gap.search import find, finder
+from jax_inertia.gap.search import find, search
 from jax_inertia.gap.twomass import DrivenLink, OwnFriction
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
@@ -283,11 +284,11 @@ def test_beside_a_models_own_misses_a_joint_that_yields_is_judged_in_the_motions
     robot = load_model(mujoco.MjModel.from_xml_string(ARM))
     log = simulate(edit=loaded(0.2, (0.02, 0.05, -0.3)), seed=4)
     made = finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 1)
-    pool = made.search(made.white).pool
+    pool = search(made, made.white).pool
     misses = made.white.then(pool.evidence.unflatten(pool.evidence.y), pool.evidence.used)
 
     def bands(white):
-        entries = made.search(white).pool.entries
+        entries = search(made, white).pool.entries
         yields = [e for e in entries if e.family.name == "joint_elasticity"]
         return {e.family.band(s) for e in yields for s in (*(b.shape for b in e.blocks), *e.rest)}
 

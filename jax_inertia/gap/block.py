@@ -128,6 +128,21 @@ class Block:
 
 # Columns of which the chosen effects leave less than this share of the energy are theirs.
 REACHED = 1e-10
+# Columns alike but for this share of their energy are one.
+TIED = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Moments:
+    """What fits need of a block's free columns A: zero for columns that are not free."""
+
+    block: Block
+    shared: Float[np.ndarray, "s k"]
+    """What the chosen can reach of the columns, in their basis."""
+    gram: Float[np.ndarray, "k k"]
+    """AᵀA."""
+    cross: Float[np.ndarray, " k"]
+    """Aᵀy."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,6 +156,10 @@ class Beside:
     """What they cannot reach."""
     loudness: Loudness | None = None
     """Of what is left once this is explained too; none where it is as loud as noise."""
+
+    @functools.cached_property
+    def _known(self) -> dict[int, "Moments"]:
+        return {}
 
     @functools.cached_property
     def _twice(self) -> Float[np.ndarray, "n c"]:
@@ -165,24 +184,32 @@ class Beside:
             return columns
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def shared(self, block: Block) -> Float[np.ndarray, "s k"]:
-        """What the chosen can reach of a block's columns, in their basis."""
-        return self._twice[:, :-1].T @ block.plain.columns
+    def moments(self, block: Block) -> "Moments":
+        """Of a block's free columns; worked out once, since families may share a block."""
+        if id(block) not in self._known:
+            both = self._twice.T @ block.plain.columns
+            shared, cross = both[:-1], both[-1]
+            gram = block.gram - shared.T @ shared
+            alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
+            self._known[id(block)] = Moments(
+                block, shared, gram * np.outer(alive, alive), cross * alive
+            )
+        return self._known[id(block)]
 
-    def moments(
-        self, block: Block, shared: Float[np.ndarray, "s k"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """AᵀA and Aᵀy of a block's free columns A; zero for columns that are not free."""
-        cross = block.plain.columns.T @ self._twice[:, -1]
-        gram = block.gram - shared.T @ shared
-        alive = np.diagonal(gram) > REACHED * np.diagonal(block.gram)
-        return gram * np.outer(alive, alive), cross * alive
+    def most(self, block: Block) -> float:
+        """What a block's columns explain with any weights, Aᵀy (AᵀA)⁺ Aᵀy: no effect of theirs explains more."""
+        moments = self.moments(block)
+        gram, cross = moments.gram, moments.cross
+        if len(cross) == 1:
+            return float(cross[0] ** 2 / gram[0, 0]) if gram[0, 0] > 0.0 else 0.0
+        scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+        unit = gram / np.outer(scale, scale) + TIED * np.eye(len(cross))
+        x = cross / scale
+        return float(x @ np.linalg.solve(unit, x))
 
-    def slow_moments(
-        self, block: Block, shared: Float[np.ndarray, "s k"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The same in the motion's own band."""
-        seen = block.slow
+    def slow_moments(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """AᵀA and Aᵀy of a block's free columns A in the motion's own band."""
+        seen, shared = block.slow, self.moments(block).shared
         if len(shared):
             seen = seen - self._slow_basis @ shared
         return seen.T @ seen, seen.T @ self._slow_target

@@ -138,12 +138,12 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    shared, count = left.shared(block), block.count
-    raw, plain = left.moments(block, shared)
+    moments, count = left.moments(block), block.count
+    raw, plain = moments.gram, moments.cross
     if not raw.any():
         return None
     if family.slow:
-        gram, cross = left.slow_moments(block, shared)
+        gram, cross = left.slow_moments(block)
     elif family.whole is not None:
         gram, cross = raw - block.noise_gram, plain - block.noise_cross
         if gram[0, 0] < MOSTLY_NOISE * raw[0, 0]:
@@ -157,9 +157,7 @@ def fit(
         if not _as_large_as_it_must_be(error, gram, cross):
             return None
         # What noise and a controller make of it above the motion's band may agree by chance with what it should be.
-        if not family.slow and not _as_large_as_it_must_be(
-            error, *left.slow_moments(block, shared)
-        ):
+        if not family.slow and not _as_large_as_it_must_be(error, *left.slow_moments(block)):
             return None
         tangent, constant = np.zeros((count, 0)), np.ones(count)
     elif family.size is None:

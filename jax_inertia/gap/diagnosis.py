@@ -18,6 +18,7 @@ from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
+from jax_inertia.gap.finder import finder
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.harm import without_harm
 from jax_inertia.gap.intervals import Interval, intervals
@@ -28,7 +29,7 @@ from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
-from jax_inertia.gap.search import find, finder
+from jax_inertia.gap.search import find
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
 from jax_inertia.gap.tied import kind_of_tie, rivals, tied

@@ -24,7 +24,7 @@ def windows(
 
     A single stretch must hold half of it: backlash that rattles at every reversal is no push.
     """
-    time = _time(evidence)
+    time = times(evidence)
     step = time[1] - time[0]
     total = (evidence.unflatten(residual) ** 2).sum(axis=1)
     told = np.any(evidence.used, axis=1)
@@ -53,7 +53,7 @@ def windows(
 
 def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[list[float]]:
     """Stretches [s] that hold most of the excess energy of a whitened residual, if it is not spread over the log."""
-    time = _time(evidence)
+    time = times(evidence)
     step = time[1] - time[0]
     total = (evidence.unflatten(residual) ** 2).sum(axis=1)
     width = max(1, round(0.2 / step))
@@ -64,7 +64,8 @@ def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[lis
     return [[float(time[a]), float(time[min(b, len(time) - 1)])] for a, b in runs]
 
 
-def _time(evidence: Evidence) -> np.ndarray:
+def times(evidence: Evidence) -> Float[np.ndarray, " R"]:
+    """Of its samples, from the log's first [s]."""
     time = evidence.prepared.time[evidence.prepared.kept]
     return time - evidence.prepared.time[0]
 

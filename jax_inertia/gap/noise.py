@@ -204,27 +204,3 @@ def _definite(correlation: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
     mended = (vectors * np.maximum(values, LEAST_OWN)) @ vectors.T
     size = np.sqrt(np.diagonal(mended))
     return mended / np.outer(size, size)
-
-
-# Noise is forgotten after this [s]; what a motion brings about lasts longer, or returns.
-FORGOTTEN, RETURNS = 0.15, 0.4
-MEMORY = 0.02
-# Fourth moment over the second squared: 3 of a Gaussian, which filters make of any noise; more of what comes in bursts.
-BURSTS = 4.5
-
-
-def at_random(rows: Float[np.ndarray, "R nv"], period: float) -> bool:
-    """Whether rows, `period` seconds apart, look like noise: forgotten within 0.15 to 0.4 s, and as loud throughout.
-
-    Where a log does not state its noise, a motor may have missed its command at random by more than the log can show;
-    that is no gap that a model could close.
-    """
-    energy = np.sum(rows**2, axis=0)
-    lags = np.arange(round(FORGOTTEN / period), round(RETURNS / period) + 1)
-    products = np.array([np.sum(rows[k:] * rows[:-k], axis=0) for k in lags])
-    # Chance alone leaves 1/n in each squared correlation.
-    squares = (products / np.maximum(energy, 1e-300)) ** 2 - 1.0 / len(rows)
-    counts = np.sum(rows != 0.0, axis=0)
-    kurtosis = counts * np.sum(rows**4, axis=0) / np.maximum(energy, 1e-100) ** 2
-    share = energy / max(float(energy.sum()), 1e-300)
-    return float(squares.mean(axis=0) @ share) < MEMORY and float(kurtosis @ share) < BURSTS

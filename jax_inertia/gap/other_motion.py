@@ -22,12 +22,12 @@ from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.families.friction import DryFriction
+from jax_inertia.gap.finder import LEAST
 from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.noise import Whitener, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.propose import STOP
-from jax_inertia.gap.search import LEAST
 from jax_inertia.gap.shrink import Sight
 from jax_inertia.gap.turning import REACHES, turning_over
 from jax_inertia.gap.verdict import Tried, Verdict, second_look

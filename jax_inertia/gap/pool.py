@@ -143,10 +143,18 @@ class Pool:
         out.entries = [dataclasses.replace(e, blocks=now[id(e.blocks)]) for e in self.entries]
         return out
 
-    def best(self, left: Beside) -> list[Candidate]:
-        """Every candidate fitted to what is left."""
-        every = (self._best_of(e, left) for e in self.entries)
-        return [c for c in every if c is not None]
+    def best(self, left: Beside, share: float = 0.0) -> list[Candidate]:
+        """Every candidate fitted to what is left, without those that cannot explain a share of what the best does."""
+        most = [max(left.most(b) for b in e.blocks) for e in self.entries]
+        found, enough = {}, 0.0
+        for i in np.argsort(most)[::-1]:
+            if most[i] < enough:
+                break
+            c = self._best_of(self.entries[i], left)
+            if c is not None:
+                found[i] = c
+                enough = max(enough, share * c.gain)
+        return [found[i] for i in sorted(found)]
 
     def _best_of(self, entry: Entry, left: Beside) -> Candidate | None:
         firsts = [fits[0] for fits in self._ranked(entry, left)]

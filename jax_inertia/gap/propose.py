@@ -33,7 +33,9 @@ def propose(
     """
     columns, target = stacked(pool, chosen)
     noise = float(floor.sum())
-    ranked = others(pool, chosen, columns, target)
+    # Of the first step all are told; on rows of its own, a cause that explains little may be the loudest.
+    share = 0.0 if by_row or not chosen else LITTLE
+    ranked = others(pool, chosen, columns, target, share)
     if not ranked:
         return []
     before = misfit(pool, chosen)
@@ -70,6 +72,8 @@ def score(c: Candidate, loud: Loudness) -> float:
     return c.gain / c.noise(loud) - c.price(c.block.evidence.rows) - c.surprise
 
 
+# What explains less than this share of what another cause does, beside the same effects, does not lead.
+LITTLE = 0.1
 # What passes is refined on its own where at the leader's time it explains this share of what the leader does.
 CLOSE = 0.8
 
@@ -205,11 +209,18 @@ def _behind(best: Candidate, simpler: Candidate) -> float:
 
 
 def others(
-    pool: Pool, chosen: list[Candidate], columns: np.ndarray, target: np.ndarray
+    pool: Pool,
+    chosen: list[Candidate],
+    columns: np.ndarray,
+    target: np.ndarray,
+    share: float = 0.0,
 ) -> list[Candidate]:
-    """Every candidate beside the chosen ones (`stacked`), fitted to what they leave."""
+    """Every candidate beside the chosen ones (`stacked`), fitted to what they leave.
+
+    Without those that cannot explain a `share` of what the best does.
+    """
     laws = {(c.family.law_of, c.place) for c in chosen if c.family.law_of}
-    every = pool.best(Beside.of(pool.evidence, columns, target))
+    every = pool.best(Beside.of(pool.evidence, columns, target), share)
     return [
         c
         for c in every
