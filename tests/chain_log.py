@@ -55,6 +55,7 @@ def simulate(
     encoder=QPOS,
     listens=False,
     jitter=None,
+    push=None,
 ):
     """A log at 250 Hz; with `stops`, every joint but the first slows down and stands from 2 to 4 s.
 
@@ -62,7 +63,8 @@ def simulate(
     friction's bristles; `braking`: the controller's gain of speed over that of position; `creep`: time constant of
     bristles that straighten while the joints stand [s]; `soft`: friction loss by MuJoCo's own constraint;
     `encoder`: noise of the positions logged [rad]; `listens`: the controller's speeds are those positions' differences;
-    `jitter`: noise of the commands of a loop twice as quick as the log, which holds every other one.
+    `jitter`: noise of the commands of a loop twice as quick as the log, which holds every other one; `push`: a force on
+    segment3 [N, world axes] that swells and fades from 3.0 to 3.3 s.
     """
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
     model.dof_damping[:] = damping
@@ -100,6 +102,9 @@ def simulate(
         bristle = np.clip(bristle + data.qvel * 0.0005 / reach, -1, 1)
         bristle *= np.where(np.abs(data.qvel) < 0.01, np.exp(-0.0005 / creep), 1.0)
         data.qfrc_applied[:] = gain * u - friction * bristle
+        if push is not None:
+            swells = np.sin(np.pi * np.clip((data.time - 3.0) / 0.3, 0.0, 1.0)) ** 2
+            data.xfrc_applied[3, :3] = swells * np.asarray(push)
         mujoco.mj_step(model, data)
     return Log(
         time=np.array(time),

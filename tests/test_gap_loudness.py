@@ -8,6 +8,7 @@ from scipy import signal
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose, select
+from jax_inertia.gap.block import Beside
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import LIBRARY
@@ -15,6 +16,7 @@ from jax_inertia.gap.finder import finder
 from jax_inertia.gap.loudness import QUIETEST, Loudness
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find
+from jax_inertia.gap.together import stacked
 
 LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
 
@@ -118,6 +120,21 @@ def test_far_above_the_noise_the_end_that_foretells_more_is_taken(
     ends = two_ends(biased, monkeypatch, first=-1, parts=True)
     monkeypatch.setattr(select, "_likelier", lambda *_: False)
     assert select.select(biased.pool, 3, noise * biased.noise_by_row)[0] == ends[taken]
+
+
+@pytest.mark.parametrize("beside", ["nothing", "the cause"])
+def test_what_cannot_lead_is_left_out_and_nothing_else(biased, beside):
+    """No effect explains more than its columns may with any weights, so the best are fitted as among all."""
+    pool, chosen = biased.pool, biased.chosen if beside == "the cause" else []
+    left = Beside.of(pool.evidence, *stacked(pool, chosen))
+    every = pool.best(left)
+    assert all(c.gain <= left.most(c.block) * (1.0 + 1e-6) for c in every)
+    best = max(c.gain for c in every)
+    few = {c.key: c.gain for c in pool.best(left, share=0.3)}
+    assert len(few) < len(every)
+    for c in every:
+        if c.gain > 0.3 * best:
+            assert few[c.key] == c.gain
 
 
 def two_ends(biased, monkeypatch, first: int, parts: bool) -> dict:

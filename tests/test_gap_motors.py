@@ -45,6 +45,16 @@ def test_a_gain_stands_out_of_the_noise_of_motors(robot):
     assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.25)
 
 
+def test_what_motors_miss_is_told_beside_a_push(robot):
+    """A push does not look like noise, and all else does: a log of such commands had been told to lack a cause."""
+    found = diagnose(robot, simulate(motors=12 * MISSED, braking=SOFT, push=(40.0, -25.0, 15.0)))
+    assert found.verdict is Verdict.EXPLAINED
+    (effect,) = found.findings
+    assert (effect.family, effect.place.name) == ("push", "segment3")
+    assert effect.parameters["start"].value == pytest.approx(3.05, abs=0.1)
+    assert found.trace.torque_noise[:4] == pytest.approx(12 * MISSED[:4], rel=0.25)
+
+
 def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
     """It moves the robot. Taken for noise of the torque it hides a gain that is off by a thousandth."""
     log = simulate(
