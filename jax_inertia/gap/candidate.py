@@ -38,6 +38,8 @@ class Candidate:
     aim: float = 0.0
     """What is maximised over the shape: the gain, in the motion's own band for families that are judged there."""
     score: float = -np.inf
+    tightness: Float[np.ndarray, " p"] | None = None
+    """Of each number of θ (`Family.tightness`)."""
 
     @property
     def shape(self) -> Shape:
@@ -70,9 +72,8 @@ class Candidate:
     @property
     def surprise(self) -> float:
         """Score that its equation and unlikely numbers cost."""
-        if self.family.size is None:
-            return self.family.doubt
-        return self.family.doubt + float(np.sum((self.family.tightness() * self.theta) ** 2))
+        unlikely = 0.0 if self.tightness is None else np.sum((self.tightness * self.theta) ** 2)
+        return self.family.doubt + float(unlikely)
 
     def same_cause(self, other: "Candidate") -> bool:
         """Whether it is the same family at the same place; of what passes, with no pause as long as either between."""
@@ -138,7 +139,7 @@ def fit(
 
     `coarse`: the shape is one of a few far apart, so an effect without θ may come out larger or smaller than it is.
     """
-    moments, count = left.moments(block), block.count
+    moments, count, known = left.moments(block), block.count, family.tightness(context)
     raw, plain = moments.gram, moments.cross
     if not raw.any():
         return None
@@ -162,12 +163,16 @@ def fit(
         tangent, constant = np.zeros((count, 0)), np.ones(count)
     elif family.size is None:
         theta = _least_norm(gram, cross)
+        if theta is not None and known is not None:
+            noise = block.noise_beside(left.loudness, theta)
+            theta = np.linalg.solve(gram + noise * np.diag(known**2), cross)
         if theta is None:
             return None
     else:
         free = _least_norm(gram, cross)
         noise = 1.0 if free is None else block.noise_beside(left.loudness, free)
-        theta = _manifold(context, family, place, gram, cross, noise)
+        prior = np.zeros(family.size) if known is None else noise * known**2
+        theta = _manifold(context, family, place, gram, cross, prior)
         if theta is None:
             return None
         tangent = _tangent(lambda t: family.weights(context, place, t), theta)
@@ -187,7 +192,9 @@ def fit(
         return None
     if family.slow and aim < SEEN:
         return None
-    return Candidate(family, place, block, theta, tangent, constant, gain=gain, aim=aim)
+    return Candidate(
+        family, place, block, theta, tangent, constant, gain=gain, aim=aim, tightness=known
+    )
 
 
 def _as_large_as_it_must_be(error: float, gram: np.ndarray, cross: np.ndarray) -> bool:
@@ -201,10 +208,9 @@ def _manifold(
     place: Place,
     gram: np.ndarray,
     cross: np.ndarray,
-    noise: float,
+    prior: Float[np.ndarray, " p"],
 ) -> np.ndarray | None:
-    """min over θ of wᵀ G w − 2 cᵀ w + s² |T θ|², w = weights(θ), T its tightness, by damped Gauss–Newton steps."""
-    prior = noise * family.tightness() ** 2
+    """min over θ of wᵀ G w − 2 cᵀ w + Σ pᵢ θᵢ², w = weights(θ) and p the `prior`, by damped Gauss–Newton steps."""
 
     def change(t):
         return family.weights(context, place, t)

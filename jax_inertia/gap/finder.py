@@ -15,6 +15,7 @@ from jax_inertia.gap.chance import noise_in
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
+from jax_inertia.gap.moderate import moderated
 from jax_inertia.gap.motors import by_samples, torque_noise, with_torque_noise
 from jax_inertia.gap.noise import Whitener, whitener
 from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
@@ -92,6 +93,7 @@ class Finder:
         rows = pool.evidence.noise_by_row(self.replicas)
         against = rows if told is None else told
         chosen, ranking, misfits = select(pool, self.max_effects, against)
+        chosen = moderated(pool, chosen)
         scales, alone = suited(pool, chosen, self.max_effects, against)
         return Selection(pool, white, told, rows, chosen, ranking, misfits, scales, alone)
 

@@ -44,7 +44,7 @@ def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dic
     noise = max(1.0, inflation)
     before = np.sqrt(noise) * _before_data(chosen, blocks)
     covariance = _noise(np.concatenate([inexact(a), before]))
-    spread = _jackknife(pool, a, residual)
+    spread = _jackknife(pool, a, residual, before)
     out, start = [], 0
     for c, block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])
@@ -67,20 +67,24 @@ def _before_data(chosen: list[Candidate], blocks: list[np.ndarray]) -> Float[np.
     """What is known of the numbers without any log, as rows of observations."""
     rows = [np.zeros(b.shape[1]) for b in blocks]
     for row, c in zip(rows, chosen, strict=True):
-        if c.family.size is not None:
-            row[: len(c.theta)] = c.family.tightness()
+        if c.tightness is not None:
+            row[: len(c.theta)] = c.tightness
     return np.diag(np.concatenate(rows))
 
 
 def _jackknife(
-    pool: Pool, a: Float[np.ndarray, "n k"], residual: Float[np.ndarray, " n"]
+    pool: Pool,
+    a: Float[np.ndarray, "n k"],
+    residual: Float[np.ndarray, " n"],
+    before: Float[np.ndarray, "s k"],
 ) -> Float[np.ndarray, "k k"]:
     """Covariance of the fit from its values with each tenth of the log left out in turn."""
     group = pool.evidence.part(GROUPS)
     fits = []
     for g in range(GROUPS):
         kept = group != g
-        fits.append(_noise(a[kept]) @ (a[kept].T @ residual[kept]))
+        inverse = _noise(np.concatenate([a[kept], before]))
+        fits.append(inverse @ (a[kept].T @ residual[kept]))
     away = np.array(fits) - np.mean(fits, axis=0)
     return (GROUPS - 1) / GROUPS * away.T @ away
 

@@ -79,16 +79,17 @@ def _together(
 ) -> None:
     """Search all numbers within their bounds, from where they are."""
     low, high = np.array(bounds).T
-    nothing = np.concatenate([left.target, np.zeros(candidate.family.size or 0)])
+    known = candidate.tightness
+    nothing = np.concatenate([left.target, np.zeros(0 if known is None else len(known))])
 
     def missing(x: Float[np.ndarray, " s"]) -> Float[np.ndarray, " n"]:
         fitted = tried(tuple((low + (x - 1.0) * (high - low)).tolist()))
         if fitted is None:
             return nothing
         rest = left.target - left.free(fitted.effect[:, None])[:, 0]
-        if fitted.family.size is None:
+        if known is None:
             return rest
-        prior = np.sqrt(fitted.noise(left.loudness)) * fitted.family.tightness()
+        prior = np.sqrt(fitted.noise(left.loudness)) * known
         return np.concatenate([rest, prior * fitted.theta])
 
     # Numbers from one to two: the step of a difference is relative.

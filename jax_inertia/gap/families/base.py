@@ -97,6 +97,8 @@ class Family(abc.ABC):
     """Whether bodies welded to each other show it alike."""
     whole: ClassVar[float | None] = None
     """For equations without θ, e = A(shape): how far from one a size let free may come out. None for all others."""
+    vector: ClassVar[bool] = False
+    """Whether θ is a vector in space: before any data no axis has more of it than another."""
     size: ClassVar[int | None] = None
     """Numbers in θ where the effect is not linear in it (`weights`); None where it is."""
 
@@ -189,9 +191,9 @@ class Family(abc.ABC):
     doubt: ClassVar[float] = 0.0
     """Score that it costs beyond its numbers, where it draws much that it is not."""
 
-    def tightness(self) -> Float[np.ndarray, " size"]:
-        """One over the standard deviation of each number of θ before any data, about zero; for `size` of them."""
-        return np.zeros(self.size or 0)
+    def tightness(self, context: Context) -> Float[np.ndarray, " p"] | None:
+        """One over the standard deviation of each number of θ before any data, about zero; None where none is known."""
+        return None
 
     def varying(
         self,

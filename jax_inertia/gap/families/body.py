@@ -64,7 +64,7 @@ class LoadOfSomeSize(Load):
     def weights(self, context, place, theta):
         return super().weights(context, place, theta) + theta[0] * max(theta[4], 0.0) * ROUND
 
-    def tightness(self):
+    def tightness(self, context):
         return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / SIZE**2])
 
     def physical(self, context, place, shape, theta):

@@ -10,6 +10,8 @@ from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
 
 # What holds a robot up, or weighs it down: so many times its weight, and a hand's pull beside it [N].
 HARDEST_HOIST, HAND = 3.0, 50.0
+# As many standard deviations as the hardest is.
+UNLIKELY = 3.0
 
 
 def hardest(context: Context) -> float:
@@ -21,7 +23,7 @@ def hardest(context: Context) -> float:
 class Force(Family):
     """Jᵀ f, f fixed in the world, on a body's centre of mass."""
 
-    kind = "body"
+    kind, vector = "body", True
 
     @abc.abstractmethod
     def hardest(self, context: Context) -> float:
@@ -34,6 +36,10 @@ class Force(Family):
     def physical(self, context, place, shape, theta):
         return bool(np.linalg.norm(theta) < self.hardest(context))
 
+    def tightness(self, context):
+        # In passing, joints may stand so that a force along a limb is told by next to nothing.
+        return np.full(3, UNLIKELY / self.hardest(context))
+
     def parameters(self, context, place, shape, theta):
         return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
 
@@ -41,7 +47,7 @@ class Force(Family):
 class AtAPoint(Force):
     """The same on any point of the body: e = Jᵀ f + Σ rᵢ ∂Jᵀ/∂pᵢ f, r from the centre of mass; θ = [f, r]."""
 
-    size, doubt = 6, 30.0
+    size, doubt, vector = 6, 30.0, False
 
     def rows(self, context, place):
         levers = context.lever_rows(place.index)
@@ -62,7 +68,7 @@ class AtAPoint(Force):
             for x in (np.zeros(3), origin, _within(r, _extent(context, place)))
         ]
 
-    def tightness(self):
+    def tightness(self, context):
         # Along a joint's axis a point may lie anywhere: there the force acts alike, on the links at either side too.
         return np.array([0.0, 0.0, 0.0, *3 * [1.0 / REACH]])
 
