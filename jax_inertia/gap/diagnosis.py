@@ -105,8 +105,9 @@ def diagnose(
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
     # The most important first.
-    brings = [_brought(pool, chosen, c) for c in chosen]
-    chosen = [chosen[k] for k in np.argsort(-np.array(brings), kind="stable")]
+    brings = np.array([_brought(pool, chosen, c) for c in chosen])
+    order = np.argsort(-brings, kind="stable")
+    chosen, brings = [chosen[k] for k in order], brings[order]
     # A force in passing that is not known for the cause foretells nothing: each stretch is predicted without it.
     foretold = verdict is Verdict.UNKNOWN
     steps = tuple(
@@ -117,7 +118,7 @@ def diagnose(
         before = prepared.finish_torque(prepared.missing)
         heldout, _ = held_out(pool, rows, chosen, before, steps[-1], search.replicas)
     numbers = intervals(pool, chosen, search.misfits[-1] / max(search.noise, 1.0))
-    findings = tuple(_finding(search, chosen, i, numbers[i]) for i in range(len(chosen)))
+    findings = tuple(_finding(search, chosen, i, numbers[i], brings[i]) for i in range(len(chosen)))
     reaches, turned = turning(pool, chosen)
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
     return Diagnosis(
@@ -172,8 +173,9 @@ def _finding(
     chosen: list[Candidate],
     i: int,
     numbers: dict[str, Interval],
+    brings: float,
 ) -> Finding:
-    """The i-th effect beside its rivals, given the others."""
+    """The i-th effect, which brings so much of the misfit, beside its rivals, given the others."""
     pool, c = search.pool, chosen[i]
     others = rivals(search, chosen, i)
     gap = max(misfit(pool, []) - search.floor, 1e-300)
@@ -186,7 +188,7 @@ def _finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
-        explained=float(np.clip(_brought(pool, chosen, c) / gap, 0.0, 1.0)),
+        explained=float(np.clip(brings / gap, 0.0, 1.0)),
         probability=probabilities(others).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
         equation=c.family.equation,
