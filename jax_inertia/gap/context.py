@@ -111,6 +111,16 @@ class Context:
         return np.percentile(np.abs(self.v), 99.5, axis=0)
 
     @functools.cached_property
+    def longest(self) -> float:
+        """The robot's longest link [m], one at least: what is a metre on an arm is more on a crane."""
+        robot = self.robot
+        carried = np.array(robot.topology.parent) >= 0
+        links = np.linalg.norm(np.asarray(robot.placement_position)[carried], axis=1)
+        mass = self.pi[:, 0]
+        centres = np.linalg.norm(self.pi[:, 1:4], axis=1)[mass > 0] / mass[mass > 0]
+        return float(np.max([*links, *centres], initial=1.0))
+
+    @functools.cached_property
     def acceleration(self) -> np.ndarray:
         """Acceleration in the motion's band, for columns that it is in (T, nv)."""
         return self.a if self.band is None else self.band.motion(self.a, self.prepared.rate)

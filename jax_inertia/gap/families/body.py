@@ -24,6 +24,10 @@ class Inertial(Family):
         return context.pi[place.index]
 
 
+# How far from its body's frame a load is carried, and a centre of mass from where it should be, in longest links.
+FARTHEST, OFF_CENTRE = 1.0, 0.15
+
+
 class Load(Inertial):
     """A mass more, at a point c of the body."""
 
@@ -45,7 +49,7 @@ class Load(Inertial):
         return np.array([m, *(m * c), *steiner(m, c)])
 
     def physical(self, context, place, shape, theta):
-        return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < 1.0)
+        return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < FARTHEST * context.longest)
 
     def parameters(self, context, place, shape, theta):
         return {
@@ -59,23 +63,25 @@ class LoadOfSomeSize(Load):
     simpler = ("payload",)
 
     def starts(self, context, place, free):
-        return [np.append(theta, SIZE**2) for theta in super().starts(context, place, free)]
+        size = SIZE * context.longest
+        return [np.append(theta, size**2) for theta in super().starts(context, place, free)]
 
     def weights(self, context, place, theta):
         return super().weights(context, place, theta) + theta[0] * max(theta[4], 0.0) * ROUND
 
     def tightness(self, context):
-        return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / SIZE**2])
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / (SIZE * context.longest) ** 2])
 
     def physical(self, context, place, shape, theta):
-        return super().physical(context, place, shape, theta) and 0 < theta[4] < WIDEST**2
+        widest = WIDEST * context.longest
+        return super().physical(context, place, shape, theta) and 0 < theta[4] < widest**2
 
     def parameters(self, context, place, shape, theta):
         own = {"gyration_radius": Parameter(float(np.sqrt(theta[4])), "m", 0.0)}
         return super().parameters(context, place, shape, theta) | own
 
 
-# Radius of gyration of what is carried, and of the widest of that [m].
+# Radius of gyration of what is carried, and of the widest of that, in longest links.
 SIZE, WIDEST = 0.07, 0.3
 # A ball's inertia of one, among a body's parameters.
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -98,7 +104,7 @@ class ComShift(Inertial):
         return np.array([0.0, *(m * theta[:3]), *(steiner(m, new) - steiner(m, old))])
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta) < 0.15)
+        return bool(np.linalg.norm(theta) < OFF_CENTRE * context.longest)
 
     def parameters(self, context, place, shape, theta):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}

@@ -16,8 +16,12 @@ UNLIKELY = 3.0
 
 def hardest(context: Context) -> float:
     """More than any force on a robot for good [N]."""
-    weight = context.pi[:, 0].sum() * np.linalg.norm(np.asarray(context.robot.gravity))
-    return float(HARDEST_HOIST * weight + HAND)
+    return HARDEST_HOIST * _weight(context) + HAND
+
+
+def _weight(context: Context) -> float:
+    """Of the whole robot [N]."""
+    return float(context.pi[:, 0].sum() * np.linalg.norm(np.asarray(context.robot.gravity)))
 
 
 class Force(Family):
@@ -70,7 +74,7 @@ class AtAPoint(Force):
 
     def tightness(self, context):
         # Along a joint's axis a point may lie anywhere: there the force acts alike, on the links at either side too.
-        return np.array([0.0, 0.0, 0.0, *3 * [1.0 / REACH]])
+        return np.array([0.0, 0.0, 0.0, *3 * [1.0 / (REACH * context.longest)]])
 
     def physical(self, context, place, shape, theta):
         return super().physical(context, place, shape, theta[:3]) and bool(
@@ -85,9 +89,9 @@ class AtAPoint(Force):
         }
 
 
-# How far from a body's centre of mass something mostly pulls at it [m].
+# How far from a body's centre of mass something mostly pulls at it, in longest links.
 REACH = 0.1
-# Of a body's radius of gyration: a rod ends at 1.7 of them, and a grip or a hook reaches beyond [m].
+# Of a body's radius of gyration: a rod ends at 1.7 of them, and a grip or a hook reaches beyond, in longest links.
 ENDS, BEYOND = 3.0, 0.1
 
 
@@ -95,10 +99,10 @@ def _extent(context: Context, place: Place) -> float:
     """How far from its centre of mass a body may be pulled at [m]."""
     pi, c = context.pi[place.index], _centre(context, place)
     if pi[0] <= 0:
-        return BEYOND
+        return BEYOND * context.longest
     # Σ moments = 2 ∫ r² dm, about the body's frame.
     about_centre = 0.5 * (pi[4] + pi[7] + pi[9]) / pi[0] - float(c @ c)
-    return ENDS * float(np.sqrt(max(about_centre, 0.0))) + BEYOND
+    return ENDS * float(np.sqrt(max(about_centre, 0.0))) + BEYOND * context.longest
 
 
 def _within(r: np.ndarray, most: float) -> np.ndarray:
@@ -152,8 +156,8 @@ class Drag(Family):
         return {"coefficient": Parameter(theta[0], "N s²/m²", 0.0)}
 
 
-# A person, or a light collision [N].
-HARDEST_PUSH = 700.0
+# A person, or a light collision [N]; what passes by a machine of tonnes, in its weights.
+HARDEST_PUSH, HARDEST_BLOW = 700.0, 0.3
 
 
 def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
@@ -175,7 +179,7 @@ class Passing(Force):
     peaks = 2
 
     def hardest(self, context):
-        return HARDEST_PUSH
+        return max(HARDEST_PUSH, HARDEST_BLOW * _weight(context))
 
     # A shape is when the force is at its half, rising and falling, the share of the whole that either flank takes, and
     # by how much more it is in the first half: so that each hardly moves the others.
