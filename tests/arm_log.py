@@ -51,6 +51,17 @@ def logged(rows, encoder, torque):
     )
 
 
+def sized(size: float) -> mujoco.MjModel:
+    """The arm so many times as long, of the same stuff."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    model.body_pos[:] *= size
+    model.body_ipos[:] *= size
+    model.body_mass[:] *= size**3
+    for inertia in (model.body_inertia, model.dof_damping, model.dof_armature):
+        inertia[:] *= size**5
+    return model
+
+
 def loaded(mass: float, at: tuple[float, float, float], radius: float = 0.0):
     """An edit of the arm's model: a ball [kg] of a radius of gyration [m] at a point of the lower arm [m]."""
 
@@ -83,21 +94,22 @@ def simulate(
     at=None,
     encoder=lambda q: q,
     pace=1.0,
+    size=1.0,
 ):
     """A log of the arm, with `torque(t, q, v, u)` acting beside the logged u and `force(t)` on the lower arm.
 
     `at`: the point of it that the force acts on, its centre of mass if None. `encoder` gives what the encoders read
-    where the joints are at q; `pace` of the motion.
+    where the joints are at q; `pace` of the motion; `size` of the arm (`sized`).
     """
-    model = mujoco.MjModel.from_xml_string(ARM)
+    model, strength = sized(size), size**5
     edit(model)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = wave(0.0, seed, pace)
     rng = np.random.default_rng(seed + 100)
-    rows, sensed, felt = [], noise * 2e-5, noise * TORQUE
+    rows, sensed, felt = [], noise * 2e-5, noise * strength * TORQUE
     for _ in range(round(seconds * 500)):
         target, speed = wave(data.time, seed, pace)
-        u = asked(target, speed, data.qpos, data.qvel)
+        u = strength * asked(target, speed, data.qpos, data.qvel)
         seen = encoder(data.qpos) + sensed * rng.standard_normal(2)
         rows.append((data.time, seen, u + felt * rng.standard_normal(2)))
         for _ in range(4):

@@ -27,6 +27,9 @@ TURNS_OVER = 3e-4
 # Share of its level from which such a friction counts as turned round.
 TURNED = 0.95
 
+# Longest links of robots for which lengths are stated [m].
+USUAL = (0.15, 1.0)
+
 # Over which step second derivatives are taken [rad].
 BENT = 0.05
 # Above this [Hz] accelerations may be the encoders' noise more than what a joint creeps by.
@@ -111,14 +114,15 @@ class Context:
         return np.percentile(np.abs(self.v), 99.5, axis=0)
 
     @functools.cached_property
-    def longest(self) -> float:
-        """The robot's longest link [m], one at least: what is a metre on an arm is more on a crane."""
+    def scale(self) -> float:
+        """How many times larger the robot is than those with links of 0.15 to 1 m: a crane is, a finger is smaller."""
         robot = self.robot
         carried = np.array(robot.topology.parent) >= 0
         links = np.linalg.norm(np.asarray(robot.placement_position)[carried], axis=1)
         mass = self.pi[:, 0]
         centres = np.linalg.norm(self.pi[:, 1:4], axis=1)[mass > 0] / mass[mass > 0]
-        return float(np.max([*links, *centres], initial=1.0))
+        longest = float(np.max([*links, *centres], initial=1e-6))
+        return longest / float(np.clip(longest, *USUAL))
 
     @functools.cached_property
     def acceleration(self) -> np.ndarray:

@@ -31,8 +31,8 @@ class Tolerance:
 
     mass: float = 0.01
     """Relative."""
-    com: float = 1e-3
-    """m, along each axis."""
+    com: float | None = None
+    """m, along each axis. None: 1 mm on a robot with links of 0.15 to 1 m, in proportion on a larger or smaller one."""
     inertia: float = 0.02
     """Relative, about the centre of mass."""
     damping: float = 0.05
@@ -189,11 +189,16 @@ def _holding(context: Context) -> list[Columns]:
     return out
 
 
+# How far a centre of mass of the nominal model is off on a robot of usual size, one standard deviation [m].
+OFF_CENTRE = 1e-3
+
+
 def _bodies(
     context: Context, tolerance: Tolerance
 ) -> dict[str, tuple[Float[np.ndarray, "T nv k"], list[int]]]:
     """Y ∂π for mass, centre of mass (thrice) and inertia of every body with mass, and the column's body."""
     changes = {"mass": [], "centre of mass": [], "inertia": []}
+    com = OFF_CENTRE * context.scale if tolerance.com is None else tolerance.com
     for i, pi in enumerate(context.pi):
         m, h = pi[0], pi[1:4]
         if m <= 0:
@@ -207,7 +212,7 @@ def _bodies(
             # The exact derivative, rotational part included: I about the origin moves with the centre of mass.
             turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
             change = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
-            changes["centre of mass"].append((i, tolerance.com * change))
+            changes["centre of mass"].append((i, com * change))
     return {
         kind: (
             np.stack([context.regressor[:, :, i, :] @ change for i, change in some], axis=-1),

@@ -26,7 +26,8 @@ class Inertial(Family):
         return context.pi[place.index]
 
 
-# How far from its body's frame a load is carried, and a centre of mass from where it should be, in longest links.
+# On a robot of usual size (`Context.scale`): how far from its body's frame a load is carried, and a centre of mass from
+# where it should be [m].
 FARTHEST, OFF_CENTRE = 1.0, 0.15
 
 
@@ -51,7 +52,7 @@ class Load(Inertial):
         return np.array([m, *(m * c), *steiner(m, c)])
 
     def physical(self, context, place, shape, theta):
-        return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < FARTHEST * context.longest)
+        return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < FARTHEST * context.scale)
 
     def parameters(self, context, place, shape, theta):
         return {
@@ -65,17 +66,17 @@ class LoadOfSomeSize(Load):
     simpler = ("payload",)
 
     def starts(self, context, place, free):
-        size = SIZE * context.longest
+        size = SIZE * context.scale
         return [np.append(theta, size**2) for theta in super().starts(context, place, free)]
 
     def weights(self, context, place, theta):
         return super().weights(context, place, theta) + theta[0] * max(theta[4], 0.0) * ROUND
 
     def tightness(self, context):
-        return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / (SIZE * context.longest) ** 2])
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0 / (SIZE * context.scale) ** 2])
 
     def physical(self, context, place, shape, theta):
-        widest = WIDEST * context.longest
+        widest = WIDEST * context.scale
         return super().physical(context, place, shape, theta) and 0 < theta[4] < widest**2
 
     def parameters(self, context, place, shape, theta):
@@ -83,7 +84,7 @@ class LoadOfSomeSize(Load):
         return super().parameters(context, place, shape, theta) | own
 
 
-# Radius of gyration of what is carried, and of the widest of that, in longest links.
+# Radius of gyration of what is carried, and of the widest of that, likewise [m].
 SIZE, WIDEST = 0.07, 0.3
 # A ball's inertia of one, among a body's parameters.
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -106,7 +107,7 @@ class ComShift(Inertial):
         return np.array([0.0, *(m * theta[:3]), *(steiner(m, new) - steiner(m, old))])
 
     def physical(self, context, place, shape, theta):
-        return bool(np.linalg.norm(theta) < OFF_CENTRE * context.longest)
+        return bool(np.linalg.norm(theta) < OFF_CENTRE * context.scale)
 
     def parameters(self, context, place, shape, theta):
         return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}

@@ -74,7 +74,7 @@ class AtAPoint(Force):
 
     def tightness(self, context):
         # Along a joint's axis a point may lie anywhere: there the force acts alike, on the links at either side too.
-        return np.array([0.0, 0.0, 0.0, *3 * [1.0 / (REACH * context.longest)]])
+        return np.array([0.0, 0.0, 0.0, *3 * [1.0 / (REACH * context.scale)]])
 
     def physical(self, context, place, shape, theta):
         return super().physical(context, place, shape, theta[:3]) and bool(
@@ -89,9 +89,9 @@ class AtAPoint(Force):
         }
 
 
-# How far from a body's centre of mass something mostly pulls at it, in longest links.
+# How far from a body's centre of mass something mostly pulls at it, on a robot of usual size (`Context.scale`) [m].
 REACH = 0.1
-# Of a body's radius of gyration: a rod ends at 1.7 of them, and a grip or a hook reaches beyond, in longest links.
+# Of a body's radius of gyration: a rod ends at 1.7 of them, and a grip or a hook reaches beyond, likewise [m].
 ENDS, BEYOND = 3.0, 0.1
 
 
@@ -99,10 +99,10 @@ def _extent(context: Context, place: Place) -> float:
     """How far from its centre of mass a body may be pulled at [m]."""
     pi, c = context.pi[place.index], _centre(context, place)
     if pi[0] <= 0:
-        return BEYOND * context.longest
+        return BEYOND * context.scale
     # Σ moments = 2 ∫ r² dm, about the body's frame.
     about_centre = 0.5 * (pi[4] + pi[7] + pi[9]) / pi[0] - float(c @ c)
-    return ENDS * float(np.sqrt(max(about_centre, 0.0))) + BEYOND * context.longest
+    return ENDS * float(np.sqrt(max(about_centre, 0.0))) + BEYOND * context.scale
 
 
 def _within(r: np.ndarray, most: float) -> np.ndarray:
@@ -140,6 +140,10 @@ class ConstantForce(Lasting):
     leeway = 0.0
 
 
+# Drag grows with the area [N s²/m²]; water is 800 times as dense as air.
+DENSEST = 200.0
+
+
 class Drag(Family):
     name, equation, kind = "drag", "−c |v| v at the centre of mass", "body"
     form_error = 0.05
@@ -150,7 +154,7 @@ class Drag(Family):
         return Columns(np.einsum("tjc,tc->tj", context.force_rows[:, place.index], f)[:, :, None])
 
     def physical(self, context, place, shape, theta):
-        return bool(0 < theta[0] < 200)
+        return bool(0 < theta[0] < DENSEST * context.scale**2)
 
     def parameters(self, context, place, shape, theta):
         return {"coefficient": Parameter(theta[0], "N s²/m²", 0.0)}
