@@ -15,6 +15,7 @@ import numpy as np
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.families.base import Family, Parameter, Place
@@ -80,6 +81,7 @@ def diagnose(
             f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering; at least 100 are needed"
         )
     _require_newton_metres(prepared)
+    require_conventions(prepared)
     library = [*(f for f in LIBRARY if f.name not in exclude), *extra]
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
