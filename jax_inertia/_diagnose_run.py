@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -23,7 +22,8 @@ from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.units import drive_gains, in_newton_metres
-from jax_inertia.gap.words import chance, percent, plain
+from jax_inertia.gap.verdict import Verdict
+from jax_inertia.gap.words import percent, plain
 from jax_inertia.log import Log, LogError, read_log
 from jax_inertia.mjcf import (
     compile_spec,
@@ -123,11 +123,17 @@ def diagnosis(
     return Result(found, nominal, correction, rolled, report)
 
 
+NO_CORRECTION = "verdict unknown: the effects in this model are the nearest ones, and no correction"
+
+
 def write(folder: Path, inputs: Inputs, result: Result) -> None:
     """report.json, report.html and corrected.xml; for a URDF whose inertials change corrected.urdf too."""
     text = json.dumps(result.report, indent=1, allow_nan=False)
     (folder / "report.json").write_text(text + "\n")
-    (folder / "corrected.xml").write_text(loadable(result.correction.spec, inputs.model))
+    model = loadable(result.correction.spec, inputs.model)
+    if result.found.verdict is Verdict.UNKNOWN and result.found.findings:
+        model = f"<!-- {NO_CORRECTION} -->\n{model}"
+    (folder / "corrected.xml").write_text(model)
     nominal, mended = compile_spec(result.nominal), compile_spec(result.correction.spec)
     if is_urdf(model_path(inputs.model)) and (pi := changed_inertials(nominal, mended)):
         write_urdf(model_path(inputs.model), folder / "corrected.urdf", pi)
@@ -168,7 +174,7 @@ def show(result: Result, out: Path, *, as_json: bool) -> None:
 def table(console: Console, found: Diagnosis) -> None:
     """Verdict and effects."""
     rows = Table(
-        title=f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})",
+        title=f"{plain(str(found.verdict))} ({found.certainty})",
         title_justify="left",
     )
     for name in ("effect", "where", "size, 95 % interval", "explains", "or"):
@@ -193,10 +199,11 @@ def shrink_lines(result: Result) -> list[tuple[str, str]]:
     out = []
     for name, s in (("held-out residual", found.heldout), ("other motion", found.test)):
         if s is not None:
-            text = f"{s.before:.3g} → {s.after:.3g} N m (floor {s.noise:.2g})"
+            text = f"{s.before:.3g} → {s.after:.3g} {found.unit} (floor {s.noise:.2g})"
             out.append((name, text))
     if rolled is not None:
-        degrees = [np.rad2deg(x) for x in (rolled.before, rolled.after, rolled.floor)]
-        text = "{:.3g} → {:.3g} deg (floor {:.2g})".format(*degrees)
+        sizes = [rolled.shown * x for x in (rolled.before, rolled.after, rolled.floor)]
+        unit = rolled.shown_in.strip().replace("°", "deg")
+        text = "{:.3g} → {:.3g} {} (floor {:.2g})".format(*sizes[:2], unit, sizes[2])
         out.append((f"{rolled.horizon:g} s rollouts", text))
     return out

@@ -30,6 +30,7 @@ def trace(samples: int = 500) -> Trace:
     return Trace(
         time=time,
         rows=("knee", "hip"),
+        units=("N m", "N"),
         q=np.cumsum(v, axis=0) * 0.02,
         v=v,
         tau=rng.normal(size=(samples, 2)),
@@ -136,7 +137,7 @@ def test_in_a_console_and_in_a_notebook():
     ]
     page = one._repr_html_()
     for said in (
-        "explained (confidence 90 %)",
+        "explained (confidence 90 % that it is the first of those that this log cannot tell apart)",
         one.headline,
         "b = const &amp; &lt;odd&gt;",
         "held out",
@@ -164,3 +165,24 @@ def test_the_demo_judges_itself_hard():
     assert "cannot tell apart" in judged(secret, found(explained, tied))
     assert "right about the place" in judged(secret, found(explained, finding("armature")))
     assert judged(secret, found(explained, finding("armature", HIP))) == "The diagnosis was wrong."
+
+
+def test_numbers_have_their_own_units():
+    """A slide's gap is of newtons; a factor says that it multiplies, and has no unit."""
+    gain = Finding(
+        "torque_gain", KNEE, {"gain": Interval(0.9, 0.88, 0.92, "1", factor=True)}, 0.99, 0.99, ()
+    )
+    one = found(Verdict.EXPLAINED, gain)
+    assert "torque gain at knee (× 0.9)" in one.headline
+    assert gain.sizes == ("gain 0.9 [0.88, 0.92]",)
+    assert one.unit == "N m"
+    on_slide = dataclasses.replace(one, trace=dataclasses.replace(one.trace, gap=(1,)))
+    assert on_slide.unit == "N"
+    both = dataclasses.replace(one, trace=dataclasses.replace(one.trace, gap=(0, 1)))
+    assert both.unit == "N m and N"
+
+
+def test_an_effect_that_explains_next_to_nothing_is_not_near():
+    little = dataclasses.replace(finding("torque_bias"), explained=0.01)
+    assert "nearest" in found(Verdict.UNKNOWN, finding("torque_bias")).headline
+    assert "nearest" not in found(Verdict.UNKNOWN, little).headline

@@ -11,6 +11,7 @@ out (`nuisance`, `evidence`), and every family at every place competes for what 
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
@@ -18,7 +19,7 @@ from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.families import LIBRARY, NAMES
-from jax_inertia.gap.families.base import Family, Parameter, Place
+from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.finder import finder
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.harm import without_harm
@@ -28,8 +29,6 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.objections import objections
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.outcome import Search
-from jax_inertia.gap.pool import Pool
-from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.search import find
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
@@ -37,6 +36,7 @@ from jax_inertia.gap.tied import kind_of_tie, rivals, tied
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
+from jax_inertia.gap.undetectable import undetectable
 from jax_inertia.gap.verdict import Verdict, probabilities
 from jax_inertia.gap.words import number
 from jax_inertia.log import Log
@@ -107,7 +107,7 @@ def diagnose(
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
     # The most important first.
-    brings = np.array([_brought(pool, chosen, c) for c in chosen])
+    brings = _brought(first, search, chosen)
     order = np.argsort(-brings, kind="stable")
     chosen, brings = [chosen[k] for k in order], brings[order]
     # A force in passing that is not known for the cause foretells nothing: each stretch is predicted without it.
@@ -125,7 +125,11 @@ def diagnose(
     rms = np.sqrt(np.mean(prepared.finish_torque(prepared.missing) ** 2, axis=0))
     return Diagnosis(
         verdict=verdict,
-        confidence=findings[0].probability if findings else verdict.confidence(first.bare),
+        confidence=(
+            findings[0].probability
+            if findings and verdict is not Verdict.UNKNOWN
+            else verdict.confidence(first.bare)
+        ),
         chi2=float(np.sum(evidence.raw**2) / evidence.rows),
         noise_floor=float(first.floor / evidence.rows),
         per_joint_rms=dict(zip(context.row_names, rms.tolist(), strict=True)),
@@ -134,7 +138,7 @@ def diagnose(
         heldout=heldout,
         test=None if trial is None else trial.shrink,
         when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
-        undetectable_below=_undetectable(pool),
+        undetectable_below=undetectable(pool),
         notes=(*log.notes, *_unmeasured(prepared), *_unstated(search, log), *checked.notes),
         doubts=objections(search, chosen, verdict, trial, beside, max_effects),
         trace=collect(
@@ -177,10 +181,9 @@ def _finding(
     numbers: dict[str, Interval],
     brings: float,
 ) -> Finding:
-    """The i-th effect, which brings so much of the misfit, beside its rivals, given the others."""
+    """The i-th effect, which brings such a share of the gap, beside its rivals, given the others."""
     pool, c = search.pool, chosen[i]
     others = rivals(search, chosen, i)
-    gap = max(misfit(pool, []) - search.floor, 1e-300)
     equivalent = {
         t.key: Tie(t.family.name, t.place, kind_of_tie(pool, c, t)) for t in tied(search, c, others)
     }
@@ -190,7 +193,7 @@ def _finding(
         family=c.family.name,
         place=c.place,
         parameters=numbers,
-        explained=float(np.clip(brings / gap, 0.0, 1.0)),
+        explained=float(np.clip(brings, 0.0, 1.0)),
         probability=probabilities(others).get(c.key, 0.5),
         equivalent=tuple(equivalent.values()),
         equation=c.family.equation,
@@ -230,20 +233,24 @@ def _unstated(search: Search, log: Log) -> list[str]:
     ]
 
 
-def _brought(pool: Pool, chosen: list[Candidate], effect: Candidate) -> float:
-    """Misfit that returns when one of the effects is left out."""
-    return misfit(pool, [c for c in chosen if c is not effect]) - misfit(pool, chosen)
+def _brought(
+    first: Search, search: Search, chosen: list[Candidate]
+) -> Float[np.ndarray, " effects"]:
+    """Share of the gap that returns when one of the effects is left out, for each.
 
-
-def _undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
-    """Smallest size of each single-number effect that this log would have shown."""
-    out = []
-    for entry in pool.entries:
-        family, place, block = entry.family, entry.place, entry.blocks[len(entry.blocks) // 2]
-        if block.count != 1 or family.grid(pool.context, place):
-            continue
-        price = STOP + np.log(pool.evidence.rows)
-        theta = np.array([np.sqrt(price) / np.sqrt(block.gram[0, 0])])
-        parameter = next(iter(family.reported(pool.context, place, block.shape, theta).values()))
-        out.append((family.name, place, parameter))
-    return tuple(out)
+    After a second pass in the first one's measure: whitened to what effects leave, a gap that stays is small.
+    """
+    evidence = first.pool.evidence
+    if search is first:
+        whole = misfit(first.pool, chosen)
+        without = [misfit(first.pool, [x for x in chosen if x is not c]) for c in chosen]
+        before = misfit(first.pool, [])
+    else:
+        prepared, context = evidence.prepared, first.pool.context
+        drawn = [
+            evidence.charged(prepared.finish_torque(effect_torque(context, c))) for c in chosen
+        ]
+        left = evidence.y - sum(drawn, np.zeros_like(evidence.y))
+        whole, before = float(left @ left), float(evidence.y @ evidence.y)
+        without = [float(np.sum((left + x) ** 2)) for x in drawn]
+    return (np.array(without) - whole) / max(before - first.floor, 1e-300)

@@ -82,10 +82,11 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
     """Missing torque of one row against its position, velocity and torque, with what the effects say of it."""
     trace = found.trace
     fitted = sum((e[:, row] for e in trace.effects), np.zeros(len(trace.time)))
+    angle = "m" if trace.units[row] == "N" else "rad"
     labels = {
-        "q": "position [rad]",
-        "v": "velocity [rad/s]",
-        "tau": "torque [N m]",
+        "q": f"position [{angle}]",
+        "v": f"velocity [{angle}/s]",
+        "tau": f"torque [{trace.units[row]}]",
     }
     out = {}
     for signal, label in labels.items():
@@ -103,7 +104,7 @@ def residual(found: Diagnosis, row: int) -> dict[str, str]:
                 )
             sigma = 2 * trace.noise[row]
             axes.axhspan(-sigma, sigma, color=_BLUE, alpha=0.15, lw=0, label="± 2 σ of noise")
-            axes.set(xlabel=label, ylabel="[N m]")
+            axes.set(xlabel=label, ylabel=f"[{trace.units[row]}]")
             axes.legend(loc="best", fontsize=7.5, markerscale=2)
             out[signal] = embedded(figure)
     return out
@@ -133,7 +134,7 @@ def waterfall(found: Diagnosis) -> str:
         axes.grid(axis="y", visible=False)
         band = found.heldout.band
         below = "" if band is None else f" below {band:.2g} Hz"
-        axes.set_xlabel(f"missing torque{below}, rms [N m]")
+        axes.set_xlabel(f"missing torque{below}, rms [{found.unit}]")
         return embedded(figure)
 
 
@@ -148,12 +149,14 @@ def fan(rolled: Rollouts) -> str:
             (rolled.corrected, _ORANGE, "after: corrected"),
             (rolled.noise, _BLUE, "floor: noise, model's errors"),
         ):
-            size = np.rad2deg(np.sqrt(np.mean(error**2, axis=2)))
+            size = rolled.shown * np.sqrt(np.mean(error**2, axis=2))
             low, high = np.quantile(size, [0.1, 0.9], axis=0)
             axes.fill_between(milliseconds, low, high, color=colour, alpha=0.2, lw=0)
             whole = np.sqrt(np.mean(size**2, axis=0))
             axes.plot(milliseconds, whole, color=colour, lw=1.6, label=label)
-        axes.set(xlabel="time from the window's start [ms]", ylabel="error [deg]")
+        axes.set(
+            xlabel="time from the window's start [ms]", ylabel=f"error [{rolled.shown_in.strip()}]"
+        )
         axes.set_xlim(0, milliseconds[-1])
         axes.set_ylim(0, None)
         axes.legend(loc="upper left", fontsize=8)

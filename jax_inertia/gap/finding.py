@@ -9,7 +9,7 @@ from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.intervals import Interval
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import chance, named, number, percent, plain, unit
+from jax_inertia.gap.words import at, chance, named, number, percent, plain, unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Finding:
     def sizes(self) -> tuple[str, ...]:
         """Every parameter with its 95 % interval; one that only says where something is has none."""
         return tuple(
-            f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
+            f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]{unit(p.unit)}"
             if p.low < p.high
             else f"{name} {p.value:.4g}"
             for name, p in self.parameters.items()
@@ -49,11 +49,15 @@ class Finding:
     @property
     def rivals(self) -> str:
         """What this log cannot tell it from."""
-        return ", ".join(f"{t.family} at {t.place.name} ({t.kind})" for t in self.equivalent)
+        return ", ".join(f"{t.family}{at(t.place)} ({t.kind})" for t in self.equivalent)
 
     def __repr__(self) -> str:
         or_else = f"; or {self.rivals}" if self.equivalent else ""
-        return f"{self.family} at {self.place.name}: {', '.join(self.sizes)}{or_else}"
+        return f"{self.family}{at(self.place)}: {', '.join(self.sizes)}{or_else}"
+
+
+# Effects that explain less than this share of a gap are not near it.
+NOTHING = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,12 +83,20 @@ class Diagnosis:
     trace: Trace
 
     @property
+    def unit(self) -> str:
+        """Of what is missing, over the joints that hold the gap."""
+        told = zip(self.trace.rows, self.trace.units, strict=True)
+        joints = {x for k, (row, x) in enumerate(told) if k in self.trace.gap and "[" not in row}
+        return " and ".join(sorted(joints, reverse=True)) or "N m"
+
+    @property
     def headline(self) -> str:
         """The verdict in one or two sentences."""
         if self.verdict is Verdict.NO_GAP:
             return "No gap: model and robot agree within the sensors' noise and what a good model may be off by."
         where = max(self.share, key=lambda name: self.share[name])
-        if not self.findings:
+        explained = sum(f.explained for f in self.findings)
+        if not self.findings or (self.verdict is Verdict.UNKNOWN and explained < NOTHING):
             return f"Something is missing, mostly at {where}, but no effect in the library explains it."
         names = [_named(f) for f in self.findings]
         every = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
@@ -104,6 +116,15 @@ class Diagnosis:
             "not fit the data."
         )
 
+    @property
+    def certainty(self) -> str:
+        """How sure the verdict is, in words."""
+        among = (
+            self.verdict is not Verdict.UNKNOWN and self.findings and self.findings[0].equivalent
+        )
+        told = " that it is the first of those that this log cannot tell apart" if among else ""
+        return f"confidence {chance(self.confidence)}{told}"
+
     def __repr__(self) -> str:
         lines = [f"{self.verdict} (confidence {self.confidence:.2f})"]
         lines += [f"  {f!r}" for f in self.findings]
@@ -112,7 +133,7 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """For notebooks: the verdict in words, doubts about it, the effects as a table, how far the gap shrinks."""
-        verdict = f"{plain(str(self.verdict))} (confidence {chance(self.confidence)})"
+        verdict = f"{plain(str(self.verdict))} ({self.certainty})"
         out = line(verdict, strong=True) + line(self.headline)
         out += "".join(line(doubt) for doubt in self.doubts)
         if self.findings:
@@ -147,7 +168,7 @@ class Diagnosis:
         """Missing torque before and after, where it was predicted rather than fitted."""
         tried = (("held out", self.heldout), ("other motion", self.test))
         return [
-            (name, f"{s.before:.3g} → {s.after:.3g} N m (floor {s.noise:.3g})")
+            (name, f"{s.before:.3g} → {s.after:.3g} {self.unit} (floor {s.noise:.3g})")
             for name, s in tried
             if s is not None
         ]
@@ -161,4 +182,5 @@ def _named(f: Finding) -> str:
     stem, _, axis = name.rpartition("_")
     every = [f.parameters[f"{stem}_{k}"].value for k in "xyz" if f"{stem}_{k}" in f.parameters]
     size = math.hypot(*every) if axis == "x" else first.value
-    return f"{named(f.family, f.place)} ({number(size)}{unit(first.unit)})"
+    times = "× " if first.factor else ""
+    return f"{named(f.family, f.place)} ({times}{number(size)}{unit(first.unit)})"

@@ -10,6 +10,7 @@ import numpy as np
 from jax_inertia.gap import figures
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.energies import Shrink
+from jax_inertia.gap.families.base import Parameter
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
@@ -59,6 +60,7 @@ def page(about: Page) -> str:
         undetectable=_undetectable(found),
         shares=sorted(found.share.items(), key=lambda x: -x[1])[:6],
         when=_when(found),
+        units=dict(zip(found.trace.rows, found.trace.units, strict=True)),
         notes=[
             n
             for n in found.notes
@@ -82,26 +84,27 @@ def _cards(about: Page) -> list[_Card]:
         _Card(
             "gap",
             f"{number(np.sqrt(max(found.chi2, 0.0)))} × noise",
-            "missing torque, whitened; a model within its tolerance leaves a few",
+            "missing torque against the sensors' noise; masses within their tolerances alone may leave a few times it",
         )
     ]
     for title, s in (("held-out residual", found.heldout), ("another motion", found.test)):
         if s is not None and found.findings:
-            out.append(_Card(title, _shrunk(s), _detail(s)))
+            out.append(_Card(title, _shrunk(s), _detail(s, found.unit)))
         elif s is not None:
-            detail = f"rms; floor {number(s.noise)} N m"
-            out.append(_Card(title, f"{number(s.before)} N m", detail))
+            detail = f"rms; floor {number(s.noise)} {found.unit}"
+            out.append(_Card(title, f"{number(s.before)} {found.unit}", detail))
     if rolled is not None:
         before, after, floor = (
-            number(np.rad2deg(x)) for x in (rolled.before, rolled.after, rolled.floor)
+            f"{number(rolled.shown * x)}{rolled.shown_in}"
+            for x in (rolled.before, rolled.after, rolled.floor)
         )
         title = f"{rolled.horizon:g} s rollouts"
         if found.findings:
-            detail = f"before → after; floor {floor}°: noise, and the model's own errors"
-            out.append(_Card(title, f"{before}° → {after}°", detail))
+            detail = f"before → after; floor {floor}: noise, and the model's own errors"
+            out.append(_Card(title, f"{before} → {after}", detail))
         else:
-            detail = f"floor {floor}°: noise, and the model's own errors"
-            out.append(_Card(title, f"{before}°", detail))
+            detail = f"floor {floor}: noise, and the model's own errors"
+            out.append(_Card(title, before, detail))
     return out
 
 
@@ -111,10 +114,10 @@ def _shrunk(s: Shrink) -> str:
     return f"{'−' if s.share >= 0 else '+'}{percent(abs(s.share))}"
 
 
-def _detail(s: Shrink) -> str:
+def _detail(s: Shrink, unit: str) -> str:
     floor = f"floor {number(s.noise)}: sensors {number(s.sensors)}, the model's own errors {number(s.excused)}"
     below = "" if s.band is None else f" below {number(s.band)} Hz"
-    return f"{number(s.before)} → {number(s.after)} N m{below}; {floor}"
+    return f"{number(s.before)} → {number(s.after)} {unit}{below}; {floor}"
 
 
 def _holding(found: Diagnosis) -> str:
@@ -144,11 +147,19 @@ class _Unseen:
     places: list[tuple[str, str]]
 
 
+def _far(p: Parameter) -> float:
+    """How far a number is from where it does nothing: from one, of a factor."""
+    return abs(p.value - 1.0) if p.factor else abs(p.value)
+
+
+def _size(p: Parameter) -> str:
+    return f"{'1 ± ' if p.factor else ''}{number(_far(p))}{unit(p.unit)}"
+
+
 def _undetectable(found: Diagnosis) -> list[_Unseen]:
     out = []
     for family, group in groupby(found.undetectable_below, key=lambda x: x[0]):
-        every = sorted(group, key=lambda x: abs(x[2].value))
-        measure = unit(every[0][2].unit)
-        sizes = [(place.name, f"{number(abs(p.value))}{measure}") for _, place, p in every]
+        every = sorted(group, key=lambda x: _far(x[2]))
+        sizes = [(place.name, _size(p)) for _, place, p in every]
         out.append(_Unseen(family, sizes[0][1], sizes[-1][1], sizes[-1][0], sizes))
     return out

@@ -27,6 +27,8 @@ class Interval:
     low: float
     high: float
     unit: str
+    factor: bool = False
+    """Whether it multiplies a number of the model."""
 
 
 def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dict[str, Interval]]:
@@ -114,7 +116,7 @@ def _reported(
         half = float(max(1.96 * sizes[0], wide * sizes[1]))
         value = float(parameter.value)
         low = max(value - half, min(float(parameter.least), value))
-        out[name] = Interval(value, low, value + half, parameter.unit)
+        out[name] = Interval(value, low, value + half, parameter.unit, parameter.factor)
     return out
 
 

@@ -56,7 +56,7 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         beyond.append(
             f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
         )
-    if search.entangled is not None and verdict is Verdict.UNKNOWN:
+    if search.entangled is not None and chosen and verdict is Verdict.UNKNOWN:
         beyond.append(
             f"each alone, the effects explain {search.entangled:.1f} times what they explain together: "
             "likelier than as many causes is one that is none of them"

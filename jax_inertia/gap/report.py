@@ -22,7 +22,7 @@ def to_report(
 
     Beyond the contract: `where` (rows, bodies, regions of state), `doubts`, `data_quality`, `notes`.
     """
-    heldout = _shrink(found.heldout)
+    heldout = _shrink(found.heldout, found.unit)
     if found.heldout.interval is not None:
         heldout["ci95"] = list(found.heldout.interval)
     report = {
@@ -38,10 +38,10 @@ def to_report(
         "effects": [_effect(f) for f in found.findings],
         "shrink": {
             "heldout": heldout,
-            "test_log": None if found.test is None else _shrink(found.test),
+            "test_log": None if found.test is None else _shrink(found.test, found.unit),
             "rollout": None if rollouts is None else _rollout(rollouts),
         },
-        "when": [list(w) for w in found.when],
+        "when": [[round(t, 3) for t in w] for w in found.when],
         "undetectable_below": [
             {"family": family, "location": _place(place), "value": p.value, "unit": p.unit}
             for family, place, p in found.undetectable_below
@@ -73,14 +73,14 @@ def _effect(f: Finding) -> dict[str, Any]:
     }
 
 
-def _shrink(s: Shrink) -> dict[str, Any]:
+def _shrink(s: Shrink, unit: str) -> dict[str, Any]:
     return {
         "before": s.before,
         "after": s.after,
         "noise": s.noise,
         "sensor_noise": s.sensors,
         "model_errors": s.excused,
-        "unit": "N m",
+        "unit": unit,
         "band_hz": s.band,
     }
 
@@ -91,7 +91,7 @@ def _rollout(r: Rollouts) -> dict[str, Any]:
         "before": r.before,
         "after": r.after,
         "floor": r.floor,
-        "unit": "rad",
+        "unit": r.unit,
         "windows": len(r.starts),
         "notes": list(r.notes),
     }

@@ -40,6 +40,25 @@ class Rollouts:
     corrected: Float[np.ndarray, "W S n"]
     noise: Float[np.ndarray, "D S n"]
     notes: tuple[str, ...]
+    rotates: tuple[bool, ...]
+    """Which of the joints are no slides."""
+
+    @property
+    def unit(self) -> str:
+        """Of the errors over all joints."""
+        if all(self.rotates):
+            return "rad"
+        return "rad and m" if any(self.rotates) else "m"
+
+    @property
+    def shown(self) -> float:
+        """What errors are multiplied by for people: degrees where all joints rotate."""
+        return 180.0 / np.pi if all(self.rotates) else 1.0
+
+    @property
+    def shown_in(self) -> str:
+        """Their unit then, to stand behind a number."""
+        return "°" if all(self.rotates) else f" {self.unit}"
 
     @property
     def before(self) -> float:
@@ -99,6 +118,10 @@ def rollouts(
         for again in noisy:
             drift = _positions(again.prepared, before, k, samples) - measured
             paths[2].append(after.run(again, k, samples, trace) - own - drift)
+    rotates = {
+        name: robot.topology.dof_rotates[row]
+        for name, row in zip(robot.joint_names, robot.joint_dofadr, strict=True)
+    }
     nominal_, corrected_, noise = (np.nan_to_num(np.array(p), nan=np.pi) for p in paths)
     return Rollouts(
         horizon,
@@ -109,6 +132,7 @@ def rollouts(
         corrected_[:, :, joints],
         noise[:, :, joints],
         correction.notes,
+        tuple(bool(rotates[before.names[k]]) for k in joints),
     )
 
 

@@ -35,8 +35,8 @@ class Missed:
     def at(self, label: str) -> str:
         """In words, with the row's name."""
         return (
-            f"slower than {self.hertz:.1f} Hz, {percent(self.share)} of what is missing is left, most of it at "
-            f"{label}: within the noise of all frequencies, and not within that of these"
+            f"of what is missing {percent(self.share)} is left below {self.hertz:.1f} Hz, most of it at {label}: "
+            "more than noise leaves where the motion is, though no more than it leaves in all"
         )
 
 

@@ -29,6 +29,8 @@ class Trace:
     time: Float[np.ndarray, " R"]
     rows: tuple[str, ...]
     """The joint's name for hinges and slides, `base[k]` for the others."""
+    units: tuple[str, ...]
+    """Of each row's torque: N m, or N."""
     q: Float[np.ndarray, "R nv"]
     v: Float[np.ndarray, "R nv"]
     tau: Float[np.ndarray, "R nv"]
@@ -36,7 +38,7 @@ class Trace:
     """Where friction at rest makes the torque arbitrary, or nothing was measured, and just after: left out of every
     mean."""
     missing: Float[np.ndarray, "R nv"]
-    """Missing torque y [N m]."""
+    """Missing torque y [N m; N on slides]."""
     effects: tuple[Float[np.ndarray, "R nv"], ...]
     """Torque of each finding, fitted to the whole log [N m]."""
     left: tuple[Float[np.ndarray, "R nv"], ...]
@@ -80,6 +82,7 @@ def collect(
     return Trace(
         time=context.time[prepared.kept],
         rows=context.row_names,
+        units=tuple("N m" if r else "N" for r in context.robot.topology.dof_rotates),
         q=prepared.finish(context.joint_position),
         v=prepared.finish(context.v),
         tau=prepared.finish(context.tau),

@@ -10,9 +10,14 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
+def at(place: Place) -> str:
+    """Where; nothing for what is everywhere."""
+    return "" if place.kind == "global" else f" at {place.name}"
+
+
 def named(family: str, place: Place) -> str:
     """An effect and where it is."""
-    return plain(family) + ("" if place.kind == "global" else f" at {place.name}")
+    return plain(family) + at(place)
 
 
 def unit(text: str) -> str:

@@ -45,6 +45,8 @@ class Parameter:
     unit: str
     least: float = -np.inf
     """Less it cannot be, so its interval does not reach below."""
+    factor: bool = False
+    """Whether it multiplies a number of the model, so that one is none of it."""
 
 
 # Units of a hinge's numbers, and of a slide's.
@@ -187,6 +189,12 @@ class Family(abc.ABC):
     def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
         """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""
         return np.ones(1) if self.whole is not None else theta
+
+    def sized(self, context: Context, place: Place, size: float) -> list[Float[np.ndarray, " p"]]:
+        """θ of the effect at a size, of a vector along each axis; nothing where no one number is its size."""
+        if self.size is not None:
+            return []
+        return [*(size * np.eye(3))] if self.vector else [np.array([size])]
 
     doubt: ClassVar[float] = 0.0
     """Score that it costs beyond its numbers, where it draws much that it is not."""

@@ -54,9 +54,13 @@ class Load(Inertial):
     def physical(self, context, place, shape, theta):
         return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < FARTHEST * context.scale)
 
+    def sized(self, context, place, size):
+        pi = self.pi(context, place)
+        return [np.array([size, *(pi[1:4] / pi[0] if pi[0] > 0 else np.zeros(3))])]
+
     def parameters(self, context, place, shape, theta):
         return {
-            "mass": Parameter(theta[0], "kg"),
+            "mass": Parameter(theta[0], "kg", 0.0),
             **{f"com_{k}": Parameter(x, "m") for k, x in zip("xyz", theta[1:4], strict=True)},
         }
 
@@ -98,6 +102,9 @@ class ComShift(Inertial):
     name, equation, size = "com_shift", "centre of mass + δ, mass and inertia about it kept", 3
     simpler = ()
 
+    def sized(self, context, place, size):
+        return [*(size * np.eye(3))]
+
     def weights(self, context, place, theta):
         pi = self.pi(context, place)
         m = pi[0]
@@ -127,6 +134,9 @@ class LinkInertia(Inertial):
     def starts(self, context, place, free):
         return [np.array([0.1])]
 
+    def sized(self, context, place, size):
+        return [np.array([size])]
+
     def weights(self, context, place, theta):
         pi = self.pi(context, place)
         m = pi[0]
@@ -138,4 +148,4 @@ class LinkInertia(Inertial):
         return bool(1.0 / MOST < 1.0 + theta[0] < MOST)
 
     def parameters(self, context, place, shape, theta):
-        return {"inertia_scale": Parameter(1.0 + theta[0], "1")}
+        return {"inertia_scale": Parameter(1.0 + theta[0], "1", factor=True)}

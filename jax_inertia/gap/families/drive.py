@@ -21,7 +21,7 @@ class TorqueGain(Family):
         return theta[0] < 0.6 and abs(self._gain(context, place, theta) - 1.0) < 0.4
 
     def parameters(self, context, place, shape, theta):
-        return {"gain": Parameter(self._gain(context, place, theta), "1")}
+        return {"gain": Parameter(self._gain(context, place, theta), "1", factor=True)}
 
     def _gain(self, context: Context, place: Place, theta: np.ndarray) -> float:
         support = context.prepared.support

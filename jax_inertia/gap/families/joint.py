@@ -72,6 +72,10 @@ class JointSpring(Joint):
         q = context.joint_position[:, place.index]
         return Columns(np.stack([-q, np.ones_like(q)], 1), place.index)
 
+    def sized(self, context, place, size):
+        # About where the joint mostly is: a constant torque is no spring.
+        return [size * np.array([1.0, np.mean(context.joint_position[:, place.index])])]
+
     def physical(self, context, place, shape, theta):
         return theta[0] + context.stiffness[place.index] > 0
 

@@ -40,4 +40,4 @@ class ContactForceScale(Family):
         return abs(theta[0]) < 0.5
 
     def parameters(self, context, place, shape, theta):
-        return {"scale": Parameter(1.0 / (1.0 + theta[0]), "1")}
+        return {"scale": Parameter(1.0 / (1.0 + theta[0]), "1", factor=True)}
