@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.pool import Entry, Pool
 from jax_inertia.gap.propose import STOP
@@ -11,9 +12,12 @@ def undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
     """Smallest size of each effect that this log would have shown, by family and place; where it tells of none, none.
 
     The effect's charged energy has to pay STOP and ln n for its size. Of a vector: along the axis that is seen best.
+    What the model's tolerances, as they were stated, would take is no gap: this log may have them narrower, beside an
+    effect they would not be.
     """
-    price = STOP + np.log(pool.evidence.rows)
-    smallest = (_smallest(pool, entry, price) for entry in pool.entries)
+    evidence = pool.evidence.unpinned()
+    evidence = evidence.rescaled({kind: max(x, 1.0) for kind, x in evidence.scales.items()})
+    smallest = (_smallest(pool, evidence, entry) for entry in pool.entries)
     return tuple(
         (entry.family.name, entry.place, x)
         for entry, x in zip(pool.entries, smallest, strict=True)
@@ -21,15 +25,17 @@ def undetectable(pool: Pool) -> tuple[tuple[str, Place, Parameter], ...]:
     )
 
 
-def _smallest(pool: Pool, entry: Entry, price: float) -> Parameter | None:
-    family, place, block = entry.family, entry.place, entry.blocks[len(entry.blocks) // 2]
+def _smallest(pool: Pool, evidence: Evidence, entry: Entry) -> Parameter | None:
+    family, place = entry.family, entry.place
+    block = entry.blocks[len(entry.blocks) // 2].charged_as(evidence)
+    price = STOP + np.log(evidence.rows)
     if family.whole is not None:
         # A delay does in proportion to what it is while it is small; a limit that is low does much.
         least, *_, most = (
             sorted(entry.blocks, key=lambda b: b.shape) if block.shape else [block] * 2
         )
         energy = float(block.gram[0, 0])
-        if len(block.shape) != 1 or not 0.0 < least.gram[0, 0] < most.gram[0, 0]:
+        if len(block.shape) != 1 or not 0.0 < least.plain.gram[0, 0] < most.plain.gram[0, 0]:
             return None
         size = block.shape[0] * np.sqrt(price / energy)
         return next(iter(family.reported(pool.context, place, (size,), np.zeros(0)).values()))
