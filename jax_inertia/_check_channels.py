@@ -38,6 +38,8 @@ def frozen(log: Log, time: np.ndarray) -> Iterator[Finding]:
     for j, name in enumerate(log.joint_names):
         if log.qvel is not None:
             yield from _frozen_motion(name, qpos[:, j], np.asarray(log.qvel)[:, j], time)
+        else:
+            yield from _frozen_encoder(name, qpos[:, j], tau[:, j], time, moving)
         x = tau[:, j]
         if np.ptp(x) == 0:
             message = f"tau of {name!r} is {x[0]:g} throughout; log it, or leave the joint out"
@@ -221,6 +223,27 @@ def _frozen_motion(
         drift = np.ptp(qpos[a:b] - qvel[a] * (time[a:b] - time[a]))
         if drift > max(0.05 * np.ptp(qpos), 3 * step * (time[b - 1] - time[a])):
             yield _frozen(f"qvel of {name!r}", qvel[a:b], time[a:b], "qpos")
+            break
+
+
+# A fine encoder, by its step over its range, flickers where a joint stands; and one second is long for it not to.
+_FINE, _STANDS = 1e-4, 1.0
+
+
+def _frozen_encoder(
+    name: str, qpos: np.ndarray, tau: np.ndarray, time: np.ndarray, moving: np.ndarray
+) -> Iterator[Finding]:
+    """A long stretch of one value of a fine encoder in which its joint's torque changes as it does elsewhere."""
+    if np.ptp(qpos) < _MOVED or _quantum(qpos) > _FINE * np.ptp(qpos):
+        return
+    for a, b in _constant_runs(qpos, time):
+        long = time[b - 1] - time[a] > _STANDS and moving[a:b].mean() > 0.5
+        if long and np.std(tau[a:b]) > 0.5 * np.std(tau):
+            message = (
+                f"qpos of {name!r} stays at exactly {qpos[a]:.4g} from {time[a]:.4g} to {time[b - 1]:.4g} s while its "
+                "torque goes on as before; a frozen encoder: cut the stretch out, unless the joint is braked"
+            )
+            yield Finding(Severity.WARNING, "frozen", message)
             break
 
 

@@ -241,6 +241,17 @@ def test_a_frozen_encoder_is_betrayed_by_the_velocity():
     assert "from 4 to 5.495 s but qvel says" in frozen[0]
 
 
+def test_a_frozen_encoder_is_betrayed_by_its_torque():
+    """Where no velocity is logged; a coarse encoder, and a joint whose torque rests too, may stand."""
+    log = dataclasses.replace(arm_log(), qvel=None)
+    stuck = changed("qpos", slice(700, 1100), 1, log.qpos[700, 1], log)
+    assert "its torque goes on as before; a frozen encoder" in message(stuck, "frozen")
+    coarse = dataclasses.replace(stuck, qpos=np.round(stuck.qpos, 2))
+    resting = changed("tau", slice(700, 1100), 1, log.tau[700, 1] + 1e-3 * np.arange(400), stuck)
+    for one in (coarse, resting):
+        assert not any("encoder" in f.message for f in preflight(one).findings)
+
+
 def test_a_frozen_velocity_is_betrayed_by_the_position():
     log = changed("qvel", slice(800, 1100), 2, arm_log().qvel[800, 2])
     assert "qvel of 'wrist' stays at exactly" in message(log, "frozen")
