@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import itertools
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -119,8 +120,9 @@ def split(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
         for first in list(simpler.values())[:SPLITS]:
             some = settle(pool, [*others, first], floor)
             step = propose(pool, some, floor)
-            # What passes would draw whatever the first leaves.
-            if not step or step[0].family.passing:
+            # What passes would draw whatever the first leaves; and a load's own centre and inertia are no second cause.
+            here = first.place == c.place
+            if not step or step[0].family.passing or (here and step[0].place == c.place):
                 continue
             trial = settle(pool, [*some, step[0]], floor)
             if len(trial) > len(chosen) and _likelier(pool, trial, chosen, floor, by=STOP):
@@ -254,10 +256,34 @@ def prune(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:
     while len(chosen) > 1:
         worth = _worth(pool, chosen, floor)
         weakest = int(np.argmin(worth))
-        if worth[weakest] >= STOP:
+        if worth[weakest] < STOP:
+            chosen = settle(pool, [x for k, x in enumerate(chosen) if k != weakest], floor)
+            continue
+        fewer = _as_one(pool, chosen, floor)
+        if fewer is None:
             break
-        chosen = settle(pool, [x for k, x in enumerate(chosen) if k != weakest], floor)
+        chosen = fewer
     return chosen
+
+
+def _as_one(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate] | None:
+    """The chosen with one effect for two on one body, where it draws both once its numbers are sought anew.
+
+    Beside another change of the body a load's numbers may have settled far from its own: alone it may need none.
+    """
+    loud = loudness(pool, chosen, floor)
+    for one, other in itertools.permutations(chosen, 2):
+        if one.place != other.place or one.family.size is None:
+            continue
+        rest = [c for c in chosen if c is not one and c is not other]
+        left = Beside.of(pool.evidence, *stacked(pool, rest), loud)
+        for family in (one.family, one.family.freer):
+            for again in pool.best_at([one.shape], family, one, left) if family else ():
+                trial = settle(pool, [*rest, again], floor)
+                worth = loud.counted(material_by_row(pool, trial, chosen))
+                if worth - other.price(pool.evidence.rows) < STOP:
+                    return trial
+    return None
 
 
 def swap(pool: Pool, chosen: list[Candidate], floor: Rows) -> list[Candidate]:

@@ -90,7 +90,7 @@ class Family(abc.ABC):
     alike: ClassVar[str] = ""
     """Families that name the same have the same columns at a place, and differ in their weights."""
     law_of: ClassVar[str] = ""
-    """What it is one law of, where a place has but one: a joint has one dry friction, a body one change of its mass."""
+    """What it is one law of, where a place has but one: a joint has one dry friction, a torque is late by one law."""
     bends: ClassVar[tuple[str, ...]] = ()
     """Kinds of numbers at its place that the effect changes beyond its equation: they may be off as well."""
     changes: ClassVar[tuple[str, ...]] = ("time", "position", "load", "speed")

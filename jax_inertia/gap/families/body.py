@@ -16,8 +16,6 @@ class Inertial(Family):
     """e = −Y δπ(θ), δπ the weights."""
 
     kind, alike, slow = "body", "−Y", True
-    # A load of any form moves a body's centre and inertia by itself.
-    law_of = "inertia"
 
     def columns(self, context, place, shape):
         return Columns(-context.regressor[:, :, place.index, :])
