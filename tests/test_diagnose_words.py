@@ -137,7 +137,7 @@ def test_in_a_console_and_in_a_notebook():
     ]
     page = one._repr_html_()
     for said in (
-        "explained (confidence 90 % that it is the first of those that this log cannot tell apart)",
+        "explained (confidence 90 %)",
         one.headline,
         "b = const &amp; &lt;odd&gt;",
         "held out",
@@ -165,6 +165,16 @@ def test_the_demo_judges_itself_hard():
     assert "cannot tell apart" in judged(secret, found(explained, tied))
     assert "right about the place" in judged(secret, found(explained, finding("armature")))
     assert judged(secret, found(explained, finding("armature", HIP))) == "The diagnosis was wrong."
+
+
+def test_confidence_in_one_of_several_that_tie_says_so():
+    tie = Tie("joint_spring", HIP, "motion_limited")
+    one = dataclasses.replace(
+        found(Verdict.EXPLAINED, finding("torque_bias", KNEE, tie)), confidence=0.4
+    )
+    assert one.certainty.startswith("confidence 40 % that it is the first of those")
+    alone = dataclasses.replace(one, findings=(finding("torque_bias"),))
+    assert alone.certainty == "confidence 40 %"
 
 
 def test_numbers_have_their_own_units():

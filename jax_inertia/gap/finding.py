@@ -56,6 +56,8 @@ class Finding:
         return f"{self.family}{at(self.place)}: {', '.join(self.sizes)}{or_else}"
 
 
+# Of several that a log cannot tell apart the first one is hardly in doubt from this probability.
+SURE = 0.9
 # Effects that explain less than this share of a gap are not near it.
 NOTHING = 0.05
 
@@ -119,11 +121,13 @@ class Diagnosis:
     @property
     def certainty(self) -> str:
         """How sure the verdict is, in words."""
-        among = (
-            self.verdict is not Verdict.UNKNOWN and self.findings and self.findings[0].equivalent
+        tied = self.verdict is not Verdict.UNKNOWN and bool(
+            self.findings and self.findings[0].equivalent
         )
-        told = " that it is the first of those that this log cannot tell apart" if among else ""
-        return f"confidence {chance(self.confidence)}{told}"
+        told = " that it is the first of those that this log cannot tell apart"
+        return (
+            f"confidence {chance(self.confidence)}{told if tied and self.confidence < SURE else ''}"
+        )
 
     def __repr__(self) -> str:
         lines = [f"{self.verdict} (confidence {self.confidence:.2f})"]
