@@ -94,11 +94,12 @@ def _cards(about: Page) -> list[_Card]:
             detail = f"rms; floor {number(s.noise)} {found.unit}"
             out.append(_Card(title, f"{number(s.before)} {found.unit}", detail))
     if rolled is not None:
+        degrees = "°" if all(rolled.rotates) else ""
         before, after, floor = (
-            f"{number(rolled.shown * x)}{rolled.shown_in}"
+            f"{number(rolled.shown * x)}{degrees}"
             for x in (rolled.before, rolled.after, rolled.floor)
         )
-        title = f"{rolled.horizon:g} s rollouts"
+        title = f"{rolled.horizon:g} s rollouts{'' if degrees else f', {rolled.unit}'}"
         if found.findings:
             detail = f"before → after; floor {floor}: noise, and the model's own errors"
             out.append(_Card(title, f"{before} → {after}", detail))
