@@ -13,6 +13,7 @@ from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.doubt import better_than, entangled
 from jax_inertia.gap.evidence import Evidence
+from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.locate import _closed, windows
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
@@ -140,10 +141,17 @@ def test_two_effects_stand_in_place_of_one_that_has_many_numbers_to_draw_both(mo
             name=name, size=None, doubt=0.0, free_shape=0, passing=False
         )
         effect.block, effect.grid, effect.gain = SimpleNamespace(shape=()), 1, 900.0
+        effect.place = Place("body", name, 0)
     ranked = {0: [draws, one, other], 1: [other]}
     monkeypatch.setattr("jax_inertia.gap.select.propose", lambda _, some, __: ranked[len(some)])
     monkeypatch.setattr("jax_inertia.gap.select.settle", lambda _, some, __: some)
     assert split(pool, [draws], floor=np.array([40.0])) == [one, other]
+    # A load's own centre and inertia are no second cause: not where both act on its body.
+    one.place, own = draws.place, one.place
+    assert split(pool, [draws], floor=np.array([40.0])) == [one, other]
+    other.place = draws.place
+    assert split(pool, [draws], floor=np.array([40.0])) == []
+    one.place, other.place = own, own
     # One number is not split.
     draws.theta = np.ones(1)
     assert split(pool, [draws], floor=np.array([40.0])) == []
