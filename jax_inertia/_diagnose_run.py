@@ -203,7 +203,6 @@ def shrink_lines(result: Result) -> list[tuple[str, str]]:
             out.append((name, text))
     if rolled is not None:
         sizes = [rolled.shown * x for x in (rolled.before, rolled.after, rolled.floor)]
-        unit = rolled.shown_in.strip().replace("°", "deg")
-        text = "{:.3g} → {:.3g} {} (floor {:.2g})".format(*sizes[:2], unit, sizes[2])
+        text = "{:.3g} → {:.3g} {} (floor {:.2g})".format(*sizes[:2], rolled.shown_in, sizes[2])
         out.append((f"{rolled.horizon:g} s rollouts", text))
     return out

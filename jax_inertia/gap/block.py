@@ -158,7 +158,8 @@ class Beside:
     """Of what is left once this is explained too; none where it is as loud as noise."""
 
     @functools.cached_property
-    def _known(self) -> dict[int, "Moments"]:
+    def _known(self) -> dict[int, Moments]:
+        # By the block's id, which is its own as long as its moments hold it.
         return {}
 
     @functools.cached_property
@@ -184,7 +185,7 @@ class Beside:
             return columns
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def moments(self, block: Block) -> "Moments":
+    def moments(self, block: Block) -> Moments:
         """Of a block's free columns; worked out once, since families may share a block."""
         if id(block) not in self._known:
             both = self._twice.T @ block.plain.columns

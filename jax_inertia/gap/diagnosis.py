@@ -29,7 +29,7 @@ from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.objections import objections
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.outcome import Search
-from jax_inertia.gap.search import find
+from jax_inertia.gap.search import charged, find
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
 from jax_inertia.gap.tied import kind_of_tie, rivals, tied
@@ -246,10 +246,7 @@ def _brought(
         without = [misfit(first.pool, [x for x in chosen if x is not c]) for c in chosen]
         before = misfit(first.pool, [])
     else:
-        prepared, context = evidence.prepared, first.pool.context
-        drawn = [
-            evidence.charged(prepared.finish_torque(effect_torque(context, c))) for c in chosen
-        ]
+        drawn = [charged(first.pool.context, evidence, c) for c in chosen]
         left = evidence.y - sum(drawn, np.zeros_like(evidence.y))
         whole, before = float(left @ left), float(evidence.y @ evidence.y)
         without = [float(np.sum((left + x) ** 2)) for x in drawn]

@@ -154,9 +154,7 @@ def fan(rolled: Rollouts) -> str:
             axes.fill_between(milliseconds, low, high, color=colour, alpha=0.2, lw=0)
             whole = np.sqrt(np.mean(size**2, axis=0))
             axes.plot(milliseconds, whole, color=colour, lw=1.6, label=label)
-        axes.set(
-            xlabel="time from the window's start [ms]", ylabel=f"error [{rolled.shown_in.strip()}]"
-        )
+        axes.set(xlabel="time from the window's start [ms]", ylabel=f"error [{rolled.shown_in}]")
         axes.set_xlim(0, milliseconds[-1])
         axes.set_ylim(0, None)
         axes.legend(loc="upper left", fontsize=8)

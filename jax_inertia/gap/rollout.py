@@ -57,8 +57,8 @@ class Rollouts:
 
     @property
     def shown_in(self) -> str:
-        """Their unit then, to stand behind a number."""
-        return "°" if all(self.rotates) else f" {self.unit}"
+        """Their unit then."""
+        return "deg" if all(self.rotates) else self.unit
 
     @property
     def before(self) -> float:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chance import at_random
 from jax_inertia.gap.constancy import Inconstant, inconstant
+from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, entangled, share_of_others, standing
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.finder import LOUDER, Finder, Selection
@@ -101,17 +102,16 @@ def _judged(finder: Finder, selection: Selection) -> Search:
     )  # fmt: skip
 
 
-def charged(finder: Finder, evidence: Evidence, c: Candidate) -> Float[np.ndarray, " n"]:
+def charged(context: Context, evidence: Evidence, c: Candidate) -> Float[np.ndarray, " n"]:
     """A found effect in the metric of any evidence of this log."""
-    drawn = effect_torque(finder.context, c)
-    return evidence.charged(finder.context.prepared.finish_torque(drawn))
+    return evidence.charged(context.prepared.finish_torque(effect_torque(context, c)))
 
 
 def _are_several(finder: Finder, evidence: Evidence, stand: list[Candidate]) -> bool:
     """Whether effects that stand are too many to be one cause in disguise, and most of them explain their rows."""
     if len(stand) < SEVERAL:
         return False
-    left = evidence.y - np.sum([charged(finder, evidence, c) for c in stand], axis=0)
+    left = evidence.y - np.sum([charged(finder.context, evidence, c) for c in stand], axis=0)
     return _are_causes(finder, evidence, stand, left, MOSTLY)
 
 
@@ -176,7 +176,7 @@ def find(finder: Finder) -> tuple[Search, Search]:
     if not second.chosen:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
-    effects = [charged(finder, evidence, c) for c in second.chosen]
+    effects = [charged(finder.context, evidence, c) for c in second.chosen]
     after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
     verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)

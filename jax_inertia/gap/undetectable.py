@@ -31,11 +31,11 @@ def _smallest(pool: Pool, evidence: Evidence, entry: Entry) -> Parameter | None:
     price = STOP + np.log(evidence.rows)
     if family.whole is not None:
         # A delay does in proportion to what it is while it is small; a limit that is low does much.
-        least, *_, most = (
-            sorted(entry.blocks, key=lambda b: b.shape) if block.shape else [block] * 2
+        least, most = (
+            float(end(entry.blocks, key=lambda b: b.shape).plain.gram[0, 0]) for end in (min, max)
         )
         energy = float(block.gram[0, 0])
-        if len(block.shape) != 1 or not 0.0 < least.plain.gram[0, 0] < most.plain.gram[0, 0]:
+        if len(block.shape) != 1 or not 0.0 < least < most:
             return None
         size = block.shape[0] * np.sqrt(price / energy)
         return next(iter(family.reported(pool.context, place, (size,), np.zeros(0)).values()))
