@@ -100,13 +100,14 @@ def test_without_noise_it_is_the_paper_s_filter(chart, iterations):
 
 
 def test_run_is_a_loop_of_steps():
-    estimator, log = arm(sigma_a=0.5)
+    # One iteration overshoots from a prior this wide: rounding of 1e-13 is 1 after twenty samples
+    # of it, on any jax, and what the compiler fuses decides. Five find the same to 1e-10.
+    estimator, log = arm(sigma_a=0.5, iterations=5)
     state, step = estimator.initial(), eqx.filter_jit(Estimator.step, compiler_options=FAST)
     for k in range(20):
         state, _ = step(estimator, state, jax.tree.map(lambda x, k=k: x[k], log), 0.01)
     whole, _ = run(estimator, estimator.initial(), jax.tree.map(lambda x: x[:20], log))
-    # The two are compiled apart and round apart, and what the first samples leave open magnifies it.
-    np.testing.assert_allclose(whole.belief.mean, state.belief.mean, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(whole.belief.mean, state.belief.mean, rtol=1e-8, atol=1e-9)
 
 
 def test_rows_that_are_not_measured_say_nothing():
