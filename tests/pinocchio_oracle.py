@@ -7,7 +7,12 @@ merged under one joint; armature in `rnea` and `crba` but not in the regressor.
 
 import mujoco
 import numpy as np
-import pinocchio as pin
+import pytest
+
+try:
+    import pinocchio as pin
+except ImportError as error:  # not installed, or a library of the system is missing (libgomp1)
+    pytest.skip(f"Pinocchio, the second engine: {error}", allow_module_level=True)
 
 # Where each entry of Pinocchio's π stands in ours.
 ORDER = np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9])

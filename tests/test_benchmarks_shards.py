@@ -88,7 +88,7 @@ def monte_carlo(out: Path, devices: int, *extra: str) -> subprocess.Popen:
     return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
-@pytest.mark.skipif("JAX_INERTIA_SLOW" not in os.environ, reason="slow: JAX_INERTIA_SLOW=1")
+@pytest.mark.slow
 def test_two_processes_of_four_devices_give_the_single_devices_numbers(tmp_path: Path):
     with socket.socket() as free:
         free.bind(("localhost", 0))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("pinocchio", reason="the second engine")
+pytest.importorskip("pinocchio_oracle")
 pytest.importorskip("cryptography", reason="the seal")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "blind"))
 

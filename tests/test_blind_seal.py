@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio", reason="the second engine")
+pytest.importorskip("pinocchio_oracle")
 pytest.importorskip("cryptography", reason="the seal")
 BLIND = Path(__file__).parents[1] / "benchmarks" / "blind"
 sys.path.insert(0, str(BLIND))

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio_oracle import pin
 
-pytest.importorskip("pinocchio", reason="the second engine")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "blind"))
 
-import pinocchio as pin
 import rivals
 import world.simulate as simulate
 from world.bristles import LuGre, Maxwell
@@ -81,8 +80,6 @@ def test_a_short_run_is_the_same_by_both_engines_and_by_shorter_steps(monkeypatc
 
 def test_a_free_pendulum_keeps_its_energy():
     """No damping, no friction, no torque: kinetic and potential energy of Pinocchio's model, 1 s of RK4."""
-    import pinocchio as pin
-
     machine = MACHINES["two"](np.random.default_rng(2))
     for k in range(len(machine.links)):
         machine = machine.edited(k, damping=0.0, friction=0.0)

@@ -1,9 +1,8 @@
 """The same controller drives the humanoid in MuJoCo C and in MJX, and the two stay together.
 
-Compiling the loop in MJX takes minutes on two cores: set JAX_INERTIA_SLOW=1 to run it.
+Compiling the loop in MJX takes minutes on two cores.
 """
 
-import os
 import sys
 from pathlib import Path
 
@@ -30,10 +29,7 @@ from jax_inertia.robots import CORNERS, HumanoidOptions, humanoid_mjcf
 
 SECONDS, PER_TICK = 2.0, 2
 
-pytestmark = [
-    pytest.mark.skipif("JAX_INERTIA_SLOW" not in os.environ, reason="slow: JAX_INERTIA_SLOW=1"),
-    pytest.mark.timeout(1200),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 
 def test_walks_alike_in_mujoco_c_and_in_mjx():

@@ -1,13 +1,12 @@
 """Every public function shows how it is used, and what it shows is so.
 
 The examples stand by themselves: nothing is in scope but what they import. A few compile for half a minute and are of
-functions that have tests of their own: they run with JAX_INERTIA_SLOW=1.
+functions that have tests of their own: they are `slow`.
 """
 
 import doctest
 import importlib
 import inspect
-import os
 
 import jax
 import pytest
@@ -69,10 +68,10 @@ def quickly():
     jax.config.update("jax_disable_most_optimizations", False)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=[pytest.mark.slow] * (x in SLOW)) for x in EXAMPLES]
+)
 def test_an_example_is_so(name):
-    if name in SLOW and not os.environ.get("JAX_INERTIA_SLOW"):
-        pytest.skip("compiles for long; set JAX_INERTIA_SLOW=1")
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
     failed, tried = runner.run(EXAMPLES[name], out=said.append)

@@ -3,12 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pinocchio as pin
 import pytest
 from bodies import body, margin, random_bodies, rotation, spread_body
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from pinocchio_oracle import ORDER
+from pinocchio_oracle import ORDER, pin
 
 from jax_inertia import inertia
 

@@ -1,7 +1,6 @@
 """The notebooks: cleared of outputs, each opening with a picture, and their code runs.
 
-Those on the diagnosis and on Monte Carlo compile for a minute and stand on code that has tests of its own: they run
-with JAX_INERTIA_SLOW=1.
+All but the first compile for a minute and stand on code that has tests of its own: they are `slow`.
 """
 
 import ast
@@ -50,10 +49,11 @@ def test_a_notebook_is_text_and_code_without_outputs(path):
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in SLOW), id=p.stem) for p in NOTEBOOKS],
+)
 def test_a_notebook_runs(path, tmp_path):
-    if path.stem in SLOW and not os.environ.get("JAX_INERTIA_SLOW"):
-        pytest.skip("a minute of compiling; set JAX_INERTIA_SLOW=1")
     # In a process of its own, as for a reader: nothing is left of the tests' settings.
     settings = {"MPLBACKEND": "Agg"}
     if path.stem not in SLOW:

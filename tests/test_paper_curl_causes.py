@@ -1,6 +1,5 @@
 """What the curl's estimator is told of a diagnosis, against MuJoCo's own forces."""
 
-import os
 import sys
 from pathlib import Path
 
@@ -36,8 +35,6 @@ LOAD = Effect(
 
 @pytest.fixture(scope="module")
 def brain() -> Brain:
-    if not os.environ.get("JAX_INERTIA_SLOW"):
-        pytest.skip("slow: JAX_INERTIA_SLOW=1")
     return curl.mind()
 
 
@@ -48,6 +45,7 @@ def test_forearm_and_what_no_torque_shows_are_left_to_the_estimator():
     assert untold == [LOAD, delay]
 
 
+@pytest.mark.slow
 def test_known_effects_act_as_in_mujoco(brain):
     plant = model()
     told = informed(brain, [HOIST, RUB, STIFF], ("torso_link",))
@@ -79,6 +77,7 @@ def test_known_effects_act_as_in_mujoco(brain):
     np.testing.assert_allclose(of_robot.pi, brain.robot.pi, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_estimator_cannot_be_told_of_what_it_has_no_equation_for(brain):
     delay = Effect("time_delay", "global", "global", {"delay": 0.01})
     with pytest.raises(ValueError, match="cannot be told of time_delay"):

@@ -3,7 +3,6 @@
 import csv
 import functools
 import json
-import os
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -157,7 +156,7 @@ def test_what_it_promises_is_what_a_noisy_log_gives():
     np.testing.assert_allclose(np.std(errors, axis=0), found.known.sigma[0], rtol=0.16)
 
 
-@pytest.mark.skipif(not os.environ.get("JAX_INERTIA_SLOW"), reason="slow: JAX_INERTIA_SLOW=1")
+@pytest.mark.slow
 def test_a_wall_is_kept_clear_of():
     wall = '<geom name="wall" type="box" pos="-0.26 0 0.5" size="0.02 1 1"/>'
     model = compiled(wall)
