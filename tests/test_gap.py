@@ -52,6 +52,7 @@ def test_dry_friction_with_another_law(robot):
     assert found.findings[0].place.name == "shoulder"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
     def torque(t, q, v, u):
@@ -66,7 +67,7 @@ def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
     assert effect.parameters["stiction"].value == pytest.approx(0.65, rel=0.1)
 
 
-@pytest.mark.parametrize("of_motor", [0.0, 1.0])
+@pytest.mark.parametrize("of_motor", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor):
     def torque(t, q, v, u):
         # f = F + μ|u| of the motor's torque u, and of the link's, u − f s: with the motion, or against it.
@@ -149,6 +150,7 @@ def test_torques_in_another_unit_are_refused(robot, factor):
         diagnose(robot, dataclasses.replace(log, tau=factor * np.asarray(log.tau)))
 
 
+@pytest.mark.slow
 def test_who_asks_for_one_effect_of_two_is_told(robot):
     log = simulate(lambda t, q, v, u: np.array([0.5, -0.15 * v[1]]))
     found = diagnose(robot, log, max_effects=1)
@@ -168,6 +170,7 @@ def test_a_simulation_that_bursts_leaves_nothing_in_the_user_s_folder(tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_a_model_lifts_is_no_gap():
     """Torques logged without what carries the lower arm, as some drives report them and `gravcomp` says."""
     lifted = ARM.replace('<body name="lower"', '<body name="lower" gravcomp="1"')

@@ -179,10 +179,14 @@ def test_nothing_of_the_package_under_test_is_imported():
     [
         ("viscous_friction", "joint2", [0.4], {"damping": 0.29}),
         ("armature", "joint1", [0.3], {"armature": 0.225}),
-        ("joint_spring", "joint1", [3.0, 0.2], {"stiffness": 3.0}),
+        pytest.param(
+            "joint_spring", "joint1", [3.0, 0.2], {"stiffness": 3.0}, marks=pytest.mark.slow
+        ),
         ("torque_gain", "joint2", [0.9], {"gain": 0.9}),
         ("torque_bias", "joint1", [1.5], {"bias": 1.5}),
-        ("payload", "link2", [0.5, 0.0, 0.0, -0.3], {"mass": 0.5}),
+        pytest.param(
+            "payload", "link2", [0.5, 0.0, 0.0, -0.3], {"mass": 0.5}, marks=pytest.mark.slow
+        ),
         ("com_shift", "link2", [0.0, 0.0, 0.02], {"com_shift_z": 0.02}),
         ("link_inertia", "link2", [1.6], {"inertia_scale": 1.6}),
         ("gravity_tilt", "global", [0.0, 0.03], {"tilt_y": 0.03}),

@@ -83,18 +83,20 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(HOPPER))
 
 
-@pytest.mark.parametrize("late", [0, STEPS // 4])
+@pytest.mark.parametrize("late", [pytest.param(0, marks=pytest.mark.slow), STEPS // 4])
 def test_blows_are_no_gap_whenever_in_its_period_a_wrench_was_measured(robot, late):
     found = diagnose(robot, kicked(late))
     assert found.verdict is Verdict.NO_GAP, found
 
 
+@pytest.mark.slow
 def test_wrenches_that_are_late_by_periods_are_named(robot):
     found = diagnose(robot, kicked(3 * STEPS))
     assert found.verdict is Verdict.UNKNOWN
     assert any("contact wrenches that come late" in doubt for doubt in found.doubts)
 
 
+@pytest.mark.slow
 def test_a_push_amid_blows_is_found(robot):
     found = diagnose(robot, kicked(STEPS // 4, seed=1, push=3.0))
     assert found.verdict is Verdict.EXPLAINED

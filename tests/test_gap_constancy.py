@@ -25,6 +25,7 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(ARM))
 
 
+@pytest.mark.slow
 def test_an_encoder_with_a_wrong_scale_is_named(robot):
     found = diagnose(robot, simulate(encoder=lambda q: q * np.array([1.0, 1.012])))
     assert found.verdict is Verdict.EXPLAINED
@@ -33,6 +34,7 @@ def test_an_encoder_with_a_wrong_scale_is_named(robot):
     assert effect.parameters["scale"].value == pytest.approx(0.012, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_encoder_whose_disk_is_eccentric_is_no_wrong_scale(robot):
     disk = 0.012 * np.array([0.0, 1.0])
     found = diagnose(robot, simulate(encoder=lambda q: q + disk * np.sin(q)))
@@ -49,6 +51,7 @@ def test_what_no_effect_comes_near_stands_out_all_the_same(robot):
     assert any("encoder at elbow" in doubt for doubt in found.doubts)
 
 
+@pytest.mark.slow
 def test_a_friction_that_grows_with_the_angle_is_no_friction_of_the_library(robot):
     found = diagnose(robot, simulate(lambda t, q, v, u: np.array([0.0, -0.2 * v[1] * (q[1] > 0)])))
     assert found.verdict is Verdict.UNKNOWN
@@ -76,6 +79,7 @@ def test_a_push_with_a_sudden_beginning_and_end_is_sized(robot):
     assert value["end"] == pytest.approx(3.8, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_force_that_turns_about_is_no_push(robot):
     assert diagnose(robot, simulate(force=shove(9.0))).verdict is Verdict.UNKNOWN
 
@@ -99,6 +103,7 @@ def test_forces_in_passing_at_two_bodies_are_one_cause():
     assert crowded([first, friction, elsewhere]) == (first, elsewhere)
 
 
+@pytest.mark.slow
 def test_a_hose_with_hysteresis_is_no_spring(robot):
     state = np.zeros(1)
 
@@ -132,6 +137,7 @@ def test_another_length_does_what_mujoco_says_it_does(robot):
     np.testing.assert_allclose(change, needed[1] - needed[0], atol=0.03 * np.abs(change).max())
 
 
+@pytest.mark.slow
 def test_clocks_that_run_apart_are_no_lag(robot):
     log = simulate()
     late = [np.interp(log.time * (1 + 2e-3), log.time, q) for q in np.asarray(log.qpos).T]

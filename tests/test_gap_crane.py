@@ -107,6 +107,7 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(model))
 
 
+@pytest.mark.slow
 def test_a_soft_gear_is_named_on_a_log_that_begins_amid_the_motion(robot):
     """It rings at 1.5 Hz, in the motion's own band, on the other motion as well."""
     found = diagnose(robot, simulate(soft=True), test_log=simulate(soft=True, seed=2))

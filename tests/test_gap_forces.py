@@ -30,6 +30,7 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(ARM))
 
 
+@pytest.mark.slow
 def test_a_pull_away_from_the_centre_of_mass_is_found_with_its_point(robot):
     found = diagnose(robot, simulate(force=lambda t: PULL, at=TIP))
     assert found.verdict is Verdict.EXPLAINED
@@ -191,11 +192,13 @@ def test_a_push_may_happen_again_on_another_motion(robot, push_log, again, shrin
     assert found.test.share == shrinks
 
 
+@pytest.mark.slow
 def test_a_push_does_not_excuse_another_cause_on_another_motion(robot, push_log):
     other = simulate(force=lambda t: PULL, seconds=6.0, seed=5)
     assert diagnose(robot, push_log, test_log=other).verdict is Verdict.UNKNOWN
 
 
+@pytest.mark.slow
 def test_a_body_that_is_pushed_twice_is_named_twice(robot):
     """By two forces at two times: what is left of one that is found is no push on the next body."""
     twice = (pushed(1.8, 2.0 * PULL), pushed(5.2, np.array([-3.0, 0.0, -5.0])))
@@ -208,6 +211,7 @@ def test_a_body_that_is_pushed_twice_is_named_twice(robot):
     assert forces[5]["force_x"].value == pytest.approx(-3.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_push_beside_a_load_is_no_error_of_the_loads_equation(robot):
     found = diagnose(
         robot, simulate(edit=loaded(3.0, (0.0, 0.05, -0.3)), force=pushed(3.0, 0.1 * PULL))
@@ -219,6 +223,7 @@ def test_a_push_beside_a_load_is_no_error_of_the_loads_equation(robot):
     ]
 
 
+@pytest.mark.slow
 def test_a_hard_push_excuses_nothing_before_and_after(robot):
     """Errors of a push's equation are bought while it lasts: a little friction shows all along."""
 
@@ -233,6 +238,7 @@ def test_a_hard_push_excuses_nothing_before_and_after(robot):
     ]
 
 
+@pytest.mark.slow
 def test_what_only_the_other_motion_shows_elsewhere_makes_no_wrong_cause(robot):
     """Friction at the shoulder; the elbow's drive has a limit that only the faster motion comes to."""
 
@@ -281,6 +287,7 @@ def test_what_errors_of_the_feets_sensors_come_to_does_not_speak_alone(monkeypat
     assert better_than(pool, [], 900.0) is None
 
 
+@pytest.mark.slow
 def test_a_soft_stop_is_no_push(robot):
     def rubber(t, q, v, u):
         depth = max(q[1] - 2.3, 0.0)
@@ -291,6 +298,7 @@ def test_a_soft_stop_is_no_push(robot):
     assert any("a soft stop that elbow runs into fits better than push" in x for x in found.doubts)
 
 
+@pytest.mark.slow
 def test_of_two_effects_that_a_log_cannot_tell_the_one_that_another_motion_refutes_does_not_stand(
     robot,
 ):

@@ -86,6 +86,7 @@ def strange(t, q, v, u):
     return np.array([BIAS, 1.5 * np.sin(2.0 * v[0]) * np.cos(4.0 * q[1])])
 
 
+@pytest.mark.slow
 def test_a_joint_is_heard_beside_one_that_no_effect_explains():
     found = diagnose(load_model(mujoco.MjModel.from_xml_string(ARM)), simulate(strange))
     assert found.verdict is Verdict.UNKNOWN

@@ -30,6 +30,7 @@ def assert_only_a_gain(found, joint, gain):
     assert number.low < gain < number.high
 
 
+@pytest.mark.slow
 def test_what_motors_miss_is_told_joint_by_joint(robot):
     found = diagnose(robot, simulate(motors=MISSED, braking=SOFT))
     assert found.verdict is Verdict.NO_GAP
@@ -38,6 +39,7 @@ def test_what_motors_miss_is_told_joint_by_joint(robot):
     assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_gain_stands_out_of_the_noise_of_motors(robot):
     gain = np.array([1.0, 1.0, 1.0, 0.9, 1.0])
     found = diagnose(robot, simulate(motors=MISSED, braking=SOFT, gain=gain))
@@ -45,6 +47,7 @@ def test_a_gain_stands_out_of_the_noise_of_motors(robot):
     assert found.trace.torque_noise[:4] == pytest.approx(MISSED[:4], rel=0.25)
 
 
+@pytest.mark.slow
 def test_what_motors_miss_is_told_beside_a_push(robot):
     """A push does not look like noise, and all else does: a log of such commands had been told to lack a cause."""
     found = diagnose(robot, simulate(motors=12 * MISSED, braking=SOFT, push=(40.0, -25.0, 15.0)))
@@ -70,6 +73,7 @@ def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
     assert_only_a_gain(found, "axis3", 0.9988)
 
 
+@pytest.mark.slow
 def test_a_log_that_states_its_noise_is_believed(robot):
     assert diagnose(robot, simulate()).trace.torque_noise is None
 
@@ -77,6 +81,7 @@ def test_a_log_that_states_its_noise_is_believed(robot):
 JITTER = 20.0 * TAU
 
 
+@pytest.mark.slow
 def test_commands_between_a_logs_samples_are_no_gap(robot):
     """A loop twice as quick as the log: half of its rough commands are not in it, whatever noise the sensor states."""
     found = diagnose(robot, simulate(jitter=JITTER, braking=SOFT))
@@ -86,12 +91,14 @@ def test_commands_between_a_logs_samples_are_no_gap(robot):
     assert any("louder than the noise that the log states" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_gain_stands_out_of_the_commands_between_samples(robot):
     gain = np.array([1.0, 1.0, 1.0, 0.8, 1.0])
     found = diagnose(robot, simulate(jitter=JITTER, braking=SOFT, gain=gain))
     assert_only_a_gain(found, "axis4", 0.8)
 
 
+@pytest.mark.slow
 def test_noise_that_samples_do_not_show_is_a_gap(robot):
     """What a log states of its torques is believed where they are no rougher."""
     log = simulate(motors=MISSED, braking=SOFT)

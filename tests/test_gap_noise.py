@@ -38,6 +38,7 @@ def rubbing():
     return load_model(mujoco.MjModel.from_xml_string(chain_xml(FRICTION)))
 
 
+@pytest.mark.slow
 def test_one_damping_that_is_off_where_all_others_are_right_is_a_gap(robot):
     wrong = DAMPING * np.array([1.0, 1.0, 1.14, 1.0, 1.0])
     found = diagnose(robot, simulate(wrong))
@@ -46,6 +47,7 @@ def test_one_damping_that_is_off_where_all_others_are_right_is_a_gap(robot):
     assert effect.parameters["damping"].value == pytest.approx(0.14 * DAMPING[2], rel=0.1)
 
 
+@pytest.mark.slow
 def test_frictions_at_all_joints_stand_beside_what_is_not_in_the_library(robot):
     """No one cause looks like dry friction at five joints; twice the damping, which is barred, is left over."""
     barred = [name for name in NAMES if name != "coulomb_friction"]
@@ -56,6 +58,7 @@ def test_frictions_at_all_joints_stand_beside_what_is_not_in_the_library(robot):
     assert any("damping" in doubt for doubt in found.doubts)
 
 
+@pytest.mark.slow
 def test_a_weight_comes_before_what_is_not_in_the_library():
     """Beside torques of no cause within the motion's band, tolerances twice as wide as stated carried half of it."""
     model = mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS)))
@@ -72,6 +75,7 @@ def test_a_weight_comes_before_what_is_not_in_the_library():
     assert (first.family, first.place.name) == ("payload", "segment5")
 
 
+@pytest.mark.slow
 def test_a_friction_beyond_its_tolerance_competes_as_an_effect():
     """The only friction of its kind, so that no other tells how good such numbers are."""
     friction = np.array([0.0, 0.0, 0.5, 0.0, 0.0])
@@ -85,6 +89,7 @@ def test_a_friction_beyond_its_tolerance_competes_as_an_effect():
     assert effect.parameters["coulomb"].high - 0.125 > 0.05 * 0.5
 
 
+@pytest.mark.slow
 def test_dampings_that_are_all_off_by_as_much_are_a_model_slightly_off(robot):
     wrong = DAMPING * (1 + 0.07 * np.array([1.0, -1.0, 1.2, -0.8, 1.0]))
     found = diagnose(robot, simulate(wrong))
@@ -135,6 +140,7 @@ def test_what_the_models_own_errors_have_in_the_missing_torque(robot):
     assert np.sqrt(np.mean(true**2)) > 0.02
 
 
+@pytest.mark.slow
 def test_an_effect_that_a_tolerance_swallows_is_no_absence_of_a_gap(robot):
     wrong = DAMPING * np.array([1.0, 1.0, 1.4, 1.0, 1.0])
     found = diagnose(robot, simulate(wrong), exclude=["viscous_friction", "friction_drift"])
@@ -229,6 +235,7 @@ def test_known_friction_at_rest_is_not_taken_for_noise(robot, rubbing):
     np.testing.assert_allclose(with_friction.sigma, without.sigma, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_robot_that_stops_with_its_known_friction_has_no_gap(rubbing):
     found = diagnose(rubbing, simulate(friction=FRICTION, stops=True))
     assert found.verdict is Verdict.NO_GAP
@@ -254,11 +261,13 @@ def test_standing_still_is_refused_in_one_line(robot):
         diagnose(robot, dataclasses.replace(log, qpos=still + noise))
 
 
+@pytest.mark.slow
 def test_a_torque_sensors_sample_may_be_of_the_period_that_follows(robot):
     log = dataclasses.replace(simulate(seconds=5.0), tau_kind=TorqueKind.SENSOR)
     assert diagnose(robot, log).verdict is Verdict.NO_GAP
 
 
+@pytest.mark.slow
 def test_noise_of_a_torque_sensor_is_no_lag(robot):
     # A lagged torque is a smoother one, and so has less of its own noise.
     log = simulate(seconds=5.0)

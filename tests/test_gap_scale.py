@@ -46,6 +46,7 @@ def test_a_crane_is_pushed_by_more_than_a_person():
     assert value["force_x"] == pytest.approx(9000.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_load_of_any_form_is_one_effect():
     """A box is neither a point nor a ball: of its inertia some is left, which is no change of the link's own."""
 

@@ -119,7 +119,9 @@ class Hose:
         return np.array([0.0, -self.STIFFNESS * (0.5 * q[1] + (q[1] - self.end))])
 
 
-@pytest.mark.parametrize(("cause", "known"), [(spring, True), (Hose(), False)])
+@pytest.mark.parametrize(
+    ("cause", "known"), [(spring, True), pytest.param(Hose(), False, marks=pytest.mark.slow)]
+)
 def test_a_spring_is_no_cause_of_what_creeps_though_all_it_leaves_is_within_noise(cause, known):
     log = simulate(cause, noise=3.0)
     found = diagnose(load_model(mujoco.MjModel.from_xml_string(ARM)), log)

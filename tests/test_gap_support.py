@@ -72,12 +72,14 @@ def test_what_the_ground_gives_is_what_the_legs_show(robot, trotted, named):
     assert np.sqrt(np.mean(error**2)) < 0.01 * weight
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_no_wrench_is_measured(robot, trotted):
     found = diagnose(robot, unmeasured(trotted))
     assert found.verdict is Verdict.NO_GAP
     assert any("no contact wrench is measured" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_weak_knee_is_named_by_what_it_does_to_the_base(robot, tmp_path):
     gain = fx.TorqueGain("joint", "FL_knee", {"gain": 0.88})
     found = diagnose(robot, unmeasured(walked("trot", gain, folder=tmp_path)))
@@ -87,6 +89,7 @@ def test_a_weak_knee_is_named_by_what_it_does_to_the_base(robot, tmp_path):
     assert effect.parameters["gain"].value == pytest.approx(0.88, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_shank_longer_than_the_model_s_is_no_cause_of_the_library(spec, trotted):
     longer = spec.robot.xml.replace(
         'name="FL_shank" pos="0 0 -0.23"', 'name="FL_shank" pos="0 0 -0.22"'

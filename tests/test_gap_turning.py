@@ -31,6 +31,7 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(NOMINAL))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reach", [2e-4, 1e-3])
 def test_the_displacement_is_found_and_rollouts_stay_at_their_floor(robot, reach):
     """The generator's bristles are straight springs that slip at once, ours (Dahl) bend over."""
@@ -49,6 +50,7 @@ def test_the_displacement_is_found_and_rollouts_stay_at_their_floor(robot, reach
     assert rolled.after < 0.8 * stumbling.after
 
 
+@pytest.mark.slow
 def test_rollouts_of_a_robot_that_creeps_let_it_creep():
     friction = 3.0 * FRICTION
     nominal = mujoco.MjSpec.from_string(chain_xml(friction))
@@ -67,6 +69,7 @@ def test_rollouts_of_a_robot_that_creeps_let_it_creep():
     assert rolled.after < 0.8 * stumbling.after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [3, 4])
 def test_friction_that_creeps_is_friction(joint):
     """A robot that is MuJoCo with friction loss, its model without."""
@@ -79,6 +82,7 @@ def test_friction_that_creeps_is_friction(joint):
     assert effect.parameters["coulomb"].value == pytest.approx(0.5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_joint_has_one_dry_friction():
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(0.0 * FRICTION)))
     log = simulate(friction=np.where(np.arange(JOINTS) == 2, 0.5, 0.0))
@@ -91,6 +95,7 @@ def test_a_joint_has_one_dry_friction():
     assert all(c.place != rubbing.place for c in dry)
 
 
+@pytest.mark.slow
 def test_without_friction_nothing_turns():
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(0.0 * FRICTION)))
     assert not diagnose(robot, simulate(seconds=4.0)).trace.turning.any()
@@ -116,6 +121,7 @@ def test_a_joint_creeps_as_mujoco_s_soft_constraint_lets_it():
         assert np.median(np.abs(error[creeps])) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [2e-5, 2e-4])
 def test_a_model_whose_own_friction_creeps_has_no_gap(encoder):
     """However rough the encoders make the accelerations by which it is seen to creep."""
@@ -140,6 +146,7 @@ def test_joints_that_halt_as_they_turn_round_have_no_gap(friction):
     assert found.verdict is Verdict.NO_GAP
 
 
+@pytest.mark.slow
 def test_a_found_friction_may_turn_round_over_another_displacement_elsewhere():
     """A log does not always tell over which; a cold gearbox has another than a warm one."""
     robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))

@@ -106,6 +106,7 @@ def springy(level, more, slow, reach):
     return friction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "family", "numbers"),
     [
@@ -137,6 +138,7 @@ def toothed(level, share, stiffness):
     return friction
 
 
+@pytest.mark.slow
 def test_friction_that_grows_with_the_load_on_teeth_as_stiff_as_before(robot):
     """It turns round the further the more they carry; drawn over one displacement it would be two causes or more."""
     (effect,) = diagnose(robot, simulate(toothed(0.05, 0.15, stiffness=60.0), seed=1)).findings
@@ -144,6 +146,7 @@ def test_friction_that_grows_with_the_load_on_teeth_as_stiff_as_before(robot):
     assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_load_is_of_the_link_that_a_joint_carries():
     """Frames that are fixed to it would show it alike."""
     frames = '<body name="flange" pos="0.02 0.05 -0.3"/><body name="tool" pos="0 0.3 -0.3"/></body></body>'

@@ -183,6 +183,7 @@ def log_of(
     return logged(rows, encoder, TORQUE)
 
 
+@pytest.mark.slow
 def test_a_soft_joint_of_mujoco_is_named_and_sized():
     robot = load_model(mujoco.MjModel.from_xml_string(ARM))
     found = diagnose(robot, log_of(SPRING), test_log=log_of(SPRING, seed=5))
@@ -191,6 +192,7 @@ def test_a_soft_joint_of_mujoco_is_named_and_sized():
     assert effect.parameters["stiffness"].value == pytest.approx(60.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_soft_joint_behind_a_motor_with_friction_of_its_own():
     """As that friction turns round, or holds the motor, what the spring carries is not what it seems."""
     own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.8"')
@@ -203,6 +205,7 @@ def test_a_soft_joint_behind_a_motor_with_friction_of_its_own():
     assert effect.parameters["stiffness"].value == pytest.approx(60.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_stiff_joint_behind_a_rough_encoder_is_no_dead_zone_of_nothing():
     # Where noise rings, a dead zone judged in the motion's band would win against a spring that is not.
     robot = load_model(mujoco.MjModel.from_xml_string(ARM))
@@ -212,7 +215,7 @@ def test_a_stiff_joint_behind_a_rough_encoder_is_no_dead_zone_of_nothing():
     assert effect.parameters["stiffness"].value == pytest.approx(200.0, rel=0.05)
 
 
-@pytest.mark.parametrize("half", [0.01, 0.0003])
+@pytest.mark.parametrize("half", [pytest.param(0.01, marks=pytest.mark.slow), 0.0003])
 def test_play_between_stops_of_mujoco_is_named_and_sized(half):
     robot, teeth = load_model(mujoco.MjModel.from_xml_string(ARM)), TEETH.format(half)
     found = diagnose(robot, log_of(teeth), test_log=log_of(teeth, seed=5))
@@ -221,6 +224,7 @@ def test_play_between_stops_of_mujoco_is_named_and_sized(half):
     assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.2)
 
 
+@pytest.mark.slow
 def test_play_before_a_link_that_rubs_is_named_and_sized():
     """Friction that the model has at the joint, and that is the link's: it holds the link while the teeth part."""
     own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.5"')
@@ -264,6 +268,7 @@ def from_rest(t, seed):
     return points[k - 1] + step * share, step * 30.0 * part**2 * (1.0 - part) ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", [-0.018, 0.018])
 def test_where_in_its_play_a_link_without_weight_rests_is_found(ahead):
     """Of the motor, by up to half the dead zone: it is taken along when the teeth first meet."""
@@ -279,6 +284,7 @@ def test_where_in_its_play_a_link_without_weight_rests_is_found(ahead):
     assert begins == pytest.approx(-ahead / 0.02, abs=0.3)
 
 
+@pytest.mark.slow
 def test_beside_a_models_own_misses_a_joint_that_yields_is_judged_in_the_motions_band():
     """Above it a real robot's joints seemed to yield wherever anything was left, in place of what it carried."""
     robot = load_model(mujoco.MjModel.from_xml_string(ARM))
