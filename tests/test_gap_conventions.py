@@ -35,8 +35,10 @@ def refused(robot, log) -> str:
 
 
 def test_a_log_and_its_model_that_agree_pass(arm, chain):
+    """And the same two with a torque turned do not: what passes is not all that comes."""
     for robot, log in (arm, chain):
         require_conventions(prepare(robot, log))
+        assert "tau" in refused(robot, dataclasses.replace(log, tau=-log.tau))
 
 
 def test_torques_of_the_load_are_turned(arm):

@@ -100,6 +100,7 @@ def test_what_no_robot_has_is_called_so(found, physical):
         assert summary._doubt(CASES["panda"], found, peak={"j": 1.0}, inertia={"j": 1.0})
 
 
+@pytest.mark.slow
 def test_guesses_that_the_other_run_speaks_against_are_withdrawn(tmp_path):
     """A servo whose friction is no effect of the library: a force that adds to the gap of the other run is left out."""
     case = CASES["xl330"]

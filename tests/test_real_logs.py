@@ -75,6 +75,7 @@ def test_ur10e_online_weighs_the_pair():
     assert loaded == pytest.approx(ur10e.TRUE_KG, rel=0.1)
 
 
+@pytest.mark.slow
 def test_lwr_s_residual_shrinks_on_logs_that_the_fit_has_not_seen():
     """Joint by joint, fitted on train_1, judged on the repeat of the motion and on another one."""
     arm = arms.ARMS[1]
