@@ -25,7 +25,6 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(ARM))
 
 
-@pytest.mark.slow
 def test_an_encoder_with_a_wrong_scale_is_named(robot):
     found = diagnose(robot, simulate(encoder=lambda q: q * np.array([1.0, 1.012])))
     assert found.verdict is Verdict.EXPLAINED

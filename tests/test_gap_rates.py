@@ -23,8 +23,7 @@ def seldom(torque, every):
     return dataclasses.replace(log, time=log.time[pick], qpos=log.qpos[pick], tau=log.tau[pick])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("every", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_fast_motion_seldom_sampled_is_no_gap(robot, every):
     """At 5 Hz, second-order differences lose 3 % of an acceleration in 100 Hz, torques put off along lines 1 %."""
     found = diagnose(robot, seldom(lambda t, q, v, u: np.zeros(2), every))
