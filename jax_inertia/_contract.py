@@ -1,7 +1,8 @@
 """The log contract: which arrays a log holds, their shapes, and what their values must satisfy."""
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,14 +43,44 @@ def check_structure(fields: Mapping) -> None:
             "contact_wrench comes without contact_bodies; name the body of each of its C"
         )
     sizes = {"T": np.shape(fields["time"])[:1], "n": (len(names),), "C": (len(bodies),)}
+    given = {name: np.shape(x) for name in SHAPES if (x := fields.get(name)) is not None}
+    _check_shapes(given, sizes)
+
+
+def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise `LogError` where the shapes that a file claims, before it is unfolded, are of no one log."""
+    _require_all(shapes)
+    sizes = {
+        "T": shapes["time"][:1],
+        "n": shapes["joint_names"][:1],
+        "C": shapes.get("contact_bodies", ())[:1],
+    }
+    # One sigma for all joints, and the empty wrenches of who touches nothing, are read as what they stand for.
+    plain = {
+        name: shape
+        for name, shape in shapes.items()
+        if math.prod(shape) and not (shape == () and SHAPES.get(name) == ("n",))
+    }
+    _check_shapes(plain, sizes)
+
+
+def _require_all(names: Collection[str]) -> None:
+    for name in _REQUIRED:
+        if name not in names:
+            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+
+
+def _check_shapes(
+    shapes: Mapping[str, tuple[int, ...]], sizes: Mapping[str, tuple[int, ...]]
+) -> None:
     for name, spec in SHAPES.items():
-        if (value := fields.get(name)) is None:
+        if (shape := shapes.get(name)) is None:
             continue
         right = tuple(x for s in spec for x in (sizes[s] if isinstance(s, str) else (s,)))
-        if len(right) != len(spec) or np.shape(value) != right:
+        if len(right) != len(spec) or shape != right:
             meaning = ", ".join(str(s) for s in spec)
             raise LogError(
-                f"{name} has shape {np.shape(value)}; expected ({meaning}) = {right}, "
+                f"{name} has shape {shape}; expected ({meaning}) = {right}, "
                 "T samples of time, n joint_names, C contact_bodies"
             )
 
@@ -60,9 +91,7 @@ def fields_of(
     """Check a reader's arrays (numbers float64, text str) and turn them into the fields of a
     `Log`.
     """
-    for name in _REQUIRED:
-        if name not in arrays:
-            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+    _require_all(arrays)
     for name, value in arrays.items():
         if (value.dtype.kind == "U") != (name in TEXTS):
             is_, right = ("text", "numbers") if value.dtype.kind == "U" else ("numbers", "text")

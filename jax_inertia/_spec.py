@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jax_inertia._descriptions import PREFIX, description
 from jax_inertia._model_text import ModelError, check_model
 from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia._mujoco_warnings import mujoco_warnings
 from jax_inertia._urdf_base import with_floating_base
 from jax_inertia._urdf_repair import ModelWarning, repair
 
@@ -39,10 +40,13 @@ def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
         raise ModelError(
             f"{path}: MJCF says itself whether its base floats; give its base a <freejoint/>"
         )
-    try:
-        spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
-    except _REFUSALS as error:
-        raise ModelError(f"{path}: {error}") from None
+    with mujoco_warnings() as said:
+        try:
+            spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
+        except _REFUSALS as error:
+            raise ModelError(f"{path}: {error}") from None
+    for line in _worth(said):
+        warnings.warn(f"{path}: {line}", ModelWarning, stacklevel=3)
     # A welded link must stay a body of its own: its parameters may be what is asked for.
     spec.compiler.fusestatic = False
     _drop_missing_meshes(spec, path)
@@ -65,24 +69,37 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
 
     Inertias that break the triangle inequality are balanced, with a warning that names them.
     """
+    with mujoco_warnings() as said:
+        model = _compiled(spec, where)
+        if model is None:
+            bodies = [
+                (i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)
+            ]
+            names = [b.name or f"body_{i}" for i, b in bodies]
+            spec.compiler.balanceinertia = True
+            model = _compiled(spec, where)
+            said.append(
+                "inertia breaks the triangle inequality and was balanced by MuJoCo: "
+                + (", ".join(names) or "some body")
+            )
+    for line in _worth(said):
+        warnings.warn(f"{where}: {line}", ModelWarning, stacklevel=3)
+    return model
+
+
+def _compiled(spec: MjSpec, where: str | Path) -> MjModel | None:
+    """The compiled model; None where all that is wrong is an inertia that MuJoCo can balance."""
     try:
         return spec.compile()
     except _REFUSALS as error:
-        if "balanceinertia" not in str(error):
-            raise ModelError(f"{where}: {error}") from None
-    bodies = [(i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)]
-    names = [b.name or f"body_{i}" for i, b in bodies]
-    warnings.warn(
-        f"{where}: inertia breaks the triangle inequality and was balanced by MuJoCo: "
-        + (", ".join(names) or "some body"),
-        ModelWarning,
-        stacklevel=3,
-    )
-    spec.compiler.balanceinertia = True
-    try:
-        return spec.compile()
-    except _REFUSALS as error:
+        if "balanceinertia" in str(error) and not spec.compiler.balanceinertia:
+            return None
         raise ModelError(f"{where}: {error}") from None
+
+
+def _worth(said: Sequence[str]) -> list[str]:
+    """What is to be passed on of MuJoCo's warnings: `load_model` names the element of a NaN that matters."""
+    return [line for line in said if "contains a 'NaN'" not in line]
 
 
 def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:

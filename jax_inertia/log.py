@@ -24,6 +24,7 @@ from jax_inertia._contract import (
     CHANNELS,
     SHAPES,
     TEXTS,
+    check_declared,
     check_finite,
     check_structure,
     check_time,
@@ -312,7 +313,15 @@ def _of_robot(log: Log, names: JointNames) -> Log:
 
 def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
     options.check("an .npz file", ())
-    return Contents(*read_npz(path, (*SHAPES, *TEXTS), max_bytes))
+    # What is wrong with names and stamps is known before the channels are unfolded.
+    arrays, others = read_npz(
+        path,
+        (*SHAPES, *TEXTS),
+        max_bytes,
+        declared=check_declared,
+        first={"time": check_time},
+    )
+    return Contents(arrays, others)
 
 
 # A reader yields the contract's arrays by name (numbers float64, text str) and the names of all others.
