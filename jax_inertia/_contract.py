@@ -50,6 +50,9 @@ def check_structure(fields: Mapping) -> None:
 def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Raise `LogError` where the shapes that a file claims, before it is unfolded, are of no one log."""
     _require_all(shapes)
+    for name in ("joint_names", "contact_bodies"):
+        if name in shapes:
+            _require_list(name, shapes[name])
     sizes = {
         "T": shapes["time"][:1],
         "n": shapes["joint_names"][:1],
@@ -125,9 +128,13 @@ def fields_of(
     return fields
 
 
+def _require_list(array: str, shape: tuple[int, ...]) -> None:
+    if len(shape) != 1:
+        raise LogError(f"{array} has shape {shape}; expected one dimension of names")
+
+
 def _names(array: str, value: np.ndarray) -> tuple[str, ...]:
-    if value.ndim != 1:
-        raise LogError(f"{array} has shape {value.shape}; expected one dimension of names")
+    _require_list(array, value.shape)
     for k, name in enumerate(value.tolist()):
         if not name or not name.isprintable():
             raise LogError(f"{array}[{k}] is {name[:60]!r}; expected a printable name")

@@ -184,7 +184,7 @@ def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:
             copies.append(copies[-1] * max(_whole(tag.attributes.get("count", "1")), 1))
             most_copied = max(most_copied, copies[-1])
         bodies += copies[-1] if tag.name == "body" else 0
-        kinds[tag.name] += copies[-1]
+        kinds[tag.name] += min(copies[-1], _MOST_COPIES)
         links += tag.name == "link"
         if tag.name in _PRODUCTS:
             names, most = _PRODUCTS[tag.name]

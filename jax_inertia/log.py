@@ -43,6 +43,9 @@ from jax_inertia.readers.parquet import read_dataset, read_parquet
 
 __all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log"]
 
+# A name in a file may be of any length.
+_LONGEST = 1000
+
 AnyArray = np.ndarray | jax.Array
 
 
@@ -295,7 +298,7 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except (LogError, OSError) as error:
         # Names from the file are quoted in messages; they may hold line breaks or move the terminal's cursor.
-        text = " ".join(f"{path}: {error}".split())
+        text = " ".join(f"{path}: {str(error)[:_LONGEST]}".split())
         raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 

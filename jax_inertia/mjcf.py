@@ -54,9 +54,9 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
-    welded to a moving one are kept. Raises ModelError for what cannot be used, and for a number that is not
-    finite, by its element; warns (ModelWarning) of what the model has and rigid-body dynamics does not: tendon forces, equality constraints, fluid. Forces that the model's own flags
-    disable are not there.
+    welded to a moving one are kept. Raises ModelError for what cannot be used, and for a number that is not finite, by
+    its element; warns (ModelWarning) of what the model has and rigid-body dynamics does not: tendon forces, equality
+    constraints, fluid. Forces that the model's own flags disable are not there.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.robots.pendulum import double_pendulum

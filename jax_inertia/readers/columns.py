@@ -113,6 +113,8 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
         if heading in values and (values[heading].dtype.kind == "U") != (column.array in _TEXTS):
             holds, right = ("numbers", "text") if column.array in _TEXTS else ("text", "numbers")
             raise LogError(f"column {heading!r} holds {holds}; expected {right}")
+        if heading in values and values[heading].ndim > 1 and (column.of or column.part):
+            raise LogError(f"column {heading!r} holds lists; expected one number in each row")
         found.setdefault(column.array, {})[column.of, column.part] = heading
     for array in ("time", "qpos", "tau"):
         if array not in found:
