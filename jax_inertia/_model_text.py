@@ -9,6 +9,7 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,21 +93,21 @@ def tags(text: str, where: str | Path = "model") -> Iterator[Tag]:
 
 def _unescaped(value: str, where: str | Path) -> str:
     """A value with its references replaced, by the five names and the numbers that XML has and MuJoCo reads."""
-
-    def character(match: re.Match[str]) -> str:
-        decimal, hexadecimal, name = match.groups()
-        if name:
-            return _NAMED[name]
-        code = int(decimal) if decimal else int(hexadecimal, 16)
-        if not 0 < code < 0x110000 or 0xD800 <= code < 0xE000:
-            raise ModelError(f"{where}: {match.group()} refers to no character; take it out")
-        return chr(code)
-
     if "&" not in value:
         return value
     if match := _TOO_LARGE.search(value):
-        raise ModelError(f"{where}: {match.group()}... refers to no character; take it out")
-    return _REFERENCE.sub(character, value)
+        raise ModelError(f"{where}: {match.group()[:40]}... refers to no character; take it out")
+    return _REFERENCE.sub(partial(_character, where), value)
+
+
+def _character(where: str | Path, match: re.Match[str]) -> str:
+    decimal, hexadecimal, name = match.groups()
+    if name:
+        return _NAMED[name]
+    code = int(decimal) if decimal else int(hexadecimal, 16)
+    if not 0 < code < 0x110000 or 0xD800 <= code < 0xE000:
+        raise ModelError(f"{where}: {match.group()[:40]} refers to no character; take it out")
+    return chr(code)
 
 
 def check_model(path: Path) -> str:
@@ -129,6 +130,8 @@ def check_model(path: Path) -> str:
         found = list(tags(text, f"{path}: {file.name}" if file != path.resolve() else path))
         first = first or (found[0].name if found else "-")
         _check_letters(path, found)
+        if first == "robot":
+            _check_twice(path, found)
         more, most = _check_tags(path, found)
         # An include inside <replicate> multiplies what its file copies.
         bodies, copies = bodies + more, copies * most
@@ -159,6 +162,23 @@ def _text(path: Path, file: Path) -> str:
     if text.count("<") > _MOST_TAGS:
         raise ModelError(f"{path}: {file.name} holds more than {_MOST_TAGS} tags: is it a model?")
     return text
+
+
+def _check_twice(path: Path, found: list[Tag]) -> None:
+    """Refuse two links or joints of one name, of which MuJoCo may take one."""
+    depth, seen = 0, set()
+    for tag in found:
+        if tag.closes:
+            depth -= 1
+            continue
+        if depth == 1 and tag.name in ("link", "joint"):
+            key = tag.name, tag.attributes.get("name", "")
+            if key in seen:
+                raise ModelError(
+                    f"{path}: repeated name {key[1][:80]!r} of <{tag.name}>; rename one"
+                )
+            seen.add(key)
+        depth += not tag.empty
 
 
 def _check_letters(path: Path, found: list[Tag]) -> None:

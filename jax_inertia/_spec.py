@@ -43,21 +43,26 @@ def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
     with mujoco_warnings() as said:
         try:
             spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
+            # A welded link must stay a body of its own: its parameters may be what is asked for.
+            spec.compiler.fusestatic = False
+            # To look at a spec, too, MuJoCo refuses: where a name is there twice.
+            _drop_missing_meshes(spec, path)
+            raised = repair(spec) if root == "robot" else []
+        except ModelError:
+            raise
         except _REFUSALS as error:
             raise ModelError(f"{path}: {error}") from None
-    for line in _worth(said):
+    for line in (*_worth(said), *raised):
         warnings.warn(f"{path}: {line}", ModelWarning, stacklevel=3)
-    # A welded link must stay a body of its own: its parameters may be what is asked for.
-    spec.compiler.fusestatic = False
-    _drop_missing_meshes(spec, path)
-    if root == "robot":
-        repair(spec, path)
     return spec
 
 
 def _afloat(path: Path) -> MjSpec:
     """The spec of a URDF whose root link moves freely."""
-    text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+    try:
+        text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
     spec = mujoco.MjSpec.from_string(text)
     # Meshes lie beside the file, whatever was read.
     spec.modelfiledir = str(path.parent)
