@@ -33,18 +33,11 @@ CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and n
 def check_structure(fields: Mapping) -> None:
     """Raise `LogError` where names or shapes of a log's fields do not fit together."""
     names, bodies = fields["joint_names"], fields.get("contact_bodies", ())
-    if not names:
-        raise LogError("joint_names is empty; name one joint per column of qpos")
-    name, times = Counter(names).most_common(1)[0]
+    name, times = Counter(names).most_common(1)[0] if names else ("", 0)
     if times > 1:
         raise LogError(f"joint_names holds {name!r} {times} times; each joint has one column")
-    if fields.get("contact_wrench") is not None and not bodies:
-        raise LogError(
-            "contact_wrench comes without contact_bodies; name the body of each of its C"
-        )
-    sizes = {"T": np.shape(fields["time"])[:1], "n": (len(names),), "C": (len(bodies),)}
     given = {name: np.shape(x) for name in SHAPES if (x := fields.get(name)) is not None}
-    _check_shapes(given, sizes)
+    _check_shapes(given, len(names), len(bodies))
 
 
 def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -53,18 +46,14 @@ def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
     for name in ("joint_names", "contact_bodies"):
         if name in shapes:
             _require_list(name, shapes[name])
-    sizes = {
-        "T": shapes["time"][:1],
-        "n": shapes["joint_names"][:1],
-        "C": shapes.get("contact_bodies", ())[:1],
-    }
+    _require_times(shapes["time"])
     # One sigma for all joints, and the empty wrenches of who touches nothing, are read as what they stand for.
     plain = {
         name: shape
         for name, shape in shapes.items()
         if math.prod(shape) and not (shape == () and SHAPES.get(name) == ("n",))
     }
-    _check_shapes(plain, sizes)
+    _check_shapes(plain, shapes["joint_names"][0], shapes.get("contact_bodies", (0,))[0])
 
 
 def _require_all(names: Collection[str]) -> None:
@@ -73,9 +62,14 @@ def _require_all(names: Collection[str]) -> None:
             raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
 
 
-def _check_shapes(
-    shapes: Mapping[str, tuple[int, ...]], sizes: Mapping[str, tuple[int, ...]]
-) -> None:
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]], joints: int, contacts: int) -> None:
+    if not joints:
+        raise LogError("joint_names is empty; name one joint per column of qpos")
+    if "contact_wrench" in shapes and not contacts:
+        raise LogError(
+            "contact_wrench comes without contact_bodies; name the body of each of its C"
+        )
+    sizes = {"T": shapes["time"][:1], "n": (joints,), "C": (contacts,)}
     for name, spec in SHAPES.items():
         if (shape := shapes.get(name)) is None:
             continue
@@ -155,10 +149,14 @@ def _check_sigma(array: str, value: np.ndarray) -> None:
         )
 
 
+def _require_times(shape: tuple[int, ...]) -> None:
+    if len(shape) != 1 or shape[0] < 2:
+        raise LogError(f"time has shape {shape}; expected (T,) with at least two samples")
+
+
 def check_time(time: np.ndarray) -> None:
     """Raise `LogError` naming the first stamp that is no second, or does not come after the one before."""
-    if time.ndim != 1 or time.size < 2:
-        raise LogError(f"time has shape {time.shape}; expected (T,) with at least two samples")
+    _require_times(time.shape)
     # The bound leaves room for Unix time in seconds and none for milliseconds or less.
     _check_stamps(time, np.abs(time) < 1e11)
     if back := np.flatnonzero(~(np.diff(time) > 0)).tolist():
