@@ -109,7 +109,7 @@ def _one_kind(kind: str, count: int, seed: int, out: Path) -> list[dict[str, Any
 def work(kind: str, seed: int, first: int, last: int, results: Path, out: Path) -> None:
     """Inputs first to last of one kind, a line of JSON for each."""
     sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "benchmarks")]
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=results.parent))
     os.chdir(folder)
     bases, mutate = _material(kind)
     (folder / "file").mkdir()
