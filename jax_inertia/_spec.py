@@ -75,14 +75,14 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
     Inertias that break the triangle inequality are balanced, with a warning that names them.
     """
     with mujoco_warnings() as said:
-        model = _compiled(spec, where)
+        model = _compiled(spec, where, said)
         if model is None:
             bodies = [
                 (i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)
             ]
             names = [b.name or f"body_{i}" for i, b in bodies]
             spec.compiler.balanceinertia = True
-            model = _compiled(spec, where)
+            model = _compiled(spec, where, said)
             said.append(
                 "inertia breaks the triangle inequality and was balanced by MuJoCo: "
                 + (", ".join(names) or "some body")
@@ -92,10 +92,17 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
     return model
 
 
-def _compiled(spec: MjSpec, where: str | Path) -> MjModel | None:
-    """The compiled model; None where all that is wrong is an inertia that MuJoCo can balance."""
+def _compiled(spec: MjSpec, where: str | Path, said: list[str]) -> MjModel | None:
+    """The compiled model; None where all that is wrong is an inertia that MuJoCo can balance.
+
+    What `compile` warns of in Python goes to `said`, with what MuJoCo says elsewhere.
+    """
     try:
-        return spec.compile()
+        with warnings.catch_warnings(record=True) as raised:
+            warnings.simplefilter("always")
+            model = spec.compile()
+        said += [" ".join(str(one.message).split()) for one in raised]
+        return model
     except _REFUSALS as error:
         if "balanceinertia" in str(error) and not spec.compiler.balanceinertia:
             return None

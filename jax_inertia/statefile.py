@@ -138,7 +138,7 @@ def load_stream(path: str | os.PathLike[str], stream: Stream) -> StreamState:
     if "time" in arrays:
         try:
             waiting = _log(arrays)
-        except (KeyError, ValueError) as error:
+        except ValueError as error:
             raise StateError(f"{path}: the samples that wait are no log: {error}") from None
     return StreamState(state, arrays["last"], waiting)
 
@@ -147,6 +147,8 @@ def _log(arrays: dict[str, np.ndarray]) -> Log:
     numbers = {name: arrays[name] for name in SHAPES if name in arrays}
     if texts := [name for name, x in numbers.items() if x.dtype.kind != "f"]:
         raise LogError(f"{', '.join(texts)} holds text")
+    if missing := [name for name in ("qpos", "tau", *_TEXTS) if name not in arrays]:
+        raise LogError(f"{', '.join(missing)} is missing")
     unit = str(arrays["tau_unit"])
     fields = {
         "joint_names": tuple(arrays["joint_names"].tolist()),

@@ -575,6 +575,17 @@ def test_a_joint_twice_is_one_line_with_the_file(tmp_path, afloat):
         assert "\n" not in str(caught.value)
 
 
+def test_what_mujoco_says_of_a_model_is_the_package_s_own_warning(tmp_path):
+    """Found by mutation: compiling a joint that nothing resists warns in Python, not in MuJoCo's own way."""
+    light = '<body name="b"><joint/><inertial pos="0 0 0" mass="1e-12" diaginertia="1e-15 1e-15 1e-15"/></body>'
+    (tmp_path / "robot.xml").write_text(mjcf("", light))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        ji.load_model(tmp_path / "robot.xml")
+    assert {w.category for w in told} == {ji.ModelWarning}
+    assert "robot.xml: Inertia matrix is too close to singular" in str(told[0].message)
+
+
 def test_copies_multiply_across_includes(tmp_path):
     (tmp_path / "part.xml").write_text(
         f'<mujocoinclude><replicate count="60">{BODY}</replicate></mujocoinclude>'

@@ -283,6 +283,7 @@ def forged(path, **changes) -> None:
         ({"qpos": np.zeros((4, 4))}, "the samples that wait are no log"),
         ({"tau_kind": np.array("guessed")}, "the samples that wait are no log"),
         ({"joint_names": None}, "the samples that wait are no log"),
+        ({"qpos": None}, "the samples that wait are no log: qpos is missing"),
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
 )
