@@ -576,9 +576,9 @@ def test_a_joint_twice_is_one_line_with_the_file(tmp_path, afloat):
 
 
 def test_what_mujoco_says_of_a_model_is_the_package_s_own_warning(tmp_path):
-    """Found by mutation: compiling a joint that nothing resists warns in Python, not in MuJoCo's own way."""
-    light = '<body name="b"><joint/><inertial pos="0 0 0" mass="1e-12" diaginertia="1e-15 1e-15 1e-15"/></body>'
-    (tmp_path / "robot.xml").write_text(mjcf("", light))
+    """Found by mutation: compiling two hinges on one line warns in Python, not in MuJoCo's own way."""
+    joints = '<joint axis="1 0 0"/><joint axis="1 0 0"/>'
+    (tmp_path / "robot.xml").write_text(mjcf("", f'<body>{joints}<geom size="0.1"/></body>'))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         ji.load_model(tmp_path / "robot.xml")
