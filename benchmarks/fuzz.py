@@ -1,5 +1,6 @@
-"""Coverage-guided fuzzing of every reader, by atheris (libFuzzer):
+"""Hostile input for every reader and `load_model`: mutated files, or by coverage (atheris, libFuzzer):
 
+    python benchmarks/fuzz.py --mutate 2800 --store benchmarks/results/fuzz.json
     pip install atheris && python benchmarks/fuzz.py --seconds 60
 
 Each kind of file runs in a process of its own, from sound files of the tests as seeds, guided by branches of the
@@ -31,7 +32,14 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), metavar="DIR")
     parser.add_argument("--one", choices=KINDS, help=argparse.SUPPRESS)
+    parser.add_argument("--mutate", type=int, metavar="N", help="mutated files, all kinds together")
+    parser.add_argument("--seed", type=int, default=1, help="of the mutations")
+    parser.add_argument("--store", type=Path, metavar="JSON", help="where their counts go")
     args = parser.parse_args()
+    if args.mutate:
+        return importlib.import_module("fuzz_mutations").campaign(
+            args.mutate, args.seed, args.out, args.store
+        )
     if args.one:
         fuzz(args.one, args.seconds, args.out)
     args.out.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,8 @@
 """The log contract: which arrays a log holds, their shapes, and what their values must satisfy."""
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,24 +33,51 @@ CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and n
 def check_structure(fields: Mapping) -> None:
     """Raise `LogError` where names or shapes of a log's fields do not fit together."""
     names, bodies = fields["joint_names"], fields.get("contact_bodies", ())
-    if not names:
-        raise LogError("joint_names is empty; name one joint per column of qpos")
-    name, times = Counter(names).most_common(1)[0]
+    name, times = Counter(names).most_common(1)[0] if names else ("", 0)
     if times > 1:
         raise LogError(f"joint_names holds {name!r} {times} times; each joint has one column")
-    if fields.get("contact_wrench") is not None and not bodies:
+    given = {name: np.shape(x) for name in SHAPES if (x := fields.get(name)) is not None}
+    _check_shapes(given, len(names), len(bodies))
+
+
+def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise `LogError` where the shapes that a file claims, before it is unfolded, are of no one log."""
+    _require_all(shapes)
+    for name in ("joint_names", "contact_bodies"):
+        if name in shapes:
+            _require_list(name, shapes[name])
+    _require_times(shapes["time"])
+    # One sigma for all joints, and the empty wrenches of who touches nothing, are read as what they stand for.
+    plain = {
+        name: shape
+        for name, shape in shapes.items()
+        if math.prod(shape) and not (shape == () and SHAPES.get(name) == ("n",))
+    }
+    _check_shapes(plain, shapes["joint_names"][0], shapes.get("contact_bodies", (0,))[0])
+
+
+def _require_all(names: Collection[str]) -> None:
+    for name in _REQUIRED:
+        if name not in names:
+            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+
+
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]], joints: int, contacts: int) -> None:
+    if not joints:
+        raise LogError("joint_names is empty; name one joint per column of qpos")
+    if "contact_wrench" in shapes and not contacts:
         raise LogError(
             "contact_wrench comes without contact_bodies; name the body of each of its C"
         )
-    sizes = {"T": np.shape(fields["time"])[:1], "n": (len(names),), "C": (len(bodies),)}
+    sizes = {"T": shapes["time"][:1], "n": (joints,), "C": (contacts,)}
     for name, spec in SHAPES.items():
-        if (value := fields.get(name)) is None:
+        if (shape := shapes.get(name)) is None:
             continue
         right = tuple(x for s in spec for x in (sizes[s] if isinstance(s, str) else (s,)))
-        if len(right) != len(spec) or np.shape(value) != right:
+        if len(right) != len(spec) or shape != right:
             meaning = ", ".join(str(s) for s in spec)
             raise LogError(
-                f"{name} has shape {np.shape(value)}; expected ({meaning}) = {right}, "
+                f"{name} has shape {shape}; expected ({meaning}) = {right}, "
                 "T samples of time, n joint_names, C contact_bodies"
             )
 
@@ -60,9 +88,7 @@ def fields_of(
     """Check a reader's arrays (numbers float64, text str) and turn them into the fields of a
     `Log`.
     """
-    for name in _REQUIRED:
-        if name not in arrays:
-            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+    _require_all(arrays)
     for name, value in arrays.items():
         if (value.dtype.kind == "U") != (name in TEXTS):
             is_, right = ("text", "numbers") if value.dtype.kind == "U" else ("numbers", "text")
@@ -96,9 +122,13 @@ def fields_of(
     return fields
 
 
+def _require_list(array: str, shape: tuple[int, ...]) -> None:
+    if len(shape) != 1:
+        raise LogError(f"{array} has shape {shape}; expected one dimension of names")
+
+
 def _names(array: str, value: np.ndarray) -> tuple[str, ...]:
-    if value.ndim != 1:
-        raise LogError(f"{array} has shape {value.shape}; expected one dimension of names")
+    _require_list(array, value.shape)
     for k, name in enumerate(value.tolist()):
         if not name or not name.isprintable():
             raise LogError(f"{array}[{k}] is {name[:60]!r}; expected a printable name")
@@ -119,10 +149,14 @@ def _check_sigma(array: str, value: np.ndarray) -> None:
         )
 
 
+def _require_times(shape: tuple[int, ...]) -> None:
+    if len(shape) != 1 or shape[0] < 2:
+        raise LogError(f"time has shape {shape}; expected (T,) with at least two samples")
+
+
 def check_time(time: np.ndarray) -> None:
     """Raise `LogError` naming the first stamp that is no second, or does not come after the one before."""
-    if time.ndim != 1 or time.size < 2:
-        raise LogError(f"time has shape {time.shape}; expected (T,) with at least two samples")
+    _require_times(time.shape)
     # The bound leaves room for Unix time in seconds and none for milliseconds or less.
     _check_stamps(time, np.abs(time) < 1e11)
     if back := np.flatnonzero(~(np.diff(time) > 0)).tolist():

@@ -136,12 +136,12 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     stage("resampling, low-pass, differences")
     torque = log.tau_unit is TorqueUnit.NEWTON_METRE
     gains = logfilter.joint_gains(log, robot, 1.0 if torque else args.gains or 10.0)
-    raw = logfilter.observe(log, robot, rate=args.rate, cutoff=args.cutoff)
+    raw = logfilter.observe(log, robot, rate=args.rate, cutoff=args.cutoff, any_unit=not torque)
     start, bias, calibration, references = gains, np.zeros(robot.nv), None, []
     if inputs.references:
         stage("calibrating on the logs without load")
         references = [
-            logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff)
+            logfilter.observe(one, robot, rate=args.rate, cutoff=args.cutoff, any_unit=not torque)
             for one in inputs.references
         ]
         raw, *references = [logfilter.without_slow_rows(one, robot) for one in (raw, *references)]

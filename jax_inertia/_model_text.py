@@ -5,16 +5,19 @@ terabytes or a file that never ends, and includes can reach anywhere. This reads
 does, and refuses what no robot needs.
 """
 
-import html
 import re
 import stat
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 MOST_BODIES, MOST_LINKS = 3000, 1000
 _MOST_BYTES, _MOST_FILES, _MOST_TAGS = 64 << 20, 200, 1_000_000
 _MOST_COPIES = 2000
+# MuJoCo compares the names of elements of one kind pair by pair: ten times as many take it a minute.
+_MOST_OF_A_KIND, _MOST_KEYS = 20_000, 10_000
 # Products of these attributes are sizes that MuJoCo allocates or builds.
 _PRODUCTS: Mapping[str, tuple[tuple[str, ...], int]] = {
     "hfield": (("nrow", "ncol"), 1 << 24),
@@ -40,8 +43,13 @@ _ELSE = {
 _NO_LETTER = "\ufffd"
 
 _COMMENT = re.compile(r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
-_TAG = re.compile(r"<(/?)([A-Za-z_][\w:.-]*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
-_ATTRIBUTE = re.compile(r"([A-Za-z_][\w:.-]*)\s*=\s*(\"[^\"]*\"|'[^']*')")
+# Possessive throughout, so that each letter is looked at a bounded number of times whatever the text. What fits but
+# for its end is no tag, and the search goes on behind it: MuJoCo refuses such a text as a whole.
+_TAG = re.compile(r"<(/?)([A-Za-z_][\w:.-]*+)((?:[^<>\"']++|\"[^\"]*+\"|'[^']*+')*+)(>?)")
+_ATTRIBUTE = re.compile(r"([A-Za-z_][\w:.-]*+)(?:\s*+=\s*+(\"[^\"]*+\"|'[^']*+'))?")
+_REFERENCE = re.compile(r"&(?:#(?:0*(\d{1,7})|[xX]0*([0-9a-fA-F]{1,6}))|(amp|lt|gt|quot|apos));")
+_TOO_LARGE = re.compile(r"&#(?:0*+\d{8}|[xX]0*+[0-9a-fA-F]{7})")
+_NAMED = {"amp": "&", "lt": "<", "gt": ">", "quot": '"', "apos": "'"}
 
 
 class ModelError(ValueError):
@@ -66,14 +74,40 @@ class Tag(NamedTuple):
     end: int
 
 
-def tags(text: str) -> Iterator[Tag]:
-    """The tags of a model's text in order, comments left out."""
+def tags(text: str, where: str | Path = "model") -> Iterator[Tag]:
+    """The tags of a model's text in order, comments left out.
+
+    Raises `ModelError` for a reference to a character that there is not; `where` says in it what the text is of.
+    """
     # Blanks in their place keep every position.
     bare = _COMMENT.sub(lambda match: " " * len(match.group()), text)
     for match in _TAG.finditer(bare):
-        closing, name, rest = match.groups()
-        found = {key: html.unescape(value[1:-1]) for key, value in _ATTRIBUTE.findall(rest)}
+        closing, name, rest, end = match.groups()
+        if not end:
+            continue
+        found = {
+            key: _unescaped(value[1:-1], where) for key, value in _ATTRIBUTE.findall(rest) if value
+        }
         yield Tag(name, found, bool(closing), rest.endswith("/"), *match.span())
+
+
+def _unescaped(value: str, where: str | Path) -> str:
+    """A value with its references replaced, by the five names and the numbers that XML has and MuJoCo reads."""
+    if "&" not in value:
+        return value
+    if match := _TOO_LARGE.search(value):
+        raise ModelError(f"{where}: {match.group()[:40]}... refers to no character; take it out")
+    return _REFERENCE.sub(partial(_character, where), value)
+
+
+def _character(where: str | Path, match: re.Match[str]) -> str:
+    decimal, hexadecimal, name = match.groups()
+    if name:
+        return _NAMED[name]
+    code = int(decimal) if decimal else int(hexadecimal, 16)
+    if not 0 < code < 0x110000 or 0xD800 <= code < 0xE000:
+        raise ModelError(f"{where}: {match.group()[:40]} refers to no character; take it out")
+    return chr(code)
 
 
 def check_model(path: Path) -> str:
@@ -93,9 +127,11 @@ def check_model(path: Path) -> str:
         if len(seen) > _MOST_FILES:
             raise ModelError(f"{path}: includes more than {_MOST_FILES} files")
         text = _text(path, file)
-        found = list(tags(text))
+        found = list(tags(text, f"{path}: {file.name}" if file != path.resolve() else path))
         first = first or (found[0].name if found else "-")
         _check_letters(path, found)
+        if first == "robot":
+            _check_twice(path, found)
         more, most = _check_tags(path, found)
         # An include inside <replicate> multiplies what its file copies.
         bodies, copies = bodies + more, copies * most
@@ -128,6 +164,23 @@ def _text(path: Path, file: Path) -> str:
     return text
 
 
+def _check_twice(path: Path, found: list[Tag]) -> None:
+    """Refuse two links or joints of one name, of which MuJoCo may take one."""
+    depth, seen = 0, set()
+    for tag in found:
+        if tag.closes:
+            depth -= 1
+            continue
+        if depth == 1 and tag.name in ("link", "joint"):
+            key = tag.name, tag.attributes.get("name", "")
+            if key in seen:
+                raise ModelError(
+                    f"{path}: repeated name {key[1][:80]!r} of <{tag.name}>; rename one"
+                )
+            seen.add(key)
+        depth += not tag.empty
+
+
 def _check_letters(path: Path, found: list[Tag]) -> None:
     """Refuse names that are not in UTF-8: MuJoCo takes them, and cannot hand them on. Comments may be in anything."""
     for tag in found:
@@ -141,6 +194,7 @@ def _check_letters(path: Path, found: list[Tag]) -> None:
 def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:
     """Refuse sizes that cannot be meant; the number of bodies, and how often the most copied is there."""
     bodies, copies, most_copied, links = 0, [1], 1, 0
+    kinds: Counter[str] = Counter()
     for tag in found:
         if tag.name == "replicate" and tag.closes and len(copies) > 1:
             copies.pop()
@@ -150,6 +204,7 @@ def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:
             copies.append(copies[-1] * max(_whole(tag.attributes.get("count", "1")), 1))
             most_copied = max(most_copied, copies[-1])
         bodies += copies[-1] if tag.name == "body" else 0
+        kinds[tag.name] += min(copies[-1], _MOST_COPIES)
         links += tag.name == "link"
         if tag.name in _PRODUCTS:
             names, most = _PRODUCTS[tag.name]
@@ -162,12 +217,19 @@ def _check_tags(path: Path, found: list[Tag]) -> tuple[int, int]:
                 )
         if tag.name == "size":
             for name, value in tag.attributes.items():
-                if name != "memory" and _whole(value) > _MOST_SIZE // (
-                    1000 if "user" in name else 1
-                ):
+                most = (
+                    _MOST_KEYS if name == "nkey" else _MOST_SIZE // (1000 if "user" in name else 1)
+                )
+                if name != "memory" and _whole(value) > most:
                     raise ModelError(
                         f"{path}: <size {name}={value[:40]!r}> is more than makes sense"
                     )
+    # Bodies have a bound of their own.
+    del kinds["body"], kinds["link"]
+    if kinds and (worst := kinds.most_common(1)[0])[1] > _MOST_OF_A_KIND:
+        raise ModelError(
+            f"{path}: has {worst[1]} <{worst[0]}>; at most {_MOST_OF_A_KIND} make sense"
+        )
     if links > MOST_LINKS:
         raise ModelError(f"{path}: has {links} links; at most {MOST_LINKS} make sense")
     return bodies, most_copied

@@ -11,7 +11,7 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,22 +45,32 @@ class _Header(NamedTuple):
 
 
 def read_npz(
-    path: Path, wanted: Collection[str], max_bytes: int
+    path: Path,
+    wanted: Collection[str],
+    max_bytes: int,
+    *,
+    declared: Callable[[Mapping[str, tuple[int, ...]]], None] = lambda shapes: None,
+    first: Mapping[str, Callable[[np.ndarray], None]] | None = None,
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Read the wanted arrays and name the others, whose contents are never touched.
 
-    Numbers come back as float64, text as NumPy strings. Raises `LogError` for whatever is not a
-    sound .npz, holds other dtypes, or would need more than `max_bytes` of memory (checked before
-    memory is taken).
+    Numbers come back as float64, text as NumPy strings. `declared` looks at the shapes that the
+    headers claim before anything is unfolded; those of `first` are then read before the others, and
+    looked at. Raises `LogError` for whatever is not a sound .npz, holds other dtypes, would need
+    more than `max_bytes` of memory (checked before memory is taken), or does not please those two.
     """
+    first = first or {}
     try:
         with zipfile.ZipFile(path) as archive:
             members, others = _members(archive, wanted)
             headers = {name: _header(archive, name, info) for name, info in members.items()}
             _check_budget(headers, max_bytes)
-            arrays = {
-                name: _array(archive, name, info, headers[name]) for name, info in members.items()
-            }
+            declared({name: header.shape for name, header in headers.items()})
+            arrays = {}
+            for name in sorted(members, key=lambda name: name not in first):
+                arrays[name] = _array(archive, name, members[name], headers[name])
+                if name in first:
+                    first[name](arrays[name])
     except LogError:
         raise
     except (zipfile.BadZipFile, zlib.error, EOFError) as error:
@@ -175,7 +185,8 @@ def _array(
         )
     if header.dtype.kind in "US":
         return _text(name, raw, header)
-    flat = raw.view(header.dtype).astype(np.float64)
+    # A second copy only where the file holds another type.
+    flat = raw.view(header.dtype).astype(np.float64, copy=False)
     return flat.reshape(header.shape, order="F" if header.fortran_order else "C")
 
 

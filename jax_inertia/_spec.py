@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jax_inertia._descriptions import PREFIX, description
 from jax_inertia._model_text import ModelError, check_model
 from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia._mujoco_warnings import mujoco_warnings
 from jax_inertia._urdf_base import with_floating_base
 from jax_inertia._urdf_repair import ModelWarning, repair
 
@@ -39,21 +40,29 @@ def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
         raise ModelError(
             f"{path}: MJCF says itself whether its base floats; give its base a <freejoint/>"
         )
-    try:
-        spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
-    except _REFUSALS as error:
-        raise ModelError(f"{path}: {error}") from None
-    # A welded link must stay a body of its own: its parameters may be what is asked for.
-    spec.compiler.fusestatic = False
-    _drop_missing_meshes(spec, path)
-    if root == "robot":
-        repair(spec, path)
+    with mujoco_warnings() as said:
+        try:
+            spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
+            # A welded link must stay a body of its own: its parameters may be what is asked for.
+            spec.compiler.fusestatic = False
+            # To look at a spec, too, MuJoCo refuses: where a name is there twice.
+            _drop_missing_meshes(spec, path)
+            raised = repair(spec) if root == "robot" else []
+        except ModelError:
+            raise
+        except _REFUSALS as error:
+            raise ModelError(f"{path}: {error}") from None
+    for line in (*_worth(said), *raised):
+        warnings.warn(f"{path}: {line}", ModelWarning, stacklevel=3)
     return spec
 
 
 def _afloat(path: Path) -> MjSpec:
     """The spec of a URDF whose root link moves freely."""
-    text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+    try:
+        text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
     spec = mujoco.MjSpec.from_string(text)
     # Meshes lie beside the file, whatever was read.
     spec.modelfiledir = str(path.parent)
@@ -65,24 +74,44 @@ def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
 
     Inertias that break the triangle inequality are balanced, with a warning that names them.
     """
+    with mujoco_warnings() as said:
+        model = _compiled(spec, where, said)
+        if model is None:
+            bodies = [
+                (i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)
+            ]
+            names = [b.name or f"body_{i}" for i, b in bodies]
+            spec.compiler.balanceinertia = True
+            model = _compiled(spec, where, said)
+            said.append(
+                "inertia breaks the triangle inequality and was balanced by MuJoCo: "
+                + (", ".join(names) or "some body")
+            )
+    for line in _worth(said):
+        warnings.warn(f"{where}: {line}", ModelWarning, stacklevel=3)
+    return model
+
+
+def _compiled(spec: MjSpec, where: str | Path, said: list[str]) -> MjModel | None:
+    """The compiled model; None where all that is wrong is an inertia that MuJoCo can balance.
+
+    What `compile` warns of in Python goes to `said`, with what MuJoCo says elsewhere.
+    """
     try:
-        return spec.compile()
+        with warnings.catch_warnings(record=True) as raised:
+            warnings.simplefilter("always")
+            model = spec.compile()
+        said += [" ".join(str(one.message).split()) for one in raised]
+        return model
     except _REFUSALS as error:
-        if "balanceinertia" not in str(error):
-            raise ModelError(f"{where}: {error}") from None
-    bodies = [(i, b) for i, b in enumerate(spec.bodies) if b.explicitinertial and not _triangle(b)]
-    names = [b.name or f"body_{i}" for i, b in bodies]
-    warnings.warn(
-        f"{where}: inertia breaks the triangle inequality and was balanced by MuJoCo: "
-        + (", ".join(names) or "some body"),
-        ModelWarning,
-        stacklevel=3,
-    )
-    spec.compiler.balanceinertia = True
-    try:
-        return spec.compile()
-    except _REFUSALS as error:
+        if "balanceinertia" in str(error) and not spec.compiler.balanceinertia:
+            return None
         raise ModelError(f"{where}: {error}") from None
+
+
+def _worth(said: Sequence[str]) -> list[str]:
+    """What is to be passed on of MuJoCo's warnings: `load_model` names the element of a NaN that matters."""
+    return [line for line in said if "contains a 'NaN'" not in line]
 
 
 def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray]) -> None:

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         speed = np.broadcast_to(np.asarray(args.velocity, float), (robot.nv,))
         limits = _with_ranges(Limits.of(model, velocity=speed, share=args.share), robot, args.range)
         prior = None if args.prior_mass is None else Load(args.prior_mass)
-        with output_folder(args.out.parent) as folder:
+        with output_folder(args.out.parent, args.out.name) as folder:
             found = suggest_motion(
                 robot,
                 args.bodies,

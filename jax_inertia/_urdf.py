@@ -10,10 +10,13 @@ from jax_inertia._files import whole_file
 from jax_inertia._model_text import ModelError, Tag, tags
 from jax_inertia._spec import check_pi
 
+# How bytes that are no UTF-8 stand in a text, to be written again as they were.
+_BYTES = "surrogateescape"
+
 
 def is_urdf(path: str | Path) -> bool:
     """Whether a model file is a URDF: its first tag is `<robot>`."""
-    first = next(tags(_read(Path(path))), None)
+    first = next(tags(_read(Path(path)), path), None)
     return first is not None and first.name == "robot"
 
 
@@ -28,14 +31,14 @@ def write_urdf(
     """
     text = with_inertials(_read(Path(source)), pi, source)
     with whole_file(Path(out)) as file:
-        file.write(text.encode("latin-1"))
+        file.write(text.encode("utf-8", _BYTES))
 
 
 def with_inertials(
     text: str, pi: Mapping[str, Float[Array, "10"] | np.ndarray], where: str | Path = "model"
 ) -> str:
-    """The text of a URDF (bytes as Latin-1) with other inertials; see `write_urdf`."""
-    found = list(tags(text))
+    """The text of a URDF with other inertials; see `write_urdf`."""
+    found = list(tags(text, where))
     if not found or found[0].name != "robot":
         raise ModelError(f"{where}: not a URDF, which starts with <robot>")
     links = _links(found)
@@ -49,11 +52,11 @@ def with_inertials(
 
 
 def _read(path: Path) -> str:
-    """A file's bytes one for one as characters: what is not touched comes out as it went in."""
+    """A file as text from which its bytes come back: what is not touched comes out as it went in."""
     raw = path.read_bytes()
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise ModelError(f"{path}: in UTF-16; save it as UTF-8")
-    return raw.decode("latin-1")
+    return raw.decode("utf-8", _BYTES)
 
 
 def _links(found: list[Tag]) -> dict[str, list[Tag]]:
@@ -72,7 +75,8 @@ def _links(found: list[Tag]) -> dict[str, list[Tag]]:
             continue
         if tag.name == "link" and path == ["robot"]:
             current = links.setdefault(
-                tag.attributes.get("name", "").encode("latin-1").decode("utf-8", "replace"), []
+                tag.attributes.get("name", "").encode("utf-8", _BYTES).decode("utf-8", "replace"),
+                [],
             )
         if current is not None:
             current.append(tag)

@@ -1,10 +1,9 @@
 """Inertials of a URDF that other programs read and MuJoCo refuses: no mass, or moments that no body has."""
 
-import warnings
-from pathlib import Path
-
 import mujoco
 import numpy as np
+
+from jax_inertia._names import listed
 
 # Far below what any robot weighs, far above what MuJoCo takes for nothing (1e-15).
 _MASS, _MOMENT = 1e-9, 1e-12
@@ -15,8 +14,8 @@ class ModelWarning(UserWarning):
     """A part of a model that the rigid-body dynamics leaves out, or reads otherwise than it stands, by name."""
 
 
-def repair(spec: mujoco.MjSpec, path: Path) -> None:
-    """Make inertials of a URDF's links such that MuJoCo compiles them; what that changes is warned of by name.
+def repair(spec: mujoco.MjSpec) -> list[str]:
+    """Make inertials of a URDF's links such that MuJoCo compiles them; a line for what that changes, with names.
 
     A moment of inertia that is negative is raised to the least that a body can have. A link that states no inertial
     beside others that do has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
@@ -40,10 +39,11 @@ def repair(spec: mujoco.MjSpec, path: Path) -> None:
                 weightless.append(body.name)
             body.mass = max(body.mass, _MASS)
             body.inertia = np.maximum(body.inertia, _MOMENT)
-    if raised:
-        _warn(path, "moments of inertia that no body has were raised", raised)
-    if weightless:
-        _warn(path, "links that move and have no mass were given a nanogram", weightless)
+    told = {
+        "moments of inertia that no body has were raised": raised,
+        "links that move and have no mass were given a nanogram": weightless,
+    }
+    return [f"{what}: {listed(names, 20)}" for what, names in told.items() if names]
 
 
 def _without_negative(body: mujoco.MjsBody) -> bool:
@@ -70,8 +70,3 @@ def _without_negative(body: mujoco.MjsBody) -> bool:
 def _has_mass(geom) -> bool:
     """Whether MuJoCo takes mass from a shape."""
     return geom.mass > 0 or (np.isnan(geom.mass) and geom.density > 0)
-
-
-def _warn(path: Path, what: str, names: list[str]) -> None:
-    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    warnings.warn(f"{path}: {what}: {shown}", ModelWarning, stacklevel=4)

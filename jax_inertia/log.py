@@ -24,6 +24,7 @@ from jax_inertia._contract import (
     CHANNELS,
     SHAPES,
     TEXTS,
+    check_declared,
     check_finite,
     check_structure,
     check_time,
@@ -41,6 +42,9 @@ from jax_inertia.readers.options import Contents, Options, applied
 from jax_inertia.readers.parquet import read_dataset, read_parquet
 
 __all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log"]
+
+# A name in a file may be of any length.
+_LONGEST = 1000
 
 AnyArray = np.ndarray | jax.Array
 
@@ -294,7 +298,7 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except (LogError, OSError) as error:
         # Names from the file are quoted in messages; they may hold line breaks or move the terminal's cursor.
-        text = " ".join(f"{path}: {error}".split())
+        text = " ".join(f"{path}: {str(error)[:_LONGEST]}".split())
         raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 
@@ -312,7 +316,15 @@ def _of_robot(log: Log, names: JointNames) -> Log:
 
 def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
     options.check("an .npz file", ())
-    return Contents(*read_npz(path, (*SHAPES, *TEXTS), max_bytes))
+    # What is wrong with names and stamps is known before the channels are unfolded.
+    arrays, others = read_npz(
+        path,
+        (*SHAPES, *TEXTS),
+        max_bytes,
+        declared=check_declared,
+        first={"time": check_time},
+    )
+    return Contents(arrays, others)
 
 
 # A reader yields the contract's arrays by name (numbers float64, text str) and the names of all others.

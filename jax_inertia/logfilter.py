@@ -29,6 +29,7 @@ from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.log import Log, LogError
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.motion import generalised
+from jax_inertia.preflight import require_usable
 from jax_inertia.priors import Load
 from jax_inertia.robot import HINGE, Robot
 from jax_inertia.signals import low_pass, resample
@@ -46,13 +47,19 @@ _DRIFT_SECONDS = 3600.0
 
 
 def observe(
-    log: Log, robot: Robot, *, rate: float | None = None, cutoff: float = CUTOFF
+    log: Log,
+    robot: Robot,
+    *,
+    rate: float | None = None,
+    cutoff: float = CUTOFF,
+    any_unit: bool = False,
 ) -> Observation:
     """A log as observations on a uniform grid of `rate` [Hz] (default: ten times `cutoff`, at most the log's own).
 
-    Every channel passes one zero-phase low-pass of `cutoff` [Hz]; torques stay in the log's unit. One period of the
-    cutoff is cut off at both ends, where the filter rings. Raises ValueError for rates that do not fit the log, and
-    where too little is left or nothing of it was measured.
+    Every channel passes one zero-phase low-pass of `cutoff` [Hz]. Torques are in N m; those of `any_unit` stay in the
+    log's own, for `batch.fit(gains=...)` or `in_newton_metres`. One period of the cutoff is cut off at both ends, where
+    the filter rings. Raises LogError for a log that is not of this robot or not measured (`preflight.require_usable`),
+    ValueError for rates that do not fit it, and where too little is left.
 
     >>> from jax_inertia import load_model, logfilter
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -61,6 +68,7 @@ def observe(
     >>> log.a.shape, round(float(log.motion.time[0]), 2)
     ((378, 2), 0.11)
     """
+    require_usable(log, robot, any_unit=any_unit)
     rate = min(_RATE_PER_CUTOFF * cutoff, round(log.rate, 6)) if rate is None else rate
     motion = generalised(low_pass(resample(log, rate), cutoff), robot)
     edge = int(np.ceil(rate / cutoff))

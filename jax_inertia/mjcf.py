@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from jax_inertia._finite import require_finite, require_finite_robot
 from jax_inertia._geometry import rotation_of, surface_of
 from jax_inertia._model_text import ModelError
 from jax_inertia._mujoco_types import MjModel
@@ -53,9 +54,9 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
 
     `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
     Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
-    welded to a moving one are kept. Raises ModelError for what cannot be used; warns (ModelWarning) of what the model
-    has and rigid-body dynamics does not: tendon forces, equality constraints, fluid. Forces that the model's own flags
-    disable are not there.
+    welded to a moving one are kept. Raises ModelError for what cannot be used, and for a number that is not finite, by
+    its element; warns (ModelWarning) of what the model has and rigid-body dynamics does not: tendon forces, equality
+    constraints, fluid. Forces that the model's own flags disable are not there.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.robots.pendulum import double_pendulum
@@ -72,9 +73,14 @@ def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> R
         raise ModelError(
             f"{where}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"
         )
+    require_finite(compiled, where)
     for line in _left_out(compiled):
         warnings.warn(line, ModelWarning, stacklevel=2)
-    return _to_robot(compiled)
+    # What overflows, or comes of a quaternion of no length, is named below.
+    with np.errstate(all="ignore"):
+        robot = _to_robot(compiled)
+    require_finite_robot(robot, where)
+    return robot
 
 
 def body_pi(model: MjModel, body: int) -> np.ndarray:

@@ -14,12 +14,13 @@ import numpy as np
 
 from jax_inertia import _check_channels as channels
 from jax_inertia import _check_consistency as consistency
+from jax_inertia._contract import check_time
 from jax_inertia._findings import Finding, Severity
 from jax_inertia._names import suggestion
 from jax_inertia.log import Log, LogError, TorqueUnit
 from jax_inertia.signals import gap_limit, mask
 
-__all__ = ["Finding", "Names", "Preflight", "Severity", "preflight"]
+__all__ = ["Finding", "Names", "Preflight", "Severity", "preflight", "require_usable"]
 
 _GAP_PERIODS = 3.0
 _JITTER_NOTE, _JITTER_WARNING = 0.05, 0.3
@@ -93,6 +94,34 @@ def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -
             findings += list(_values(log, time, robot))
     order = list(Severity)
     return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
+
+
+def require_usable(
+    log: Log, robot: Names, *, any_unit: bool = False, of_many: bool = False
+) -> None:
+    """Raise `LogError` where a log is not of this robot, or its numbers cannot be reckoned with.
+
+    What every way from a log to a result asks of it, in Python as on the command line: torques in N m (unless
+    `any_unit`: gains are to be applied), joints and contacts of the model, stamps that increase, and channels that
+    were measured for the most part. One chunk `of_many` may be short, and miss a channel.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.preflight import require_usable
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> require_usable(swing(), load_model(double_pendulum()))
+    """
+    if not any_unit and log.tau_unit is not TorqueUnit.NEWTON_METRE:
+        raise LogError(
+            f"tau is in {log.tau_unit_text[:60]!r}, not N m; apply one gain per joint first: "
+            "log.with_torque_gains(N m per unit)"
+        )
+    time = np.asarray(log.time, dtype=float)
+    findings = list(_names(log, robot, ()))
+    if not of_many:
+        findings += [*_stamps(time), *channels.dropped(log, time)]
+    elif time.size > 1:
+        check_time(time)
+    Preflight(tuple(findings)).raise_for_errors()
 
 
 def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding]:

@@ -19,13 +19,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia._contract import CHANNELS
+from jax_inertia._names import listed
 from jax_inertia.differences import Observation, aligned_differences
 from jax_inertia.estimate import Estimator, State, Trace
 from jax_inertia.log import Log, LogError
 from jax_inertia.motion import generalised
+from jax_inertia.preflight import require_usable
 
 
 class StreamState(eqx.Module):
@@ -76,14 +78,15 @@ class Stream(eqx.Module):
     def feed(self, state: StreamState, chunk: Log) -> tuple[StreamState, Part | None]:
         """Take the next chunk; None while it does not fill a block.
 
-        Raises LogError for a chunk that does not fit the robot, lacks velocities, has other channels than the one
-        before, or begins no later than that one ended.
+        Raises LogError for a chunk that does not fit the robot, holds torques in another unit than N m, lacks
+        velocities, has other channels than the one before, or begins no later than that one ended.
         """
         based = chunk.base_pos is not None
         if chunk.qvel is None or (based and None in (chunk.base_linvel, chunk.base_angvel)):
             raise LogError(
                 "a stream needs measured velocities: qvel, and of a floating base base_linvel and base_angvel"
             )
+        require_usable(chunk, self.estimator.robot, of_many=True)
         return self._advance(state, _joined(state.waiting, chunk), whole_blocks=True)
 
     def finish(self, state: StreamState) -> tuple[StreamState, Part | None]:
@@ -93,15 +96,26 @@ class Stream(eqx.Module):
         return self._advance(state, state.waiting, whole_blocks=False)
 
     def run(self, chunks: Iterable[Log], state: StreamState | None = None) -> Iterator[Part]:
-        """All that the chunks give, part by part, with what waits at the end."""
+        """All that the chunks give, part by part, with what waits at the end.
+
+        Raises LogError as `feed` does, and at the end where a joint was never measured: what came is the prior's.
+        """
+        anew, measured = state is None, np.zeros((), bool)
         state = self.start() if state is None else state
+        names: tuple[str, ...] = ()
         for chunk in chunks:
+            names, measured = chunk.joint_names, measured | _measured(chunk)
             state, part = self.feed(state, chunk)
             if part is not None:
                 yield part
         _, part = self.finish(state)
         if part is not None:
             yield part
+        if anew and not measured.all():
+            lost = listed([n for n, one in zip(names, measured, strict=True) if not one])
+            raise LogError(
+                f"no sample of {lost} has position, velocity and torque all finite; log them, or leave the joints out"
+            )
 
     def _advance(
         self, state: StreamState, log: Log, *, whole_blocks: bool
@@ -137,6 +151,12 @@ class Stream(eqx.Module):
 
 def _rows(log: Log, rows: slice) -> Log:
     return log.map_channels(lambda x: np.asarray(x)[rows], time=np.asarray(log.time)[rows])
+
+
+def _measured(chunk: Log) -> Bool[np.ndarray, " n"]:
+    """Of which joints a chunk has a whole sample."""
+    channels = (chunk.qpos, chunk.tau, *(() if chunk.qvel is None else (chunk.qvel,)))
+    return np.all([np.isfinite(np.asarray(x)) for x in channels], axis=0).any(axis=0)
 
 
 def _joined(waiting: Log | None, chunk: Log) -> Log:

@@ -3,15 +3,19 @@
 import bz2
 import contextlib
 import functools
+import io
 import os
 import resource
 import sqlite3
 import struct
+import subprocess
+import sys
 import tempfile
 import time
 import warnings
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -31,10 +35,16 @@ from log_files import (
 from test_model_files import ARM, DEFAULTS, URDF
 
 import jax_inertia as ji
+from jax_inertia import _console
+from jax_inertia._files import held
 from jax_inertia.cli import main
 from jax_inertia.log import LogError, read_log
 from jax_inertia.mjcf import ModelError, write_urdf
 from jax_inertia.readers import Options
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks import mutations
 
 SLOW = 10.0
 ROS = Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
@@ -398,6 +408,38 @@ def test_joint_states_made_to_hurt(tmp_path, ros):
     assert "hold no position" in said("nan", *nan)
 
 
+def test_a_long_heading_is_read_at_once_and_quoted_in_part(tmp_path, arrow):
+    table = columns(12)
+    table["qpos.hip" + " " * 40_000 + "x ["] = table.pop("qpos.hip")
+    start = time.process_time()
+    said = refusal(write_parquet(tmp_path / "log.parquet", table))
+    assert time.process_time() - start < 2.0
+    assert len(said) < 1500
+
+
+def test_a_list_in_the_place_of_a_number(tmp_path, arrow):
+    table = columns(12)
+    table["tau.knee"] = np.stack([table["tau.knee"]] * 2, axis=1)
+    path = write_parquet(tmp_path / "log.parquet", table)
+    assert "column 'tau.knee' holds lists; expected one number" in refusal(path)
+
+
+def test_what_headers_contradict_is_known_before_anything_is_unfolded(tmp_path):
+    """Half a megabyte that would unfold to half a gigabyte."""
+    names, few = np.array(["a", "b"]), np.zeros((50, 2))
+    many = np.zeros((30_000_000, 2), "u1")
+    path, before = tmp_path / "log.npz", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for arrays, said in (
+        ({"time": np.arange(50.0), "qpos": many, "tau": few}, "qpos has shape (30000000, 2)"),
+        ({"time": np.arange(50.0), "qpos": many}, "'tau' is missing"),
+        ({"time": np.repeat([0.0, 1.0], 25), "qpos": few, "tau": few}, "does not come after"),
+    ):
+        np.savez_compressed(path, joint_names=names, **arrays)
+        assert said in refusal(path)
+    # In KB; the array itself is of 60 MB here, and was before.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
 # --- models ------------------------------------------------------------------------------------------------------
 
 BODY = '<body name="b"><joint/><geom size="0.1"/></body>'
@@ -441,6 +483,13 @@ CHAIN = "".join(
         (mjcf("", '<composite prefix="c" type="cable" count="1000000 1 1" size="1"/>'), "count = 1000000"),
         (mjcf('<size nuser_body="1000000000"/>'), "nuser_body"),
         (mjcf('<size nkey="2000000000"/>'), "nkey"),
+        (mjcf('<size nkey="900000"/>'), "nkey='900000'"),
+        (mjcf("<keyframe>" + "<key/>" * 30_000 + "</keyframe>"), "30000 <key>"),
+        ("<mujoco " + "a" * 400_000 + "/>", "robot.xml"),
+        ("<mujoco " + "a " * 200_000 + "/>", "robot.xml"),
+        ("<mujoco " + "a=" * 200_000 + "/>", "robot.xml"),
+        ('<a "\'' * 50_000, "robot.xml"),
+        ("<mujoco a" + " " * 400_000 + "/>", "robot.xml"),
         (mjcf('<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/></asset>'), "texture"),
         (mjcf('<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>'), "hfield"),
         (mjcf('<custom><numeric name="n" size="2000000000" data="1"/></custom>'), "between 1 and 500"),
@@ -486,6 +535,55 @@ def test_names_are_utf_8_and_comments_may_be_anything(tmp_path):
     assert "of <link> is not in UTF-8" in model_refusal(path)
     path.write_bytes(URDF.replace("<robot", "<?xml \x1b[2J\x07 <robot").encode())
     assert model_refusal(path).isprintable()
+
+
+@pytest.mark.parametrize(
+    "reference", ["&#99999999999;", "&#" + "9" * 5000 + ";", "&#xD800;", "&#0;", "&#x110000;"]
+)
+def test_a_reference_to_no_character_is_one_line_with_the_file(tmp_path, reference):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.replace('name="', f'name="{reference}', 2))
+    for read in (ji.load_model, lambda p: write_urdf(p, tmp_path / "out.urdf", {})):
+        with pytest.raises(ModelError, match=r"arm\.urdf: .*refers to no character") as caught:
+            read(path)
+        assert len(str(caught.value)) < 500
+
+
+def test_a_reference_to_a_character_is_that_character(tmp_path):
+    """A URDF whose link is called by a reference takes inertials under the name that it stands for."""
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(
+        b'<robot name="r"><link name="&#945;&amp;\xc3\xa4"/><link name="b&#x3B2;"/><!-- \xe4 --></robot>'
+    )
+    pi = np.array([1.0, 0, 0, 0, 0.1, 0, 0, 0.1, 0, 0.1])
+    write_urdf(path, tmp_path / "out.urdf", {"α&ä": pi, "bβ": pi})
+    out = (tmp_path / "out.urdf").read_bytes()
+    assert out.count(b'<mass value="1.0"/>') == 2
+    assert b"<!-- \xe4 -->" in out
+
+
+@pytest.mark.parametrize("afloat", [False, True])
+def test_a_joint_twice_is_one_line_with_the_file(tmp_path, afloat):
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="{}"/></joint>'
+    inertia = '<mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    link = f'<link name="{{}}"><inertial>{inertia}</inertial></link>'
+    for children in ("bb", "bc"):
+        text = "".join(link.format(x) for x in "abc") + "".join(joint.format(x) for x in children)
+        (tmp_path / "arm.urdf").write_text(f'<robot name="r">{text}</robot>')
+        with pytest.raises(ModelError, match=r"arm\.urdf: ") as caught:
+            ji.load_model(tmp_path / "arm.urdf", floating_base=afloat)
+        assert "\n" not in str(caught.value)
+
+
+def test_what_mujoco_says_of_a_model_is_the_package_s_own_warning(tmp_path):
+    """Found by mutation: compiling two hinges on one line warns in Python, not in MuJoCo's own way."""
+    joints = '<joint axis="1 0 0"/><joint axis="1 0 0"/>'
+    (tmp_path / "robot.xml").write_text(mjcf("", f'<body>{joints}<geom size="0.1"/></body>'))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        ji.load_model(tmp_path / "robot.xml")
+    assert {w.category for w in told} == {ji.ModelWarning}
+    assert "robot.xml: Inertia matrix is too close to singular" in str(told[0].message)
 
 
 def test_copies_multiply_across_includes(tmp_path):
@@ -557,3 +655,105 @@ def test_commands_leave_one_line_and_nothing_else(tmp_path, capsys, monkeypatch,
         assert err.count("\n") == 1
         assert err.rstrip("\n").isprintable()
     assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
+    """Folders and files of writers that are gone, and nobody else's."""
+    out, kept = tmp_path / "out", []
+    with contextlib.suppress(KeyboardInterrupt), _console.output_folder(out):
+        kept += [p for p in out.iterdir() if p.is_dir()]
+        raise KeyboardInterrupt
+    assert not out.exists()
+    for name in (kept[0].name, ".part-of-another-program"):
+        (out / name).mkdir(parents=True)
+    with _console.output_folder(out) as folder:
+        (folder / "report.json").write_text("{}")
+        assert not kept[0].exists() or kept[0] == folder
+    assert {p.name for p in out.iterdir()} == {"report.json", ".part-of-another-program"}
+    left = tmp_path / ".log.csv.0123abcd.part"
+    left.write_text("half")
+    os.utime(left, (0, 0))
+    young, other = tmp_path / ".log.csv.0123abce.part", tmp_path / ".log.csv.old.part"
+    young.write_text("half")
+    other.write_text("mine")
+    with open(tmp_path / ".log.csv.0123abcf.part", "wb") as busy:
+        held(busy)
+        os.utime(busy.name, (0, 0))
+        ji.write_log(read_log(write_csv(tmp_path / "a.csv", columns(12))), tmp_path / "log.csv")
+        assert sorted(p.name for p in tmp_path.glob(".log*")) == [
+            young.name,
+            Path(busy.name).name,
+            other.name,
+        ]
+
+
+def test_the_second_writer_to_a_folder_is_told(tmp_path):
+    """Another process, as it is in earnest: locks are of processes."""
+    program = (
+        "import sys, pathlib; from jax_inertia import _console\n"
+        "with _console.output_folder(pathlib.Path(sys.argv[1])) as part:\n"
+        "    (part / 'report.json').write_text('first'); print('in', flush=True); sys.stdin.readline()\n"
+    )
+    out = tmp_path / "out"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, out], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as first:  # fmt: skip
+        assert first.stdout is not None
+        assert first.stdin is not None
+        assert first.stdout.readline() == "in\n"
+        with (
+            pytest.raises(ValueError, match="another run is writing there; wait for it"),
+            _console.output_folder(out),
+        ):
+            pass
+        with _console.output_folder(out, "motion.csv"):
+            pass
+        first.stdin.write("\n")
+    assert [p.name for p in out.iterdir()] == ["report.json"]
+    with _console.output_folder(out) as folder:
+        (folder / "report.json").write_text("second")
+    assert (out / "report.json").read_text() == "second"
+
+
+def test_commands_say_warnings_in_one_line_or_not_at_all(capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with _console.warnings_as_lines():
+        warnings.warn("invalid value\n  in code", RuntimeWarning, stacklevel=1)
+        warnings.warn("a spring is\nleft out", ji.ModelWarning, stacklevel=1)
+        model = mujoco.MjModel.from_xml_string(mjcf(""))
+        data = mujoco.MjData(model)
+        data.qvel[:] = np.nan
+        mujoco.mj_step(model, data)
+    out, err = capfd.readouterr()
+    lines = err.splitlines()
+    assert out == ""
+    assert lines[0] == "jax-inertia: warning: a spring is left out"
+    assert len(lines) == 2
+    assert lines[1].startswith("jax-inertia: warning: Nan, Inf")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the harness of benchmarks/fuzz.py ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "parquet", "MJCF", "URDF"])
+def test_mutations_are_seeded_and_differ(kind):
+    mutate = {
+        "npz": mutations.npz,
+        "parquet": mutations.parquet,
+        "MJCF": mutations.text(mutations.MJCF),
+        "URDF": mutations.text(mutations.URDF),
+        "csv": mutations.text([]),
+    }[kind]
+    content = ARM.encode()
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+    if kind in ("parquet", "csv"):
+        content = valid(kind)
+    elif kind == "npz":
+        buffer = io.BytesIO()
+        np.savez(buffer, time=np.arange(9.0), tau=np.ones((9, 2)))
+        content = buffer.getvalue()
+    one, again = ([mutate(np.random.default_rng(k), content) for k in range(30)] for _ in range(2))
+    assert one == again or kind == "npz"  # a zip has the time of its making
+    assert len(set(one)) > 20

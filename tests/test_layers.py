@@ -13,7 +13,8 @@ LAYERS: dict[str, str] = {
         least_squares""",
     "logs": """_npz _names _files _torque_unit _contract readers log log_chunks _findings slopes signals motion
         differences _check_channels _check_consistency preflight""",
-    "robot": "_mujoco_types robot _geometry _model_text _urdf_base _urdf_repair _descriptions _spec _urdf mjcf robots",
+    "robot": """_mujoco_types _mujoco_warnings robot _geometry _model_text _urdf_base _urdf_repair _descriptions _spec
+        _urdf _finite mjcf robots""",
     "dynamics": "kinematics _rows _passes dynamics wrench_axes",
     "estimation and simulation": """measurement fused estimate batch _batch_rows _batch_solve consistency
         _filter_settings handover logfilter priors identifiability motion_limits suggest_motion stream statefile

@@ -15,6 +15,7 @@ from models import MODELS
 
 import jax_inertia as ji
 from jax_inertia.mjcf import ModelError, ModelWarning
+from jax_inertia.robots.pendulum import double_pendulum
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 INERTIAL = '<inertial pos="0.01 0.02 0.1" mass="1.5" diaginertia="0.01 0.02 0.025"/>'
@@ -279,3 +280,74 @@ def test_the_loaded_robot_moves_as_in_mujoco(cases, name):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(q, data.qpos, rtol=0, atol=1e-8)
     np.testing.assert_allclose(v, data.qvel, rtol=0, atol=1e-7)
+
+
+# --- numbers that are none ---------------------------------------------------------------------------------------
+
+BENT = """<mujoco>OPTION<worldbody><body name="b" BODY><joint name="j" JOINT/><inertial pos="0 0 0" mass="1"
+  diaginertia="MOMENT 1 1"/><geom name="g" size="0.1" GEOM/></body></worldbody>
+  <actuator><motor name="m" joint="j" MOTOR/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("where", "text", "words"),
+    [
+        ("JOINT", 'pos="nan 0 0"', "pos of joint 'j' is nan 0 0"),
+        ("JOINT", 'axis="0 nan 1"', "axis of joint 'j'"),
+        ("JOINT", 'armature="inf"', "armature of joint 'j' is inf"),
+        ("JOINT", 'damping="nan"', "damping of joint 'j'"),
+        ("JOINT", 'frictionloss="inf"', "frictionloss of joint 'j'"),
+        ("JOINT", 'stiffness="nan"', "stiffness of joint 'j'"),
+        ("JOINT", 'ref="nan"', "ref of joint 'j'"),
+        ("JOINT", 'springref="-inf"', "springref of joint 'j' is -inf"),
+        ("BODY", 'pos="0 nan 0"', "pos of body 'b'"),
+        ("BODY", 'quat="nan 0 0 0"', "quat of body 'b'"),
+        ("BODY", 'gravcomp="nan"', "gravcomp of body 'b'"),
+        ("GEOM", 'pos="inf 0 0"', "pos of geom 'g'"),
+        ("MOTOR", 'gear="nan"', "gear of actuator 'm'"),
+        ("MOTOR", 'armature="inf"', "armature of actuator 'm'"),
+        ("OPTION", '<option gravity="0 0 nan"/>', "gravity of option"),
+        ("MOMENT", "inf", "(principal moments of body 'b'|inertia)"),
+    ],
+)
+def test_numbers_that_are_none_are_refused_by_element(
+    tmp_path, monkeypatch, capfd, where, text, words
+):
+    monkeypatch.chdir(tmp_path)
+    model = BENT.replace(where, text).replace("MOMENT", "1")
+    for other in ("JOINT", "BODY", "GEOM", "MOTOR", "OPTION"):
+        model = model.replace(f" {other}", "").replace(other, "")
+    (tmp_path / "robot.xml").write_text(model)
+    with pytest.raises(ModelError, match=rf"robot\.xml: .*{words}") as caught:
+        ji.load_model(tmp_path / "robot.xml")
+    assert "\n" not in str(caught.value)
+    # Neither on the terminal nor in MuJoCo's own log.
+    assert capfd.readouterr() == ("", "")
+    assert [p.name for p in tmp_path.iterdir()] == ["robot.xml"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("jnt_axis", np.nan, "axis of joint 'elbow'"),
+        ("body_quat", 0.0, "orientation of body 'lower'"),
+        ("body_mass", 1e200, "inertial parameters of body 'lower'|principal"),
+        ("dof_armature", np.inf, "armature of joint 'elbow'"),
+    ],
+)
+def test_a_compiled_model_is_looked_at_too(name, value, words):
+    model = double_pendulum()
+    getattr(model, name)[-1] = value
+    model.body_ipos[-1] *= 1e160 if name == "body_mass" else 1.0
+    with pytest.raises(ModelError, match=f"MjModel: {words}"):
+        ji.load_model(model)
+
+
+def test_single_precision_ends_earlier():
+    with jax.enable_x64(False):
+        model = double_pendulum()
+        model.dof_armature[0] = 1e39
+        with pytest.raises(
+            ModelError, match="armature of joint 'shoulder' cannot be held in float32"
+        ):
+            ji.load_model(model)

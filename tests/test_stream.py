@@ -5,6 +5,7 @@ import functools
 import gc
 import itertools
 import tracemalloc
+import warnings
 from collections.abc import Iterator
 
 import equinox as eqx
@@ -17,6 +18,7 @@ import jax_inertia as ji
 from jax_inertia import charts, logfilter
 from jax_inertia.differences import aligned_differences
 from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.gap import diagnose
 from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.log import Log, LogError
 from jax_inertia.motion import generalised
@@ -186,6 +188,8 @@ def test_a_saved_filter_is_the_same_to_the_last_bit(tmp_path, dtype):
     state = jax.tree.map(
         lambda x: (x + rng.uniform(0.1, 1.0, size=x.shape)).astype(x.dtype), ekf.initial()
     )
+    root = np.tril(state.belief.covariance)
+    state = eqx.tree_at(lambda s: s.belief.covariance, state, root @ root.T)
     save_state(tmp_path / "state.npz", ekf, state)
     again = load_state(tmp_path / "state.npz", ekf)
     assert equal_bits(again, state)
@@ -214,6 +218,51 @@ def test_the_state_of_another_filter_is_refused_in_one_line(tmp_path):
         load_stream(path, Stream(estimator(), window=16, block=32))
 
 
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: estimator(iterations=2), "of another filter: iterations differs"),
+        (lambda: estimator(gate=ChiSquaredGate(0.99, 3)), "of another filter: gate differs"),
+        (lambda: estimator(sigma_tau=0.2), "of another filter: noise differs"),
+        (lambda: with_robot(lambda r: r.armature), "of another robot: robot.armature differs"),
+        (lambda: with_robot(lambda r: r.gravity), "of another robot: robot.gravity differs"),
+    ],
+    ids=["iterations", "gate", "noise", "armature", "gravity"],
+)
+def test_the_state_of_another_robot_or_setting_is_refused_by_name(tmp_path, other, words):
+    save_state(tmp_path / "state.npz", estimator(), estimator().initial())
+    assert equal_bits(load_state(tmp_path / "state.npz", estimator()), estimator().initial())
+    with pytest.raises(StateError, match=words) as caught:
+        load_state(tmp_path / "state.npz", other())
+    assert "\n" not in str(caught.value)
+
+
+def with_robot(leaf) -> Estimator:
+    """The filter of a robot in one number different."""
+    ekf = estimator()
+    return eqx.tree_at(lambda e: leaf(e.robot), ekf, leaf(ekf.robot) + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p + np.triu(p, 1) + np.eye(10, k=1), "covariance is not symmetric"),
+        (lambda p: p - 2.0 * np.diag(np.diag(p)), "covariance is not positive semidefinite"),
+        (lambda p: np.where(np.eye(10, dtype=bool), p, 0.99 * np.sqrt(np.outer(np.diag(p), np.diag(p))))
+         * (1 - 2 * ((np.add.outer(np.arange(10), np.arange(10)) % 3) == 1) * (1 - np.eye(10))),
+         "covariance is not positive semidefinite"),
+    ],
+    ids=["lopsided", "negative", "correlated beyond one"],
+)  # fmt: skip
+def test_what_is_no_covariance_is_refused(tmp_path, change, words):
+    path, ekf = tmp_path / "state.npz", estimator()
+    state = ekf.initial()
+    save_state(path, ekf, state)
+    forged(path, covariance=change(np.asarray(state.belief.covariance)))
+    with pytest.raises(StateError, match=words):
+        load_state(path, ekf)
+
+
 def forged(path, **changes) -> None:
     with np.load(path) as file:
         arrays = {**file, **changes}
@@ -226,6 +275,7 @@ def forged(path, **changes) -> None:
         ({"version": np.array("jax-inertia state 9")}, "version is 'jax-inertia state 9'"),
         ({"mean": np.zeros(11)}, r"mean has shape \(11,\), not \(10,\)"),
         ({"covariance": None}, "covariance is missing"),
+        ({"digests": np.array("[" * 2000)}, "digests are unreadable"),
         ({"bias": np.full(3, np.nan)}, "bias is not finite"),
         ({"mean": np.array(["x"] * 10)}, "mean has shape"),
         ({"mean": np.array([None] * 10, object)}, "pickles"),
@@ -233,6 +283,7 @@ def forged(path, **changes) -> None:
         ({"qpos": np.zeros((4, 4))}, "the samples that wait are no log"),
         ({"tau_kind": np.array("guessed")}, "the samples that wait are no log"),
         ({"joint_names": None}, "the samples that wait are no log"),
+        ({"qpos": None}, "the samples that wait are no log: qpos is missing"),
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
 )
@@ -277,3 +328,51 @@ def test_chunks_that_do_not_follow_are_refused():
         stream().finish(stream().start())
     with pytest.raises(ValueError, match="window 0"):
         Stream(stream().estimator, window=0)
+
+
+# --- what every way from a log to a result asks of it ------------------------------------------------------------
+
+
+def by_stream(given: Log) -> None:
+    list(Stream(estimator(), window=8, block=32).run([given]))
+
+
+def by_observation(given: Log) -> None:
+    logfilter.observe(given, estimator().robot)
+
+
+def by_diagnosis(given: Log) -> None:
+    diagnose(estimator().robot, given)
+
+
+def by_other_motion(given: Log) -> None:
+    diagnose(estimator().robot, log(), test_log=given)
+
+
+@pytest.mark.parametrize("way", [by_stream, by_observation, by_diagnosis, by_other_motion])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda x: dataclasses.replace(x, tau_unit="A", tau_unit_text="A"), "tau is in 'A', not N m; apply one gain"),
+        (lambda x: dataclasses.replace(x, joint_names=("one", "two", "three")), "no hinge or slide 'one'"),
+        (lambda x: x.select(x.joint_names[:2]), "the log lacks joints of the model"),
+        (lambda x: dataclasses.replace(x, tau=x.tau * np.array([1.0, np.nan, 1.0])), "NaN or Inf|all finite"),
+        (lambda x: dataclasses.replace(x, qpos=x.qpos * np.array([1.0, 1.0, np.inf])), "NaN or Inf|all finite"),
+        (lambda x: dataclasses.replace(x, time=x.time[::-1]), "does not increase|does not come after"),
+    ],
+    ids=["amperes", "names", "joints", "NaN", "infinite", "stamps"],
+)  # fmt: skip
+def test_no_result_is_had_from_what_is_no_log_of_the_robot(way, change, words):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        given = change(rows(log(), slice(0, 400)))
+    with pytest.raises(LogError, match=words) as caught:
+        way(given)
+    assert "\n" not in str(caught.value)
+
+
+def test_currents_are_taken_where_gains_follow():
+    given = dataclasses.replace(log(), tau=log().tau / 5.0, tau_unit="A", tau_unit_text="A")
+    raw = logfilter.observe(given, estimator().robot, any_unit=True)
+    usual = logfilter.observe(log(), estimator().robot)
+    np.testing.assert_allclose(5.0 * raw.motion.tau, usual.motion.tau, atol=1e-9)

@@ -40,6 +40,7 @@ from jax_inertia.gap.undetectable import undetectable
 from jax_inertia.gap.verdict import Verdict, probabilities
 from jax_inertia.gap.words import number
 from jax_inertia.log import Log
+from jax_inertia.preflight import require_usable
 from jax_inertia.robot import Robot
 
 
@@ -58,7 +59,8 @@ def diagnose(
 
     `exclude` removes families from the library, `extra` adds some of your own, `nominal_uncertainty` states what the
     nominal model may be off by. `test_log`, another motion, only validates. Raises ValueError for an unknown family,
-    or one that the library has already, and LogError for a log that does not fit the robot.
+    or one that the library has already, and LogError for a log that is not of this robot, not in N m or not measured
+    (`preflight.require_usable`).
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.gap import diagnose
@@ -73,6 +75,8 @@ def diagnose(
         raise ValueError(f"the library has families {taken} already; give yours another name")
     if max_effects < 1:
         raise ValueError(f"max_effects is {max_effects}; at least one")
+    for one in (log, *(() if test_log is None else (test_log,))):
+        require_usable(one, robot)
     tolerance = Tolerance() if nominal_uncertainty is None else nominal_uncertainty
     progress("filtering the log")
     prepared = prepare(robot, log)

@@ -1,14 +1,14 @@
 """A model in MuJoCo C, run from a log's states by its torques, and the log as that needs it."""
 
-import contextlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia._mujoco_types import MjModel, MjSpec
+from jax_inertia._mujoco_warnings import mujoco_warnings
 from jax_inertia.gap.callbacks import Callback, law
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
@@ -31,17 +31,6 @@ _UNSTABLE = (
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """MuJoCo without its warnings, which go to the terminal and into a file in the user's folder."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 class _Torque:
@@ -158,7 +147,7 @@ class Plant:
         mujoco.mj_fullM(self.model, self.data, full)
         return np.diagonal(full)[self.rows]
 
-    @_silent()
+    @mujoco_warnings()
     def run(
         self, recording: Recording, k: int, samples: np.ndarray, erring: Trace | None = None
     ) -> Float[np.ndarray, "S nv"]:

@@ -14,7 +14,6 @@ A heading may end in a unit, `qpos.elbow [deg]`, which is then converted. A colu
 `qpos` with one entry a joint.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -52,7 +51,6 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "base_angvel": {k: v for k, v in _RATE.items() if k not in ("m/s", "mm/s")},
     "contact_wrench": dict.fromkeys(("N", "N m", "Nm", "N·m", "N*m"), 1.0),
 }
-_HEADING = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*)[\])]$", re.DOTALL)
 # What others call the arrays, to guess what a column may be when the contract's name is missing.
 _ALIASES = {
     "time": ("t", "stamp", "timestamp", "time_s", "times", "sec", "seconds"),
@@ -115,6 +113,8 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
         if heading in values and (values[heading].dtype.kind == "U") != (column.array in _TEXTS):
             holds, right = ("numbers", "text") if column.array in _TEXTS else ("text", "numbers")
             raise LogError(f"column {heading!r} holds {holds}; expected {right}")
+        if heading in values and values[heading].ndim > 1 and (column.of or column.part):
+            raise LogError(f"column {heading!r} holds lists; expected one number in each row")
         found.setdefault(column.array, {})[column.of, column.part] = heading
     for array in ("time", "qpos", "tau"):
         if array not in found:
@@ -185,8 +185,13 @@ def headings_of(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _unit_apart(heading: str) -> tuple[str, str]:
-    match = _HEADING.match(heading.strip())
-    return (match.group(1), match.group(2).strip()) if match else (heading.strip(), "")
+    """`name [unit]` or `name (unit)` in its two parts; no regular expression, which would try every blank."""
+    whole = heading.strip()
+    opened = max(whole.rfind("["), whole.rfind("("))
+    unit = whole[opened + 1 : -1]
+    if opened < 0 or whole[-1] not in "])" or "]" in unit or ")" in unit:
+        return whole, ""
+    return whole[:opened].rstrip(), unit.strip()
 
 
 def _parsed(name: str, unit: str) -> Column | None:
