@@ -1,0 +1,244 @@
+"""The default of `make_estimator`: gradients, float32, spikes, and what `paper=True` takes instead."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import random_bodies
+from excitation import compiled, loaded, log_of
+
+import jax_inertia as ji
+from jax_inertia import charts, gates, inertia, kalman, logfilter
+from jax_inertia.estimate import Estimator, State, make_estimator
+from jax_inertia.noise import IndependentNoise
+from jax_inertia.priors import Load
+
+FAST = {"xla_backend_optimization_level": 0}
+TIP, LOAD = "tip", 2.4
+RNG = np.random.default_rng
+
+
+@functools.cache
+def robot() -> ji.Robot:
+    return ji.load_model(compiled("universal"))
+
+
+@functools.cache
+def log(samples: int = 150):
+    """Of the arm with 2.4 kg on its tip, torques noisy by 0.1 N m."""
+    return log_of(loaded(compiled("universal"), TIP, LOAD), samples, noise=0.1)
+
+
+def truth() -> float:
+    return float(robot().pi[robot().body_index(TIP), 0]) + LOAD
+
+
+@eqx.filter_jit(compiler_options=FAST)
+def run(estimator: Estimator, observations):
+    return estimator.run(estimator.initial(), observations)[1]
+
+
+def masses(estimator: Estimator, observations) -> np.ndarray:
+    return np.asarray(run(estimator, observations).estimate.pi[:, 0, 0])
+
+
+def test_the_default_and_the_paper_s_filter_are_what_they_say():
+    safe = make_estimator(robot(), [TIP], sigma_tau=0.1)
+    assert isinstance(safe.chart, charts.LogCholeskyUUt)
+    assert isinstance(safe.gate, gates.ChiSquaredGate)
+    assert (safe.iterations, float(safe.reopen_after), safe.outliers) == (5, 0.5, None)
+    np.testing.assert_allclose(safe.process_noise * 3600, safe.prior.covariance)
+    paper = make_estimator(robot(), [TIP], sigma_tau=0.1, paper=True)
+    assert isinstance(paper.chart, charts.LogCholesky)
+    assert float(paper.gate.threshold(jnp.array(3.0))) == np.inf
+    assert (paper.iterations, float(paper.reopen_after), paper.outliers) == (1, np.inf, None)
+    np.testing.assert_allclose(paper.process_noise * 3, paper.prior.covariance)
+    # A log's filter is the default.
+    online = logfilter.online(robot(), [TIP], np.full(3, 0.1), prior=Load(3.0))
+    assert eqx.tree_equal(online, make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0)))
+
+
+def test_drift_is_quick_where_nothing_else_follows_a_change():
+    for options in ({"gate": 1.0}, {"gate": gates.FixedGate()}, {"reopen_after": np.inf}):
+        own = make_estimator(robot(), [TIP], sigma_tau=0.1, **options)
+        np.testing.assert_allclose(own.process_noise * 3, own.prior.covariance)
+    slow = make_estimator(robot(), [TIP], sigma_tau=0.1, gate=1.0, drift=60.0)
+    np.testing.assert_allclose(slow.process_noise * 60, slow.prior.covariance)
+
+
+# --- spikes ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("at", [0, 60])
+def test_a_spike_without_a_gate_is_forgotten(size, dtype, at):
+    """One sample of up to 10⁶ N m, the very first or later: the mass ends where it does without it."""
+    own = make_estimator(
+        robot().astype(dtype), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gates.FixedGate()
+    )
+    tau = np.array(log().motion.tau)
+    clean = masses(own, log())
+    tau[at] = size * np.array([1.0, -1.0, 1.0])
+    hit = masses(own, eqx.tree_at(lambda o: o.motion.tau, log(), tau))
+    assert abs(clean[-1] - truth()) < 0.3
+    assert np.all(hit < 20.0)
+    assert abs(hit[-1] - truth()) < 0.3
+
+
+def test_the_paper_s_filter_does_not_forget_one():
+    """What the cure is for."""
+    own = make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0), paper=True)
+    tau = np.array(log().motion.tau)
+    tau[60] = 1e6
+    hit = masses(own, eqx.tree_at(lambda o: o.motion.tau, log(), tau))
+    assert not abs(hit[-1] - truth()) < 100.0
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_an_outlier_s_noise_is_what_makes_it_consistent(rows):
+    """Of a linear model: the update is that with R scaled by the root of νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ, by bisection."""
+    rng = RNG(rows)
+    h, p = rng.normal(size=(rows, 4)), np.diag([4.0, 1.0, 0.3, 0.01])
+    r, z, limit = np.diag(rng.uniform(0.5, 2.0, rows)), 1e3 * rng.normal(size=rows), 20.0
+
+    def nis(t: float) -> float:
+        return float(z @ np.linalg.solve(h @ p @ h.T + t * r, z))
+
+    low, high = 1.0, 1e12
+    for _ in range(200):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if nis(middle) > limit else (low, middle)
+    s = h @ p @ h.T + low * r
+    gain = p @ h.T @ np.linalg.inv(s)
+    before = kalman.Belief(jnp.zeros(4), jnp.asarray(p))
+    noise = IndependentNoise(jnp.diagonal(jnp.asarray(r)))
+    for iterations in (1, 3):
+        after, said = kalman.update(
+            before,
+            jnp.asarray(z),
+            lambda x: h @ x,
+            noise,
+            outliers=gates.FixedGate(limit),
+            iterations=iterations,
+        )
+        np.testing.assert_allclose(after.mean, gain @ z, rtol=2e-2)
+        np.testing.assert_allclose(after.covariance, p - gain @ h @ p, rtol=1e-3, atol=1e-9)
+        assert said.nis == pytest.approx(nis(1.0))
+        assert said.accepted
+
+
+def test_a_consistent_sample_is_no_outlier():
+    h, before = RNG(0).normal(size=(3, 4)), kalman.Belief(jnp.zeros(4), jnp.eye(4))
+    noise, z = IndependentNoise(jnp.ones(3)), jnp.ones(3)
+    plain, one = (
+        kalman.update(before, z, lambda x: h @ x, noise, outliers=limit)[0]
+        for limit in (None, gates.ChiSquaredGate(0.9999, 3))
+    )
+    np.testing.assert_allclose(plain.mean, one.mean, rtol=1e-14)
+    np.testing.assert_allclose(plain.covariance, one.covariance, rtol=1e-14)
+
+
+# --- gradients ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gate", [None, 1.0], ids=["default", "no gate"])
+def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
+    """Of the squared error of the mass over a scan of steps, by the noise told and by where the filter starts.
+
+    Central differences with steps so small that no iteration is taken back or kept that was not before.
+    """
+    few = jax.tree.map(lambda x: x[:60], log())
+    own = make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gate)
+
+    def loss(x):
+        noise = IndependentNoise((0.1 * jnp.exp(x[0])) ** 2 * jnp.ones(3))
+        mine = eqx.tree_at(lambda e: e.noise, own, noise)
+        start = mine.initial()
+        start = eqx.tree_at(lambda s: s.belief.mean, start, start.belief.mean + x[1:])
+
+        def body(state, sample):
+            state, _ = mine.step(state, sample, 0.01)
+            return state, (mine.chart.to_pi(state.belief.mean)[0] - truth()) ** 2
+
+        return jnp.mean(jax.lax.scan(body, start, few)[1])
+
+    slopes = jax.jit(jax.grad(loss), compiler_options=FAST)(jnp.zeros(11))
+    assert np.all(np.isfinite(slopes))
+    assert np.linalg.norm(slopes) > 1e-3
+    h = 1e-7
+    ends = jnp.concatenate([h * jnp.eye(11), -h * jnp.eye(11)])
+    high, low = np.split(jax.jit(jax.vmap(loss), compiler_options=FAST)(ends), 2)
+    np.testing.assert_allclose(
+        slopes, (high - low) / (2 * h), rtol=1e-3, atol=1e-4 * np.max(np.abs(slopes))
+    )
+
+
+# --- many random updates -----------------------------------------------------------------------------------------
+
+
+def random_updates(dtype: str, filters: int, steps: int, gate, seed: int = 0) -> dict:
+    """What `filters` filters of other robots' tips were after each of `steps` random samples."""
+    own = make_estimator(robot().astype(dtype), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gate)
+    nominal = jnp.asarray(random_bodies(filters, seed=seed), dtype)
+
+    def one(state, key):
+        keys = jax.random.split(key, 6)
+        y = jax.random.normal(keys[0], (3, 1, 10), dtype)
+        y = (
+            y
+            * jnp.array([10.0] * 4 + [5.0] * 6, dtype)
+            * 10 ** jax.random.uniform(keys[1], (), dtype, -2, 1)
+        )
+        truth = jnp.asarray(robot().pi[own.bodies[0]], dtype) * jnp.exp(
+            jax.random.normal(keys[2], (), dtype)
+        )
+        z = jnp.einsum("rbp,p->r", y, truth)
+        size = 10 ** jax.random.uniform(keys[3], (), dtype, -2, 7)
+        z = z + jnp.where(jax.random.bernoulli(keys[4], 0.5), size, 0.1) * jax.random.normal(
+            keys[5], (3,), dtype
+        )
+        sigma = 10 ** jax.random.uniform(keys[3], (), dtype, -3, 1)
+        mine = eqx.tree_at(lambda e: e.noise, own, IndependentNoise(sigma**2 * jnp.ones(3, dtype)))
+        state, said = mine.update(state, y, z, jnp.ones(3, bool), 0.05)
+        mean, p = state.belief.mean, state.belief.covariance
+        wide = p.astype(jnp.float64)
+        scale = jnp.sqrt(jnp.diagonal(wide))
+        return state, {
+            "finite": jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(p)),
+            "physical": jnp.all(inertia.is_physical(own.chart.to_pi(mean))),
+            "symmetric": jnp.all(p == p.T),
+            "positive": jnp.linalg.eigvalsh(wide / (scale[:, None] * scale))[0] > 0,
+            "type": jnp.array(mean.dtype == p.dtype == jnp.dtype(dtype)),
+            "accepted": said.innovation.accepted,
+            "reopened": said.reopened,
+            "mass": own.chart.to_pi(mean)[0],
+        }
+
+    def begin(pi):
+        start = own.initial()
+        return State(
+            eqx.tree_at(lambda b: b.mean, start.belief, own.chart.from_pi(pi)),
+            start.bias,
+            start.rejected_for,
+        )
+
+    keys = jax.random.split(jax.random.key(seed), (filters, steps))
+    whole = jax.jit(jax.vmap(lambda pi, k: jax.lax.scan(one, begin(pi), k)[1]))
+    return jax.tree.map(np.asarray, whole(nominal, keys))
+
+
+@pytest.mark.parametrize("gate", [None, 1.0], ids=["default", "no gate"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_ten_thousand_random_updates_are_sound(dtype, gate):
+    """Random regressors, noise of 0.001 to 10 N m, residuals up to 10⁷ N m."""
+    out = random_updates(dtype, 100, 100, gate)
+    assert out["mass"].size == 10_000
+    for key in ("finite", "physical", "symmetric", "positive", "type"):
+        assert np.all(out[key]), f"{key}: {np.sum(~out[key])} of {out[key].size}"
+    # The filters did not shut their eyes to it.
+    assert np.mean(out["accepted"]) > 0.2
+    assert np.max(out["mass"]) < 1e6
