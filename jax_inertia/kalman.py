@@ -208,7 +208,7 @@ def update(
     is returned unchanged where the gate rejects or the result would not be finite.
 
     `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
-    noise is taken to be larger, by the one factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
+    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
     So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
     nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
     certainty to match, for ever. The innovation is told by the noise as given.

@@ -12,7 +12,7 @@ from excitation import compiled, loaded, log_of
 
 import jax_inertia as ji
 from jax_inertia import charts, gates, inertia, kalman, logfilter
-from jax_inertia.estimate import Estimator, State, make_estimator
+from jax_inertia.estimate import Estimator, make_estimator
 from jax_inertia.noise import IndependentNoise
 from jax_inertia.priors import Load
 
@@ -34,15 +34,6 @@ def log(samples: int = 150):
 
 def truth() -> float:
     return float(robot().pi[robot().body_index(TIP), 0]) + LOAD
-
-
-@eqx.filter_jit(compiler_options=FAST)
-def run(estimator: Estimator, observations):
-    return estimator.run(estimator.initial(), observations)[1]
-
-
-def masses(estimator: Estimator, observations) -> np.ndarray:
-    return np.asarray(run(estimator, observations).estimate.pi[:, 0, 0])
 
 
 def test_the_default_and_the_paper_s_filter_are_what_they_say():
@@ -72,30 +63,46 @@ def test_drift_is_quick_where_nothing_else_follows_a_change():
 # --- spikes ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [1e2, 1e4, 1e6])
+@eqx.filter_jit(compiler_options=FAST)
+def masses(estimator: Estimator, torques):
+    """Of one run for each log of torques."""
+
+    def one(tau):
+        hit = eqx.tree_at(lambda o: o.motion.tau, log(), tau)
+        return estimator.run(estimator.initial(), hit)[1].estimate.pi[:, 0, 0]
+
+    return jax.vmap(one)(torques)
+
+
+@functools.cache
+def spiked() -> np.ndarray:
+    """Torques of `log`: as they are, and with one sample of 10² to 10⁶ N m, the first or the 60th."""
+    clean = np.array(log().motion.tau)
+    out = [clean]
+    for size in (1e2, 1e4, 1e6):
+        for at in (0, 60):
+            out.append(clean.copy())
+            out[-1][at] = size * np.array([1.0, -1.0, 1.0])
+    return np.array(out)
+
+
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("at", [0, 60])
-def test_a_spike_without_a_gate_is_forgotten(size, dtype, at):
-    """One sample of up to 10⁶ N m, the very first or later: the mass ends where it does without it."""
-    own = make_estimator(
-        robot().astype(dtype), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gates.FixedGate()
-    )
-    tau = np.array(log().motion.tau)
-    clean = masses(own, log())
-    tau[at] = size * np.array([1.0, -1.0, 1.0])
-    hit = masses(own, eqx.tree_at(lambda o: o.motion.tau, log(), tau))
-    assert abs(clean[-1] - truth()) < 0.3
-    assert np.all(hit < 20.0)
-    assert abs(hit[-1] - truth()) < 0.3
+def test_a_spike_without_a_gate_is_forgotten(dtype):
+    """The mass is never absurd, and ends where it does without it."""
+    settings = {"sigma_tau": 0.1, "prior": Load(3.0), "gate": gates.FixedGate(), "drift": 3600.0}
+    own = make_estimator(robot().astype(dtype), [TIP], **settings)
+    found = np.asarray(masses(own, jnp.asarray(spiked(), dtype)))
+    assert np.all(found < 6.0)
+    np.testing.assert_allclose(found[:, -1], truth(), atol=0.15)
 
 
-def test_the_paper_s_filter_does_not_forget_one():
-    """What the cure is for."""
-    own = make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0), paper=True)
-    tau = np.array(log().motion.tau)
-    tau[60] = 1e6
-    hit = masses(own, eqx.tree_at(lambda o: o.motion.tau, log(), tau))
-    assert not abs(hit[-1] - truth()) < 100.0
+def test_the_paper_s_update_does_not_forget_one():
+    """What the cure is for: every sample at its word, all else as above."""
+    settings = {"sigma_tau": 0.1, "prior": Load(3.0), "drift": 3600.0, "paper": True}
+    settings |= {"iterations": 5, "chart": charts.LogCholeskyUUt()}
+    found = np.asarray(masses(make_estimator(robot(), [TIP], **settings), jnp.asarray(spiked())))
+    assert abs(found[0, -1] - truth()) < 0.15
+    assert np.all(np.abs(found[3:, -1] - truth()) > 3.0)
 
 
 @pytest.mark.parametrize("rows", [1, 3])
@@ -153,6 +160,7 @@ def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
     """
     few = jax.tree.map(lambda x: x[:60], log())
     own = make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gate)
+    wanted = truth()
 
     def loss(x):
         noise = IndependentNoise((0.1 * jnp.exp(x[0])) ** 2 * jnp.ones(3))
@@ -162,7 +170,7 @@ def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
 
         def body(state, sample):
             state, _ = mine.step(state, sample, 0.01)
-            return state, (mine.chart.to_pi(state.belief.mean)[0] - truth()) ** 2
+            return state, (mine.chart.to_pi(state.belief.mean)[0] - wanted) ** 2
 
         return jnp.mean(jax.lax.scan(body, start, few)[1])
 
@@ -181,54 +189,45 @@ def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
 
 
 def random_updates(dtype: str, filters: int, steps: int, gate, seed: int = 0) -> dict:
-    """What `filters` filters of other robots' tips were after each of `steps` random samples."""
+    """Each of `steps` random samples to `filters` filters that start at random bodies: how they came out of it."""
     own = make_estimator(robot().astype(dtype), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gate)
-    nominal = jnp.asarray(random_bodies(filters, seed=seed), dtype)
+    starts = own.chart.from_pi(jnp.asarray(random_bodies(filters, seed=seed), dtype))
+    bare, column = own.robot.pi[own.bodies[0]], jnp.array([10.0] * 4 + [5.0] * 6, dtype)
+    rows = jnp.ones(3, dtype)
+
+    def power_of_ten(key, low, high):
+        return 10 ** jax.random.uniform(key, (), dtype, low, high)
 
     def one(state, key):
-        keys = jax.random.split(key, 6)
-        y = jax.random.normal(keys[0], (3, 1, 10), dtype)
-        y = (
-            y
-            * jnp.array([10.0] * 4 + [5.0] * 6, dtype)
-            * 10 ** jax.random.uniform(keys[1], (), dtype, -2, 1)
-        )
-        truth = jnp.asarray(robot().pi[own.bodies[0]], dtype) * jnp.exp(
-            jax.random.normal(keys[2], (), dtype)
-        )
-        z = jnp.einsum("rbp,p->r", y, truth)
-        size = 10 ** jax.random.uniform(keys[3], (), dtype, -2, 7)
-        z = z + jnp.where(jax.random.bernoulli(keys[4], 0.5), size, 0.1) * jax.random.normal(
-            keys[5], (3,), dtype
-        )
-        sigma = 10 ** jax.random.uniform(keys[3], (), dtype, -3, 1)
-        mine = eqx.tree_at(lambda e: e.noise, own, IndependentNoise(sigma**2 * jnp.ones(3, dtype)))
-        state, said = mine.update(state, y, z, jnp.ones(3, bool), 0.05)
+        moved, which, loud, wild, size, noise, drawn = jax.random.split(key, 7)
+        y = column * jax.random.normal(moved, (3, 1, 10), dtype) * power_of_ten(which, -2, 1)
+        sigma = power_of_ten(loud, -3, 1)
+        heavy = jnp.exp(jax.random.normal(drawn, (), dtype))
+        error = jnp.where(jax.random.bernoulli(wild, 0.3), power_of_ten(size, -2, 7), sigma)
+        z = heavy * (y[:, 0] @ bare) + error * jax.random.normal(noise, (3,), dtype)
+        mine = eqx.tree_at(lambda e: e.noise, own, IndependentNoise(sigma**2 * rows))
+        state, said = mine.update(state, y, z, rows > 0, 0.05)
         mean, p = state.belief.mean, state.belief.covariance
-        wide = p.astype(jnp.float64)
+        pi, wide = own.chart.to_pi(mean), p.astype(jnp.float64)
         scale = jnp.sqrt(jnp.diagonal(wide))
         return state, {
             "finite": jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(p)),
-            "physical": jnp.all(inertia.is_physical(own.chart.to_pi(mean))),
+            "physical": jnp.all(inertia.is_physical(pi)),
             "symmetric": jnp.all(p == p.T),
+            # Of the correlation matrix, in float64: tolerance zero.
             "positive": jnp.linalg.eigvalsh(wide / (scale[:, None] * scale))[0] > 0,
-            "type": jnp.array(mean.dtype == p.dtype == jnp.dtype(dtype)),
+            "type": jnp.array(mean.dtype == pi.dtype == p.dtype == jnp.dtype(dtype)),
             "accepted": said.innovation.accepted,
-            "reopened": said.reopened,
-            "mass": own.chart.to_pi(mean)[0],
+            "mass": pi[0],
         }
 
-    def begin(pi):
-        start = own.initial()
-        return State(
-            eqx.tree_at(lambda b: b.mean, start.belief, own.chart.from_pi(pi)),
-            start.bias,
-            start.rejected_for,
-        )
+    def follow(start, keys):
+        state = eqx.tree_at(lambda s: s.belief.mean, own.initial(), start)
+        return jax.lax.scan(one, state, keys)[1]
 
     keys = jax.random.split(jax.random.key(seed), (filters, steps))
-    whole = jax.jit(jax.vmap(lambda pi, k: jax.lax.scan(one, begin(pi), k)[1]))
-    return jax.tree.map(np.asarray, whole(nominal, keys))
+    whole = jax.jit(jax.vmap(follow), compiler_options=FAST)
+    return jax.tree.map(np.asarray, whole(starts, keys))
 
 
 @pytest.mark.parametrize("gate", [None, 1.0], ids=["default", "no gate"])
