@@ -97,12 +97,12 @@ def test_a_spike_without_a_gate_is_forgotten(dtype):
 
 
 def test_the_paper_s_update_does_not_forget_one():
-    """What the cure is for: every sample at its word, all else as above."""
+    """What the cure is for: every sample at its word, all else as above, and 10⁶ N m."""
     settings = {"sigma_tau": 0.1, "prior": Load(3.0), "drift": 3600.0, "paper": True}
     settings |= {"iterations": 5, "chart": charts.LogCholeskyUUt()}
     found = np.asarray(masses(make_estimator(robot(), [TIP], **settings), jnp.asarray(spiked())))
     assert abs(found[0, -1] - truth()) < 0.15
-    assert np.all(np.abs(found[3:, -1] - truth()) > 3.0)
+    assert np.all(np.abs(found[5:, -1] - truth()) > 3.0)
 
 
 @pytest.mark.parametrize("rows", [1, 3])
@@ -174,14 +174,15 @@ def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
 
         return jnp.mean(jax.lax.scan(body, start, few)[1])
 
-    slopes = jax.jit(jax.grad(loss), compiler_options=FAST)(jnp.zeros(11))
-    assert np.all(np.isfinite(slopes))
-    assert np.linalg.norm(slopes) > 1e-3
     h = 1e-7
-    ends = jnp.concatenate([h * jnp.eye(11), -h * jnp.eye(11)])
-    high, low = np.split(jax.jit(jax.vmap(loss), compiler_options=FAST)(ends), 2)
+    points = h * jnp.concatenate([jnp.zeros((1, 11)), jnp.eye(11), -jnp.eye(11)])
+    both = jax.jit(jax.vmap(jax.value_and_grad(loss)), compiler_options=FAST)
+    values, slopes = map(np.asarray, both(points))
+    assert np.all(np.isfinite(slopes))
+    assert np.linalg.norm(slopes[0]) > 1e-3
+    high, low = values[1:12], values[12:]
     np.testing.assert_allclose(
-        slopes, (high - low) / (2 * h), rtol=1e-3, atol=1e-4 * np.max(np.abs(slopes))
+        slopes[0], (high - low) / (2 * h), rtol=1e-3, atol=1e-4 * np.max(np.abs(slopes[0]))
     )
 
 
