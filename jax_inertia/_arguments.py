@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +37,14 @@ def is_positive(x: np.ndarray) -> np.ndarray | np.bool_:
 
 
 def floats_as(tree: Any, dtype: jnp.dtype) -> Any:
-    """The same with floating-point arrays of one type."""
-    return jax.tree.map(
-        lambda x: jnp.asarray(x, dtype) if eqx.is_inexact_array_like(x) else x, tree
-    )
+    """The same with floating-point arrays, and Python's floats, of one type."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype) if _is_float(x) else x, tree)
+
+
+def _is_float(x: Any) -> bool:
+    """Whether it is of a floating type, by its `dtype`, which a tracer of any jax release has.
+
+    Not `equinox.is_inexact_array_like`: that calls `__jax_array__` wherever there is an attribute
+    of that name, and on the tracers of jax 0.11 and later it is there and None.
+    """
+    return isinstance(x, float) or jnp.issubdtype(getattr(x, "dtype", bool), jnp.floating)
