@@ -53,8 +53,8 @@ def test_the_default_and_the_paper_s_filter_are_what_they_say():
 
 
 def test_drift_is_quick_where_nothing_else_follows_a_change():
-    for options in ({"gate": 1.0}, {"gate": gates.FixedGate()}, {"reopen_after": np.inf}):
-        own = make_estimator(robot(), [TIP], sigma_tau=0.1, **options)
+    for gate, reopen_after in ((1.0, None), (gates.FixedGate(), None), (None, np.inf)):
+        own = make_estimator(robot(), [TIP], sigma_tau=0.1, gate=gate, reopen_after=reopen_after)
         np.testing.assert_allclose(own.process_noise * 3, own.prior.covariance)
     slow = make_estimator(robot(), [TIP], sigma_tau=0.1, gate=1.0, drift=60.0)
     np.testing.assert_allclose(slow.process_noise * 60, slow.prior.covariance)
