@@ -101,6 +101,7 @@ def filter_of(robot: Robot) -> Estimator:
         chart=LogCholeskyUUt(),
         noise=IndependentNoise(jnp.ones(robot.nv)),
         iterations=2,
+        paper=True,
     )
 
 

@@ -95,7 +95,6 @@ def add_parser(subparsers) -> None:
     add(
         "--iterations",
         type=_count,
-        default=5,
         metavar="N",
         help="of each update (default 5; 1 is the paper's extended Kalman filter)",
     )

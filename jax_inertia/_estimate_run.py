@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia import batch, charts, logfilter
 from jax_inertia._console import warn
+from jax_inertia._filter_settings import GATE
 from jax_inertia._model_of_log import afloat
 from jax_inertia._names import suggestion
 from jax_inertia.batch import BatchFit
@@ -177,7 +178,7 @@ def estimate(args: argparse.Namespace, inputs: Inputs, stage: Callable[[str], No
     if args.sigma_tau is not None:
         noise = _given_noise(args.sigma_tau, robot)
     stage("filter")
-    gate = logfilter.GATE if args.gate is None else args.gate
+    gate = GATE if args.gate is None else args.gate
     trace = _filter(args, robot, observation, noise, prior, bias)
     time = np.asarray(logfilter.thinned(observation, args.cutoff).motion.time)
     if told := _between_reopenings(args.bodies, time, trace):
@@ -290,8 +291,8 @@ def _filter(args, robot: Robot, observation: Observation, noise, prior: Load, bi
         noise,
         prior=prior,
         chart=chart,
-        gate=logfilter.GATE if args.gate is None else args.gate,
-        reopen_after=logfilter.REOPEN_AFTER if args.reopen_after is None else args.reopen_after,
+        gate=args.gate,
+        reopen_after=args.reopen_after,
         iterations=args.iterations,
         drift_seconds=args.drift_time,
     )

@@ -5,8 +5,9 @@
     state, step = eqx.filter_jit(estimator.step)(state, observation, dt)
     estimator.estimate(state.belief).pi                                   # (bodies, 10)
 
-With the `Linear` chart it is the paper's baseline Kalman filter, with `LogCholesky` (default) its physically
-consistent extended filter. Arguments beyond the paper default to the paper: one iteration, no gate, no reopening.
+Left to itself it is what was measured to work on logs and in simulation loops: coordinates U Uᵀ, five iterations, a χ²
+gate that reopens, little drift. With `paper=True` it is the filter of Foster et al. to the letter: UᵀU, one iteration,
+no gate unless given; with `chart=Linear()` besides, their baseline Kalman filter.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,11 +20,11 @@ from jaxtyping import Array, Bool, Float
 
 from jax_inertia import _filter_settings as settings
 from jax_inertia import charts, kalman
-from jax_inertia._arguments import floats_as
+from jax_inertia._arguments import floats_as, require
 from jax_inertia._rows import moved_rows, spread_rows, take_rows
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import resolve_bodies
-from jax_inertia.gates import FixedGate, Gate
+from jax_inertia.gates import ChiSquaredGate, Gate
 from jax_inertia.measurement import agreed_residual, torque_residual, torque_residuals
 from jax_inertia.noise import IndependentNoise, Noise
 from jax_inertia.physical import Estimate, own_blocks, physical_units
@@ -72,6 +73,8 @@ class Estimator(eqx.Module):
     sigma_a: Float[Array, " nv"] | None
     """Noise of v̇ [m/s², rad/s²] that is not in `noise`; None: the paper's filter, which takes v̇ for exact."""
     gate: Gate
+    outliers: Gate | None
+    """Beyond it a sample that the gate lets pass counts as noisier: `kalman.update`."""
     form: kalman.Form
     reopen_after: Float[Array, ""]
     """A gate that has rejected everything for so long [s] is facing a new load, not an impact: see `step`."""
@@ -139,6 +142,7 @@ class Estimator(eqx.Module):
             jacobian=jacobian,
             mask=valid & jnp.all(jnp.isfinite(regressor), axis=(1, 2)),
             gate=self.gate,
+            outliers=self.outliers,
             iterations=self.iterations,
             form=self.form,
             project=lambda x: self.chart.project(x.reshape(-1, 10)).ravel(),
@@ -223,23 +227,30 @@ def make_estimator(
     *,
     sigma_tau: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float,
     prior: Uncertainty | None = None,
-    drift: Uncertainty | None = None,
+    drift: Uncertainty | Float[Array, ""] | float | None = None,
     chart: charts.Chart | None = None,
     noise: Noise | None = None,
     sigma_a: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float | None = None,
-    gate: Gate | None = None,
-    reopen_after: Float[Array, ""] | float = jnp.inf,
-    iterations: int = 1,
+    gate: Gate | float | None = None,
+    reopen_after: Float[Array, ""] | float | None = None,
+    iterations: int | None = None,
     form: kalman.Form | None = None,
     analytic_jacobian: bool = True,
+    paper: bool = False,
 ) -> Estimator:
     """Estimator of the chosen bodies, started at the robot's own parameters.
 
     `sigma_tau` is the noise of each row [N m, N] (overridden by `noise`); `prior` how far the bodies may be from the
-    model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second (default: the
-    prior's in 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the
-    noise of accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards
-    zero (`measurement.agreed_residual`); left out (the paper), it belongs into `sigma_tau`.
+    model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second, or the seconds
+    in which they may drift by the prior (default: an hour with a gate that reopens, which is what notices a new load;
+    else 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the noise of
+    accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards zero
+    (`measurement.agreed_residual`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
+    probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`.
+
+    What is left out is safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate
+    an outlier counts as noisier (`kalman.update`, `outliers`). With `paper` it is the paper's: `LogCholesky`, one
+    iteration, no gate, no reopening, every sample at its word.
     Numbers may be traced: the whole of it runs under `jit`, `grad` and `vmap`, where they cannot be looked at.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), noise that is not
     positive, settings that no filter can have, or a form that leaves rows out beside correlated noise.
@@ -247,17 +258,24 @@ def make_estimator(
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimate import make_estimator
     >>> from jax_inertia.robots.pendulum import double_pendulum
-    >>> ekf = make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
+    >>> robot = load_model(double_pendulum())
+    >>> ekf = make_estimator(robot, ["lower"], sigma_tau=0.1)
+    >>> ekf.iterations, make_estimator(robot, ["lower"], sigma_tau=0.1, paper=True).iterations
+    (5, 1)
     >>> ekf.estimate(ekf.initial().belief).pi[0, :4].round(6) + 0.0
     Array([ 1. ,  0. ,  0. , -0.5], dtype=float64)
     """
     chosen = resolve_bodies(robot, bodies)
     if not chosen:
         raise ValueError("no body to estimate; name at least one")
+    preset = settings.PAPER if paper else settings.SAFE
+    iterations = preset.iterations if iterations is None else iterations
+    reopen_after = preset.reopen_after if reopen_after is None else reopen_after
+    gate = settings.gate_of(preset.gate if gate is None else gate, robot)
     settings.require_filter(iterations, gate, reopen_after, robot)
     total = jnp.sum(robot.pi[:, 0])
     prior = Load(0.1 * total) if prior is None else prior
-    chart = charts.LogCholesky() if chart is None else chart
+    chart = preset.chart() if chart is None else chart
     nominal = robot.pi[np.array(chosen)]
     mean = chart.from_pi(nominal)
     settings.require_physical(robot, chosen, chart, mean)
@@ -276,9 +294,18 @@ def make_estimator(
     start = kalman.Belief(
         mean.ravel(), block_diag(*settings.covariance("prior", prior, chart, nominal))
     )
-    growth = start.covariance / 3.0
-    if drift is not None:
+    if isinstance(drift, Uncertainty):
         growth = block_diag(*settings.covariance("drift", drift, chart, nominal))
+    else:
+        # At the body that carries the prior's load. At the bare body, a small load's share of it would be a drift of
+        # the same share of a body grown heavy: a flange of 0.2 kg that takes up 3 kg would then drift by 0.7 kg/√s.
+        if drift is None:
+            drift = settings.drift_seconds(gate, reopen_after, robot)
+        require("drift", drift, lambda x: x > 0, "positive [s], or an Uncertainty")
+        growth = start.covariance / jnp.asarray(drift, start.covariance.dtype)
+    outliers = None
+    if preset.weighs_outliers and not isinstance(gate, ChiSquaredGate):
+        outliers = settings.gate_of(settings.GATE, robot)
     return Estimator(
         robot=robot,
         chart=chart,
@@ -286,7 +313,8 @@ def make_estimator(
         process_noise=growth,
         noise=noise,
         sigma_a=sigma_a,
-        gate=FixedGate() if gate is None else gate,
+        gate=gate,
+        outliers=outliers,
         form=kalman.default_form(robot.pi.dtype) if form is None else form,
         reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),
         bodies=chosen,

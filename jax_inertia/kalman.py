@@ -7,7 +7,7 @@ default in float32) computes the same through a QR factorisation, so that the co
 
 Beyond the paper, each by one argument of `update`: iterations (Gauss–Newton from the prior: the iterated EKF of Bell
 and Cathey 1993, which counts the observation once; steps that raise its cost are shortened), a gate on the *prior*
-innovation, a mask of rows to leave out.
+innovation, a mask of rows to leave out, noise enlarged for outliers.
 Numerical trouble is returned as data (`Innovation.accepted`), never raised: an update that is not finite is not made.
 """
 
@@ -196,6 +196,7 @@ def update(
     jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None,
     mask: Bool[Array, " m"] | None = None,
     gate: Gate | None = None,
+    outliers: Gate | None = None,
     iterations: int = 1,
     form: Form | None = None,
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
@@ -205,6 +206,12 @@ def update(
     `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
     False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
     is returned unchanged where the gate rejects or the result would not be finite.
+
+    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
+    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
+    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
+    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
+    certainty to match, for ever. The innovation is told by the noise as given.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.kalman import Belief, update
@@ -229,9 +236,16 @@ def update(
         white = noise.whiten(jnp.concatenate([h, nu[:, None], left[:, None]], axis=1), used)
         return left, white[:, :-2], white[:, -2], white[:, -1]
 
+    rows = jnp.sum(used)
     residual, h_white, nu_white, left_white = linearise(prior)
     first = form.correct(p, h_white, nu_white)
     step, covariance = first.step, first.covariance
+    weight = jnp.ones_like(first.nis)
+    if outliers is not None:
+        weight = _weight(form, p, h_white, nu_white, first.nis, outliers.threshold(rows))
+        weighed = form.correct(p, weight * h_white, weight * nu_white)
+        step, covariance = weighed.step, weighed.covariance
+        left_white = weight * left_white
     mean = project(prior + step)
     if iterations > 1:
         root = cholesky(p)
@@ -245,7 +259,7 @@ def update(
             """Linearise at the trial point; back to the best one with a shorter step where the cost has risen."""
             x, best, step, covariance, share = state
             trial = project(x + share * (prior + step - x))
-            _, h, nu, left = linearise(trial)
+            h, nu, left = (weight * part for part in linearise(trial)[1:])
             value, new = cost(trial, left), form.correct(p, h, nu)
             better = (value <= best) & jnp.all(jnp.isfinite(new.step))
             moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
@@ -257,9 +271,8 @@ def update(
         x, best, step, covariance, share = state
         last = project(x + share * (prior + step - x))
         left = noise.whiten(jnp.where(used > 0, z - model(last), 0.0)[:, None], used)[:, 0]
-        mean = jnp.where(cost(last, left) <= best, last, x)
+        mean = jnp.where(cost(last, weight * left) <= best, last, x)
 
-    rows = jnp.sum(used)
     limit = jnp.inf if gate is None else gate.threshold(rows)
     # The step too, since `project` may make a number of what is none.
     finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, covariance)]
@@ -270,6 +283,32 @@ def update(
     likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
     sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
     return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
+
+
+def _weight(
+    form: Form,
+    p: Float[Array, "n n"],
+    h: Float[Array, "m n"],
+    nu: Float[Array, " m"],
+    nis: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> Float[Array, ""]:
+    """1/s, s ≥ 1, with νᵀ (H P Hᵀ + s² 1)⁻¹ ν = `limit` for whitened rows; 1 where s = 1 is below it already.
+
+    By Newton on the reciprocal, as trust regions do (Moré and Sorensen 1983): N(t) with t = s² is the least cost
+    |ν − H x|²/t + xᵀP⁻¹x, so N′ = −|ν − H x|²/t², and 1/N rises and is concave: from N(1)/γ, which is never too large,
+    it goes up and never beyond. Two steps, since all that hangs on them is how far off the limit an outlier ends.
+    """
+    # Zero where all rows are left out; and a threshold of no rows may be infinite.
+    t = jnp.maximum(nis / limit, 1.0)
+    for _ in range(2):
+        root = jax.lax.rsqrt(t)
+        seen = form.correct(p, root * h, root * nu)
+        left = root * (nu - h @ seen.step)
+        excess = jnp.maximum(seen.nis / limit - 1.0, 0.0)
+        most = jnp.maximum(left @ left, jnp.finfo(p.dtype).tiny)
+        t = t * (1.0 + excess * seen.nis / most)
+    return jax.lax.rsqrt(t)
 
 
 def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:

@@ -25,7 +25,6 @@ from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.dynamics import resolve_bodies
 from jax_inertia.estimate import Estimator, State, Trace, make_estimator
-from jax_inertia.gates import ChiSquaredGate
 from jax_inertia.log import Log, LogError
 from jax_inertia.measurement import torque_residuals
 from jax_inertia.motion import generalised
@@ -36,14 +35,10 @@ from jax_inertia.signals import low_pass, resample
 
 CUTOFF = 10.0
 """Low-pass of every channel [Hz]: above what a joint's position loop follows, below most gear and structure modes."""
-GATE, REOPEN_AFTER = 0.9999, 0.5
-"""Real residuals have bursts (gears at reversal) of a few tenths of a second; a load stays."""
 _RATE_PER_CUTOFF = 10.0
 _PIECE_SECONDS = 2.0
 # A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
 _CHANGED = 5.0
-# With a gate that reopens, sudden changes are the gate's affair; drift is for the slow rest.
-_DRIFT_SECONDS = 3600.0
 
 
 def observe(
@@ -269,18 +264,15 @@ def online(
     *,
     prior: Load,
     chart: charts.Chart | None = None,
-    gate: float = GATE,
-    reopen_after: float = REOPEN_AFTER,
-    iterations: int = 5,
+    gate: float | None = None,
+    reopen_after: float | None = None,
+    iterations: int | None = None,
     drift_seconds: float | None = None,
 ) -> Estimator:
-    """The filter with what was measured to work on logs: χ² gate that reopens, five iterations, little drift.
+    """The filter of a log: `make_estimator` with its defaults.
 
-    The chart, too, is not the paper's: in U Uᵀ (mass and centre of mass are coordinates of their own) the filter
-    weighs the UR10e's payload, in UᵀU (the mass depends on four) it comes out at 6 kg or 0, whatever its iterations.
-    `noise` is that of one sample as the filter gets it (see `thinned`); `gate` the probability of keeping a good
-    sample, 1 for no gate. The bodies may drift by the prior's mass in `drift_seconds`: an hour with a gate, which is
-    what notices a new load; 3 s without. Raises ValueError as `make_estimator` does.
+    `noise` is that of one sample as the filter gets it (see `thinned`), `prior` the load expected. Raises ValueError as
+    `make_estimator` does.
 
     >>> import numpy as np
     >>> from jax_inertia import load_model, logfilter
@@ -292,26 +284,17 @@ def online(
     >>> ekf.bodies, ekf.iterations
     ((1,), 5)
     """
-    if not 0 < gate <= 1:
-        raise ValueError(
-            f"gate probability is {gate}; it must lie above 0, and not above 1 (no gate)"
-        )
-    if drift_seconds is None:
-        drift_seconds = _DRIFT_SECONDS if gate < 1 else 3.0
-    estimator = make_estimator(
+    return make_estimator(
         robot,
         bodies,
         sigma_tau=jnp.asarray(noise),
         prior=prior,
-        chart=charts.LogCholeskyUUt() if chart is None else chart,
-        gate=ChiSquaredGate(gate, robot.nv) if gate < 1 else None,
+        drift=drift_seconds,
+        chart=chart,
+        gate=gate,
         reopen_after=reopen_after,
         iterations=iterations,
     )
-    # Drift at the body that carries the prior's load. At the bare body, a small load's share of it would be a drift of
-    # the same share of a body grown heavy: a flange of 0.2 kg that takes up 3 kg would then drift by 0.7 kg/√s.
-    drift = estimator.prior.covariance / drift_seconds
-    return eqx.tree_at(lambda e: e.process_noise, estimator, drift)
 
 
 _run = eqx.filter_jit(Estimator.run, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]

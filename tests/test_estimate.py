@@ -51,11 +51,12 @@ def arm(load: float | None = None) -> tuple[mujoco.MjModel, ji.Robot]:
 def estimator_of(
     robot: ji.Robot, body: str = TIP, *, drift_seconds: float = 3600.0, **options
 ) -> Estimator:
-    """Five iterations in the U Uᵀ chart, a load of 3 kg expected, by which the body may drift in `drift_seconds`."""
-    defaults = {"sigma_tau": 0.1, "prior": Load(3.0), "chart": UUT, "iterations": 5}
-    out = make_estimator(robot, [body], **{**defaults, **options})
-    drift = out.prior.covariance / drift_seconds
-    return out if "drift" in options else eqx.tree_at(lambda e: e.process_noise, out, drift)
+    """Five iterations in the U Uᵀ chart, a load of 3 kg expected, by which the body may drift in `drift_seconds`.
+
+    With no gate but what the options say, and every sample at its word.
+    """
+    defaults = {"sigma_tau": 0.1, "prior": Load(3.0), "chart": UUT, "iterations": 5, "paper": True}
+    return make_estimator(robot, [body], **{**defaults, "drift": drift_seconds, **options})
 
 
 @functools.cache
@@ -167,7 +168,7 @@ def test_humanoid_s_torso_and_forearm_are_found_while_it_steps():
     """
     robot, true, log = humanoid_case()
     options = {"sigma_tau": 0.1, "prior": Load(5.0), "drift": STILL, "chart": UUT, "iterations": 5}
-    estimator = make_estimator(robot, [TORSO, FOREARM], **options)
+    estimator = make_estimator(robot, [TORSO, FOREARM], paper=True, **options)
     _, trace = run(estimator, estimator.initial(), log)
     for k, name in enumerate((TORSO, FOREARM)):
         wanted = np.asarray(true.pi[true.body_index(name)])
@@ -392,7 +393,10 @@ def test_mistakes_are_named():
     [
         ({"iterations": 0}, "iterations is 0"),
         ({"iterations": 1.5}, "iterations is 1.5"),
-        ({"gate": 0.99}, "gate is 0.99; give a Gate"),
+        ({"gate": "no"}, "gate is 'no'; give a probability, or a Gate"),
+        ({"gate": 1.5}, "gate probability is 1.5; .*not above 1"),
+        ({"gate": 0}, "gate probability is 0; it must lie above 0"),
+        ({"drift": 0.0}, "drift is 0.0; it must be positive"),
         ({"gate": ChiSquaredGate(0.99, 2)}, "max_rows 2; a sample of this robot has 3"),
         ({"reopen_after": np.nan}, "reopen_after is nan"),
         ({"prior": Load(-1.0)}, "mass of prior is -1.0"),
@@ -437,9 +441,7 @@ def test_a_filter_is_made_and_differentiated_under_tracing():
     few = jax.tree.map(lambda x: x[:20], log)
 
     def mass(sigma):
-        own = make_estimator(
-            estimator.robot, [TIP], sigma_tau=sigma, prior=Load(0.3), chart=UUT, iterations=3
-        )
+        own = make_estimator(estimator.robot, [TIP], sigma_tau=sigma, prior=Load(0.3))
         state, _ = own.run(own.initial(), few)
         return own.estimate(state.belief).pi[0, 0]
 

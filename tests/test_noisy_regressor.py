@@ -69,7 +69,13 @@ def test_a_noisy_acceleration_gives_deming_s_slope_and_not_least_squares(sigma_a
         {"sigma_tau": sigma_tau, "sigma_a": sigma_a},
     ):
         estimator = make_estimator(
-            robot, ["sled"], prior=Load(3.0), drift=STILL, chart=charts.Linear(), **options
+            robot,
+            ["sled"],
+            prior=Load(3.0),
+            drift=STILL,
+            chart=charts.Linear(),
+            paper=True,
+            **options,
         )
         _, trace = run(estimator, estimator.initial(), log)
         masses.append(float(trace.estimate.pi[-1, 0, 0]))
@@ -85,6 +91,7 @@ def arm(dtype=None, **options) -> tuple[Estimator, Observation]:
     robot = robot if dtype is None else robot.astype(dtype)
     log = log_of(loaded(bare, "tip"), 200, noise=0.1)
     settings = {"sigma_tau": 0.1, "prior": Load(3.0), "chart": charts.LogCholeskyUUt()}
+    settings |= {"paper": True}  # every sample is used
     return make_estimator(robot, ["tip"], **{**settings, **options}), log
 
 

@@ -203,7 +203,7 @@ def test_the_state_of_another_filter_is_refused_in_one_line(tmp_path):
     save_state(path, ekf, ekf.initial())
     robot = ekf.robot
     for other, words in (
-        (estimator(chart=charts.LogCholeskyUUt()), "chart is 'LogCholesky'.*'LogCholeskyUUt'"),
+        (estimator(chart=charts.LogCholesky()), "chart is 'LogCholeskyUUt'.*'LogCholesky'"),
         (make_estimator(robot, ["gimbal"], sigma_tau=0.1), "bodies is 'tip'.*'gimbal'"),
         (make_estimator(robot, ["tip", "gimbal"], sigma_tau=0.1), "bodies"),
         (make_estimator(robot.astype("float32"), ["tip"], sigma_tau=0.1), "precision"),

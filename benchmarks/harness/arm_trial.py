@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
 from jax_inertia import inverse_dynamics, load_model, mass_matrix
-from jax_inertia.charts import LogCholeskyUUt
 from jax_inertia.differences import Observation
 from jax_inertia.dynamics import passive_torque
 from jax_inertia.estimate import Estimator, make_estimator
@@ -163,8 +162,6 @@ def arm_trial(name: str, seconds: float) -> ArmTrial:
         prior=Load(2.0, 0.1),
         # A pick-up that the gate does not notice must be within what may happen, or σ shrinks about the old load.
         drift=Load(DRIFT, 0.1),
-        iterations=5,
-        chart=LogCholeskyUUt(),
         gate=ChiSquaredGate(0.999, robot.nv),
         reopen_after=0.05,
     )

@@ -6,7 +6,6 @@ import numpy as np
 
 from benchmarks.harness.states import BODIES, humanoid, states
 from jax_inertia import inverse_dynamics, load_model
-from jax_inertia.charts import LogCholeskyUUt
 from jax_inertia.differences import Observation
 from jax_inertia.estimate import Estimator, State, make_estimator
 from jax_inertia.fused import FusedSquareRoot, moved_rows
@@ -34,7 +33,6 @@ def estimator(
         gate=ChiSquaredGate(0.999, robot.nv),
         reopen_after=0.2,
         iterations=iterations,
-        chart=LogCholeskyUUt(),
         form=form,
         analytic_jacobian=analytic,
     )

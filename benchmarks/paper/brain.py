@@ -245,6 +245,7 @@ def make_brain(
         gate=settings.gate,
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,
+        paper=True,
     )
     controller = make_whole_body(
         robot,
