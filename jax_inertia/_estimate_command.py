@@ -123,7 +123,12 @@ def add_parser(subparsers) -> None:
 
     group = parser.add_argument_group("signals")
     add = group.add_argument
-    add("--cutoff", type=_positive, default=10.0, metavar="HZ", help="low-pass (default 10 Hz)")
+    add(
+        "--cutoff",
+        type=_positive,
+        metavar="HZ",
+        help="low-pass (default 10 Hz, at most a fifth of the log's rate)",
+    )
     add(
         "--rate",
         type=_positive,

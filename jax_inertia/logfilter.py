@@ -7,8 +7,9 @@
     state, trace = run(estimator, estimator.initial(), thinned(observation))
 
 Two rates: differences need samples much denser than the motion, a filter needs samples whose noise is independent.
-So the log is low-passed to `CUTOFF`, differentiated at ten times that, and filtered at twice that, where neighbours
-carry separate news. Fed at the full rate, a χ² gate sees a fifth of the innovation that it is entitled to, and sleeps.
+So the log is low-passed to 10 Hz, differentiated at ten times that, and filtered at twice that, where neighbours carry
+separate news (a log slower than 100 Hz: `bands`). Fed at the full rate, a χ² gate sees a
+fifth of the innovation that it is entitled to, and sleeps.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from jaxtyping import Float
 
 from jax_inertia import charts
 from jax_inertia._batch_rows import correlation_inflation
+from jax_inertia.bands import ESTIMATE, of_estimate
 from jax_inertia.batch import BatchFit
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.dynamics import resolve_bodies
@@ -33,9 +35,6 @@ from jax_inertia.priors import Load
 from jax_inertia.robot import HINGE, Robot
 from jax_inertia.signals import low_pass, resample
 
-CUTOFF = 10.0
-"""Low-pass of every channel [Hz]: above what a joint's position loop follows, below most gear and structure modes."""
-_RATE_PER_CUTOFF = 10.0
 _PIECE_SECONDS = 2.0
 # A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
 _CHANGED = 5.0
@@ -46,15 +45,15 @@ def observe(
     robot: Robot,
     *,
     rate: float | None = None,
-    cutoff: float = CUTOFF,
+    cutoff: float | None = None,
     any_unit: bool = False,
 ) -> Observation:
     """A log as observations on a uniform grid of `rate` [Hz] (default: ten times `cutoff`, at most the log's own).
 
-    Every channel passes one zero-phase low-pass of `cutoff` [Hz]. Torques are in N m; those of `any_unit` stay in the
-    log's own, for `batch.fit(gains=...)` or `in_newton_metres`. One period of the cutoff is cut off at both ends, where
-    the filter rings. Raises LogError for a log that is not of this robot or not measured (`preflight.require_usable`),
-    ValueError for rates that do not fit it, and where too little is left.
+    Every channel passes one zero-phase low-pass of `cutoff` [Hz] (default: 10, at most a fifth of `rate`). Torques are
+    in N m; those of `any_unit` stay in the log's own, for `batch.fit(gains=...)` or `in_newton_metres`. One period of
+    the cutoff is cut off at both ends, where the filter rings. Raises LogError for a log that is not of this robot or
+    not measured (`preflight.require_usable`), ValueError for rates that do not fit it, and where too little is left.
 
     >>> from jax_inertia import load_model, logfilter
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -64,13 +63,13 @@ def observe(
     ((378, 2), 0.11)
     """
     require_usable(log, robot, any_unit=any_unit)
-    rate = min(_RATE_PER_CUTOFF * cutoff, round(log.rate, 6)) if rate is None else rate
-    motion = generalised(low_pass(resample(log, rate), cutoff), robot)
-    edge = int(np.ceil(rate / cutoff))
+    bands = of_estimate(round(log.rate, 6), rate, cutoff)
+    motion = generalised(low_pass(resample(log, bands.grid), bands.before), robot)
+    edge = int(np.ceil(bands.grid / bands.before))
     if len(motion.time) < 2 * edge + 22:
         raise LogError(
-            f"{log.duration:.3g} s of log at {rate:g} Hz are too short for a low-pass of {cutoff:g} Hz; "
-            "raise the cutoff"
+            f"{log.duration:.3g} s of log at {bands.grid:g} Hz are too short for a low-pass of {bands.before:g} Hz; "
+            "raise the cutoff or record longer"
         )
     observation = jax.tree.map(lambda x: x[edge:-edge], central_differences(motion))
     if not np.any(observation.motion.valid):
@@ -100,8 +99,10 @@ def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0
     return eqx.tree_at(lambda o: o.motion.valid, observation, valid)
 
 
-def stride(observation: Observation, cutoff: float = CUTOFF) -> int:
+def stride(observation: Observation, cutoff: float | None = None) -> int:
     """How many samples of the grid one independent sample spans: rate / (2 cutoff), at least one.
+
+    `cutoff` as given to `observe` [Hz].
 
     >>> from jax_inertia import load_model, logfilter
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -111,10 +112,11 @@ def stride(observation: Observation, cutoff: float = CUTOFF) -> int:
     5
     """
     period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    cutoff = ESTIMATE.on(1.0 / period).cutoff if cutoff is None else cutoff
     return max(1, int(0.5 / (period * cutoff) + 1e-6))
 
 
-def thinned(observation: Observation, cutoff: float = CUTOFF) -> Observation:
+def thinned(observation: Observation, cutoff: float | None = None) -> Observation:
     """Every `stride`-th observation: twice the cutoff, the rate that filters run at.
 
     >>> from jax_inertia import load_model, logfilter

@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 LAYERS: dict[str, str] = {
     "maths": """_arguments _batch_last _readable _vectors spatial inertia charts gates noise physical kalman
         least_squares""",
-    "logs": """_npz _names _files _torque_unit _contract readers log log_chunks _findings slopes signals motion
-        differences _check_channels _check_consistency preflight""",
+    "logs": """_npz _names _files _torque_unit _contract bands readers log log_chunks held _findings slopes signals
+        motion differences _check_channels _check_consistency preflight""",
     "robot": """_mujoco_types _mujoco_warnings robot _geometry _model_text _urdf_base _urdf_repair _descriptions _spec
         _urdf _finite mjcf robots""",
     "dynamics": "kinematics _rows _passes dynamics wrench_axes",

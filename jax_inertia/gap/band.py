@@ -35,7 +35,7 @@ class Band:
         a = np.asarray(prepared.observation.a)
         noise = np.asarray(again.observation.a) - a
         cutoff = _cutoffs(prepared, a, noise)
-        rate = prepared.settings.decimated
+        rate = prepared.bands.rows
         moment = round(MOMENT * rate)
 
         def loudness(x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, "R nv"]:
@@ -73,7 +73,7 @@ def _cutoffs(
     prepared: Prepared, a: Float[np.ndarray, "T nv"], noise: Float[np.ndarray, "T nv"]
 ) -> Float[np.ndarray, " nv"]:
     """Where a cut takes least from each row's motion for what it takes from its noise [Hz]."""
-    rate = prepared.settings.decimated
+    rate = prepared.bands.rows
     own, noise = prepared.finish(a), prepared.finish(noise)
     pieces = min(len(own), round(2 * rate))
     frequency, power = signal.welch(own, rate, nperseg=pieces, axis=0)
@@ -81,4 +81,4 @@ def _cutoffs(
     # Motion less noise: what is measured has its own noise in it.
     worth = np.cumsum(power - 2.0 * noise_power, axis=0)
     cutoff = np.maximum(frequency[worth.argmax(axis=0)], SLOWEST)
-    return np.where(cutoff < prepared.settings.after, cutoff, np.inf)
+    return np.where(cutoff < prepared.bands.cutoff, cutoff, np.inf)

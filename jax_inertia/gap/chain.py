@@ -21,31 +21,18 @@ from scipy import ndimage, signal
 
 from jax_inertia import dynamics
 from jax_inertia._check_channels import torque_spikes
+from jax_inertia.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
 from jax_inertia.differences import Observation, central_differences
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.support import BASE, Support, supported
+from jax_inertia.held import PositionLoop, later, of_loop, position_loop
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.motion import generalised
 from jax_inertia.robot import Robot
 from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """Rates and cut-offs of the chain [Hz]."""
-
-    grid: float = 250.0
-    before: float = 40.0
-    after: float = 10.0
-    decimated: float = 50.0
-    margin: float = 0.25
-    """Seconds left out at either end, where a zero-phase filter leans on its padding."""
-
-
-CONTACT = Settings(before=80.0, after=20.0, decimated=100.0)
 
 
 class Prepared(eqx.Module):
@@ -62,10 +49,12 @@ class Prepared(eqx.Module):
     """The part of `inverse` that is the model's own dry friction [N m]."""
     measured: Float[np.ndarray, "T nv"]
     """1 where a row stands on measurements, 0 where it leans on what was bridged."""
-    settings: Settings = eqx.field(static=True)
+    bands: Bands = eqx.field(static=True)
     rate: float = eqx.field(static=True)
     support: Support | None = None
     """Forces of the ground that are not measured."""
+    loop: PositionLoop | None = None
+    """Of the log's joints, in their order, where their torque was taken for that of one."""
 
     @property
     def time(self) -> Float[np.ndarray, "T"]:
@@ -83,7 +72,7 @@ class Prepared(eqx.Module):
         live = np.any(wide, axis=0)
         out = np.zeros((len(self.kept), wide.shape[1]))
         if live.any():
-            out[:, live] = below(self.settings.after, wide[:, live], self.rate)[self.kept]
+            out[:, live] = below(self.bands.cutoff, wide[:, live], self.rate)[self.kept]
         return out.reshape(len(out), *x.shape[1:])
 
     def finish_torque(
@@ -111,8 +100,8 @@ class Prepared(eqx.Module):
     @property
     def kept(self) -> np.ndarray:
         """Indices of the slow grid in the fast one."""
-        step = max(1, round(self.rate / self.settings.decimated))
-        edge = round(self.settings.margin * self.rate)
+        step = max(1, round(self.rate / self.bands.rows))
+        edge = round(self.bands.margin * self.rate)
         return np.arange(edge, len(self.time) - edge, step)
 
     @property
@@ -121,7 +110,7 @@ class Prepared(eqx.Module):
         return self.finish(self.measured) > 0.7
 
 
-def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepared:
+def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
     """Put a log through the chain up to the fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
@@ -131,29 +120,29 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
     missing, those of an encoder for what they should be.
     Raises LogError for what `generalised` refuses.
     """
-    if settings is None:
-        settings = CONTACT if log.contact_wrench is not None or robot.has_free_base else Settings()
+    if bands is None:
+        touches = log.contact_wrench is not None or robot.has_free_base
+        bands = (DIAGNOSIS_IN_CONTACT if touches else DIAGNOSIS).at(log.rate)
     tau = np.where(torque_spikes(log), np.nan, np.asarray(log.tau))
-    log = dataclasses.replace(log, qvel=None, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
+    log = dataclasses.replace(log, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
     source = mask(log)
     data = source.log
     late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5
-    data = dataclasses.replace(data, tau=_later(data.tau, late))
+    if (loop := position_loop(data)) is None:
+        tau = later(data.tau, late)
+    else:
+        inertia = _inertia(robot, data)
+        tau = np.where(loop.kp > 0, of_loop(data, loop, *inertia), later(data.tau, late))
+    data = dataclasses.replace(data, tau=tau, qvel=None)
     if data.contact_wrench is not None:
-        data = dataclasses.replace(data, contact_wrench=_later(data.contact_wrench, 0.5))
+        data = dataclasses.replace(data, contact_wrench=later(data.contact_wrench, 0.5))
     source = dataclasses.replace(source, log=data)
-    rate = min(settings.grid, log.rate)
-    cutoff = min(settings.before, 0.4 * rate)
-    smooth = low_pass(bridged_smoothly(resample(source, rate)), cutoff)
+    rate = bands.grid
+    smooth = low_pass(bridged_smoothly(resample(source, rate)), bands.before)
     observation = central_differences(generalised(smooth, robot))
-    settings = dataclasses.replace(
-        settings,
-        after=min(settings.after, 0.1 * rate),
-        decimated=min(settings.decimated, 0.5 * rate),
-    )
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
-    slow = below(settings.after, v, rate)
+    slow = below(bands.cutoff, v, rate)
     creeping = np.asarray(robot.frictionloss) * softness(robot)
     rest = at_rest(slow, rate, creeping) & robot.topology.dof_scalar
     dry = np.asarray(robot.frictionloss) * direction(v, rest)
@@ -170,12 +159,28 @@ def prepare(robot: Robot, log: Log, settings: Settings | None = None) -> Prepare
         observation = dataclasses.replace(observation, motion=motion)
         inverse = inverse - support.torque
     # The first low-pass carries what was bridged about a period of its cut-off outwards.
-    reach = 2 * round(rate / cutoff) + 1
+    reach = 2 * round(rate / bands.before) + 1
     ok = np.asarray(observation.motion.valid)
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
     if support is not None:
         measured = _standing(measured, support.used_up)
-    return Prepared(robot, observation, tau, inverse, rest, dry, measured, settings, rate, support)
+    return Prepared(
+        robot, observation, tau, inverse, rest, dry, measured, bands, rate, support, loop
+    )
+
+
+# Postures of a log in which inertia is looked at.
+_POSTURES = 64
+
+
+def _inertia(robot: Robot, log: Log) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n n"]]:
+    """Of a log's joints, at moments throughout the log."""
+    motion = generalised(log, robot)
+    picked = np.linspace(0, len(log.time) - 1, _POSTURES).astype(int)
+    every = jax.vmap(dynamics.mass_matrix, (None, 0))(robot, jnp.asarray(motion.q)[picked])
+    dofs = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+    rows = [dofs[name] for name in log.joint_names]
+    return np.asarray(log.time)[picked], np.asarray(every)[:, rows][:, :, rows]
 
 
 def _standing(
@@ -214,23 +219,15 @@ def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
 
 
 def below(cutoff: float, x: Float[np.ndarray, "T *c"], rate: float) -> Float[np.ndarray, "T *c"]:
-    """The part of signals below a frequency [Hz], without delay; leading axis time."""
+    """The part of signals below a frequency [Hz], without delay; leading axis time.
+
+    On a grid that holds nothing above it (`bands.holds`) that is all of them.
+    """
+    if not holds(rate, cutoff):
+        return x
     return signal.sosfiltfilt(_low_pass(cutoff, rate), x, axis=0)
 
 
 @functools.cache
 def _low_pass(cutoff: float, rate: float) -> np.ndarray:
     return np.asarray(signal.butter(3, cutoff, fs=rate, output="sos"))
-
-
-def _later(x, s: float) -> np.ndarray:
-    """Samples put off by a share s of their period, along the cubic through four of them.
-
-    Along straight lines a half would lose (ω h)² / 8 of a torque of angular rate ω, as a slow drive does.
-    """
-    x = np.asarray(x, float)
-    # Lagrange's weights of the sample after, its own, the one before and the one before that.
-    after, own = -s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2
-    before, long_before = -(s + 1) * s * (s - 2) / 2, (s + 1) * s * (s - 1) / 6
-    far = np.concatenate([x[:1], x[:1], x, x[-1:]])
-    return after * far[3:] + own * far[2:-1] + before * far[1:-2] + long_before * far[:-3]

@@ -19,7 +19,7 @@ BURSTS = 4.5
 
 def at_random(evidence: Evidence, left: Float[np.ndarray, " n"]) -> bool:
     """Whether what is left looks like noise: forgotten within 0.15 to 0.4 s, and as loud throughout."""
-    rows, period = evidence.unflatten(left), 1.0 / evidence.prepared.settings.decimated
+    rows, period = evidence.unflatten(left), 1.0 / evidence.prepared.bands.rows
     energy = np.sum(rows**2, axis=0)
     lags = np.arange(round(FORGOTTEN / period), round(RETURNS / period) + 1)
     products = np.array([np.sum(rows[k:] * rows[:-k], axis=0) for k in lags])

@@ -312,7 +312,7 @@ class Context:
             speed=self.v[:, row],
             viscous=float(self.damping[row]),
             dry=float(self.frictionloss[row]),
-            carried=self.below(self.prepared.settings.after, carried),
+            carried=self.below(self.prepared.bands.cutoff, carried),
         )
 
     def _carried(self, row: int) -> np.ndarray:
@@ -328,4 +328,4 @@ class Context:
         known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))
         if 0 < known.sum() < len(known):
             carried = np.interp(self.time, self.time[known], carried[known])
-        return self.below(self.prepared.settings.after, carried)
+        return self.below(self.prepared.bands.cutoff, carried)

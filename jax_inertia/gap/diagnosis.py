@@ -43,6 +43,9 @@ from jax_inertia.log import Log
 from jax_inertia.preflight import require_usable
 from jax_inertia.robot import Robot
 
+# Samples that a diagnosis takes.
+LEAST = 100
+
 
 def diagnose(
     robot: Robot,
@@ -80,9 +83,10 @@ def diagnose(
     tolerance = Tolerance() if nominal_uncertainty is None else nominal_uncertainty
     progress("filtering the log")
     prepared = prepare(robot, log)
-    if len(prepared.kept) < 100:
+    if len(prepared.kept) < LEAST:
         raise ValueError(
-            f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering; at least 100 are needed"
+            f"{log.duration:.2f} s of log leave {len(prepared.kept)} samples after filtering, and at least {LEAST} are "
+            f"needed; at its rate record {2 * prepared.bands.margin + (LEAST + 2) / prepared.bands.rows:.3g} s or more"
         )
     _require_newton_metres(prepared)
     require_conventions(prepared)

@@ -239,13 +239,13 @@ class Evidence:
         energy = np.cumsum((cosines[1:] ** 2).sum(axis=1))
         count = int(np.searchsorted(energy, 0.9 * energy[-1])) + 2
         # The k-th cosine of a record of T seconds has k / 2T Hz.
-        seconds = len(needed) / self.prepared.settings.decimated
+        seconds = len(needed) / self.prepared.bands.rows
         return int(np.clip(count, 2 * seconds, min(10 * seconds, len(needed))))
 
     @property
     def slow_band(self) -> float:
         """Up to which frequency they reach [Hz]."""
-        return self.slow_modes * self.prepared.settings.decimated / (2 * len(self.used))
+        return self.slow_modes * self.prepared.bands.rows / (2 * len(self.used))
 
     @functools.cached_property
     def slow_basis(self) -> Float[np.ndarray, "m s"]:
@@ -264,7 +264,7 @@ class Evidence:
         cosines = self._cosines(x)
         energy = cosines[:, :, 0] ** 2
         energy = energy[:, acting(energy.sum(axis=0))].mean(axis=1)
-        hertz = 2 * len(energy) / self.prepared.settings.decimated
+        hertz = 2 * len(energy) / self.prepared.bands.rows
         quiet = np.flatnonzero(ndimage.uniform_filter1d(energy, round(hertz)) < LOUDER)
         modes = max(self.slow_modes, int(quiet[0]) if len(quiet) else len(energy))
         return cosines[:modes].reshape(-1, x.shape[-1])

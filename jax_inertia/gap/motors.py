@@ -21,6 +21,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
+from jax_inertia.bands import smooth_order
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import arithmetic
@@ -41,7 +42,9 @@ def by_samples(log: Log, robot: Robot) -> Float[np.ndarray, " nv"]:
     """Standard deviation of each row's torque noise as the log states it or its samples show it [N m]."""
     stated = None if log.sigma_tau is None else np.asarray(log.sigma_tau, float)
     out = np.zeros(robot.nv)
-    out[_rows(log, robot)] = sensor_noise(np.asarray(log.tau, float), stated)
+    out[_rows(log, robot)] = sensor_noise(
+        np.asarray(log.tau, float), stated, smooth_order(log.rate)
+    )
     return out
 
 
@@ -90,7 +93,7 @@ def torque_noise(
     gain = np.zeros((len(there), len(rows)))
     for _ in range(DRAWS):
         noisy = dataclasses.replace(log, tau=tau + unit * rng.standard_normal(tau.shape))
-        torque = prepare(robot, noisy, prepared.settings).tau - prepared.tau
+        torque = prepare(robot, noisy, prepared.bands).tau - prepared.tau
         for k, row in enumerate(rows):
             alone = np.zeros_like(torque)
             alone[:, row] = torque[:, row]
@@ -108,7 +111,7 @@ def torque_noise(
     least, most = 0.0, np.inf if louder else np.maximum(before, 1e-12)
     if log.sigma_tau is not None:
         least = (sensor_noise(tau, log.sigma_tau) / unit) ** 2
-        rough = (sensor_noise(tau) / unit) ** 2
+        rough = (sensor_noise(tau, order=smooth_order(log.rate)) / unit) ** 2
         most = np.maximum(np.minimum(most, rough), (1.0 + 1e-6) * least + 1e-12)
 
     def solved(expected: Float[np.ndarray, " i"]) -> Float[np.ndarray, " j"]:

@@ -21,6 +21,7 @@ from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.families.friction import PRESLIDING
+from jax_inertia.held import LOOP_LATE_ERROR
 from jax_inertia.log import Log, TorqueKind
 from jax_inertia.slopes import derivative
 
@@ -115,6 +116,11 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     most = 0.25 if log.tau_kind is TorqueKind.SENSOR else 0.5
     shifts = _shifts(context.time, context.tau, tolerance.period / log.rate, most / log.rate)
     fixed.append(Columns(np.stack(shifts, axis=2)))
+    if (loop := context.prepared.loop) is not None:
+        rows = [context.joint_dofs[name] for name in log.joint_names]
+        late = np.zeros_like(v)
+        late[:, rows] = LOOP_LATE_ERROR * (loop.kp * v[:, rows] + loop.kd * a[:, rows])
+        fixed.append(Columns(late[:, :, None]))
     if context.wrench is not None and context.prepared.support is None:
         # A foot that is set down changes its force by tens of weights a second.
         late, most = tolerance.sampled / log.rate, 0.5 / log.rate

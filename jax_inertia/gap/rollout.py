@@ -148,7 +148,7 @@ def _starts(
     Where something happens in passing, windows are to see it: half of them lie about it.
     """
     time = prepared.time
-    edge = prepared.settings.margin
+    edge = prepared.bands.margin
     first, last = time[0] + edge, time[-1] - edge - horizon
     wanted = [np.linspace(first, last, windows // (2 if passing else 1))]
     for start in passing:

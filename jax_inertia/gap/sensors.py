@@ -1,11 +1,13 @@
 """How large a log's sensor noise is, as it states or as its samples show, and the log with as much of it once more."""
 
 import dataclasses
+import math
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.bands import smooth_order
 from jax_inertia.log import AnyArray, Log
 
 
@@ -19,22 +21,25 @@ IMPACT = 6.0
 
 
 def sensor_noise(
-    x: Float[np.ndarray, "T n"], stated: AnyArray | None = None
+    x: Float[np.ndarray, "T n"], stated: AnyArray | None = None, order: int = 3
 ) -> Float[np.ndarray, " n"]:
-    """Standard deviation of one sample of each channel: as stated, or from its third differences and its steps.
+    """Standard deviation of one sample of each channel: as stated, or from its differences and its steps.
 
-    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². Impacts, beyond `IMPACT` of what most
+    Motion is smooth at the log's rate, white noise is not: Δ³ has variance 20 σ². A slow log needs another `order`
+    (`bands.smooth_order`), whose variance is C(2n, n) σ². Impacts, beyond `IMPACT` of what most
     samples show, do not count; heavier tails than a Gaussian's, which a median would miss, do. A converter's steps of
     width s are a noise of s/√12 at least, also where motion is so slow that most samples repeat the one before.
     """
     if stated is not None:
         return np.broadcast_to(np.asarray(stated, float), x.shape[1:])
     x = np.asarray(x, float)
-    third = np.abs(np.diff(x, n=3, axis=0))
-    usual = np.nanmedian(np.where(np.isfinite(third), third, np.nan), axis=0) / 0.6745
-    counted = third <= IMPACT * usual
+    high = np.abs(np.diff(x, n=order, axis=0))
+    usual = np.nanmedian(np.where(np.isfinite(high), high, np.nan), axis=0) / 0.6745
+    counted = high <= IMPACT * usual
     rough = np.sqrt(
-        (third**2).sum(axis=0, where=counted) / np.maximum(counted.sum(axis=0), 1) / 20.0
+        (high**2).sum(axis=0, where=counted)
+        / np.maximum(counted.sum(axis=0), 1)
+        / math.comb(2 * order, order)
     )
     steps = np.array([resolution(channel) for channel in x.T])
     return np.maximum(rough, steps / np.sqrt(12.0))
@@ -80,15 +85,17 @@ LEVELS, ON_STEP = 8, 0.02
 def perturbed(log: Log, rng: np.random.Generator) -> Log:
     """The log with its sensors' noise added once more."""
 
-    def more(x, of=sensor_noise):
+    order = smooth_order(log.rate)
+
+    def more(x, of=None):
         x = np.asarray(x, float)
         flat = x.reshape(len(x), -1)
-        sigma = of(flat)
+        sigma = sensor_noise(flat, order=order) if of is None else of(flat)
         return (flat + sigma * rng.standard_normal(flat.shape)).reshape(x.shape)
 
     changes = {
-        "qpos": more(log.qpos, partial(sensor_noise, stated=log.sigma_qpos)),
-        "tau": more(log.tau, partial(sensor_noise, stated=log.sigma_tau)),
+        "qpos": more(log.qpos, partial(sensor_noise, stated=log.sigma_qpos, order=order)),
+        "tau": more(log.tau, partial(sensor_noise, stated=log.sigma_tau, order=order)),
     }
     for name in ("base_pos", "base_quat", "base_linvel", "base_angvel"):
         if (value := getattr(log, name)) is not None:

@@ -74,7 +74,7 @@ def held_out(
     for c in (c for c in chosen if not c.family.passing):
         effect = prepared.finish_torque(effect_torque(pool.context, c))[:, rows]
         own += c.family.form_error**2 * float(sight.on(evidence).energy(effect).sum())
-    interval = sizes.interval(prepared.settings.decimated, own)
+    interval = sizes.interval(prepared.bands.rows, own)
     return dataclasses.replace(shrink, interval=interval), sight
 
 

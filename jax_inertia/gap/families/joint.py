@@ -94,7 +94,7 @@ class Cogging(Joint):
     def grid(self, context, place):
         q = context.joint_position[:, place.index]
         span = max(np.ptp(q), 1e-3)
-        fastest = 0.7 * context.prepared.settings.after * 2 * np.pi
+        fastest = 0.7 * context.prepared.bands.cutoff * 2 * np.pi
         speed = max(np.percentile(np.abs(context.v[:, place.index]), 50), 1e-3)
         highest = min(120.0, fastest / speed)
         # One or more periods over the motion (half of one is a spring), a quarter of a period apart.

@@ -1,0 +1,81 @@
+"""What torques of a slow log stand for, against the mean torque of a loop in MuJoCo C that runs at 1 kHz."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from jax_inertia.held import FASTER, LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
+from jax_inertia.log import Log
+
+ARMATURE, STEP, HOLD = 0.1, 1e-3, 20
+XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>
+<joint name="a" axis="0 0 1" armature="{ARMATURE}" damping="0.3"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
+
+
+def run(kp, kd, seconds=10.0):
+    """A log of 50 Hz of targets held for 20 ms, and the mean torque of the 1 kHz loop about each stamp."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    data, count = mujoco.MjData(model), round(seconds / STEP)
+    torque, rows, target = np.zeros(count), [], 0.0
+    for k in range(count):
+        if k % HOLD == 0:
+            target = np.sin(2 * np.pi * 0.5 * k * STEP)
+        torque[k] = kp * (target - data.qpos[0]) - kd * data.qvel[0]
+        if k % HOLD == 0:
+            rows.append((k * STEP, target, data.qpos[0], data.qvel[0], torque[k]))
+        data.qfrc_applied[0] = torque[k]
+        mujoco.mj_step(model, data)
+    time, target, q, v, tau = np.array(rows).T
+    log = Log(
+        time=time,
+        joint_names=("a",),
+        qpos=q[:, None],
+        qvel=v[:, None],
+        tau=tau[:, None],
+        qpos_target=target[:, None],
+    )
+    # Of the hold before a stamp and the one after it.
+    of_hold = torque.reshape(-1, HOLD).mean(axis=1)
+    mean = 0.5 * (np.concatenate([[0.0], of_hold[:-1]]) + of_hold)
+    return log, mean
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(35.0, 2.0), (500.0, 25.0), (2000.0, 60.0)])
+def test_the_mean_torque_of_a_loop_that_is_seen_at_50_hz(kp, kd):
+    log, mean = run(kp, kd)
+    loop = position_loop(log)
+    assert loop is not None
+    assert (loop.kp[0], loop.kd[0]) == pytest.approx((kp, kd), rel=1e-6)
+    found = of_loop(log, loop, log.time[:1], np.array([[[ARMATURE + 0.01]]]))[:, 0]
+    inner, v = slice(50, -50), np.asarray(log.qvel)[:, 0]
+
+    def damping(torque):
+        """What the miss passes for [N m s/rad]."""
+        return float(np.sum((torque - mean)[inner] * v[inner]) / np.sum(v[inner] ** 2))
+
+    # The loop of 1 kHz is half a millisecond late, and taken for one of up to a whole.
+    assert abs(damping(found)) < 0.6 * kp * LOOP_LATE
+    held = np.asarray(log.tau)[:, 0]
+    assert abs(damping(held)) > 5 * kp * LOOP_LATE
+    shifted = 0.5 * (held + np.concatenate([held[:1], held[:-1]]))
+    assert abs(damping(shifted)) > 5 * kp * LOOP_LATE
+
+
+def test_a_slow_loop_is_half_a_period_late():
+    loop = PositionLoop(np.array([1.0]), np.array([0.0]))
+    assert _jolt(loop, np.array([[1e3]]), 0.02, 0.0)[0, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_loop_is_not_seen_where_there_is_none():
+    log, _ = run(500.0, 25.0)
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(np.shape(log.tau))
+    assert position_loop(Log(log.time, log.joint_names, log.qpos, noise)) is None
+    other = Log(log.time, log.joint_names, log.qpos, noise, qpos_target=log.qpos_target)
+    assert position_loop(other) is None
+    fast = Log(
+        log.time / 3, log.joint_names, log.qpos, log.tau, log.qvel, qpos_target=log.qpos_target
+    )
+    assert fast.rate > FASTER
+    assert position_loop(fast) is None
