@@ -3,8 +3,8 @@
 The bodies (and gravity) are those of corrected.xml where there is one, else the nominal ones with the report's
 payloads and shifts. All else comes from report.json: `joints` gives every joint's ordinary terms, `effects` the odd
 ones. Dry friction is F tanh(v / 0.003), or Dahl's where the report states a `presliding` [rad] beside it. A prediction
-is a pair: what reaches the joint of the logged torque (gain, limit, delay, lag), and what the joint
-needs. Families that are not known here are named in `left_out`: then the number is no check of the tool.
+is a pair: what reaches the joint of the logged torque (gain, limit, delay, lag), and what the joint needs. Families
+that cannot be computed here are named in `left_out`: then the number is no check of the tool.
 """
 
 from __future__ import annotations
@@ -135,17 +135,13 @@ class ReportTorque:
                 q[:, self._joint(e)] /= 1.0 + number(e, "scale")
         v, a = s.derived(q) if np.any(q != s.q) else (s.v, s.a)
         motor_v, motor_a = v, a
-        soft = [e for e in self.odd if e["family"] in ("joint_elasticity", "backlash")]
+        soft = [e for e in self.odd if e["family"] == "joint_elasticity"]
         if soft:
             link = rigid(self.model, q, v, a) - self._springs(q)
             for e in soft:
                 j = self._joint(e)
                 stiffness = number(e, "stiffness", default=np.inf)
-                across = link[:, j] / stiffness
-                if e["family"] == "backlash":
-                    half = 0.5 * number(e, "dead_zone")
-                    across = across + half * np.tanh(link[:, j] / (0.02 * np.abs(link[:, j]).max()))
-                q[:, j] = q[:, j] - s.finish(across)
+                q[:, j] = q[:, j] - s.finish(link[:, j] / stiffness)
             v, a = s.derived(q)
         bodies = rigid(self.model, q, v, a) - self._springs(q) + self._world(s, q, v)
         dry, turn = self._dry(bodies, motor_v, s.dt)
@@ -274,7 +270,8 @@ class ReportTorque:
     def error(self, log: dict[str, np.ndarray], held: bool = True) -> dict:
         """The measure of `torque_error`, in units of the logged torque."""
         known = {"torque_gain", "time_delay", "actuator_lag", "torque_saturation", "drag", "push"}
-        known |= {"encoder_offset", "encoder_scale", "joint_elasticity", "backlash", "cogging"}
+        # Not backlash: who is where in the gap is no function of the log's rows.
+        known |= {"encoder_offset", "encoder_scale", "joint_elasticity", "cogging"}
         known |= {"joint_spring", "stribeck_friction", "load_friction", "asymmetric_coulomb"}
         known |= {"quadratic_friction", "constant_force", "joint_coupling", *IN_MODEL, *ORDINARY}
         self.left_out |= {e["family"] for e in self.odd} - known
