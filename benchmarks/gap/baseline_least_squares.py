@@ -17,26 +17,34 @@ import numpy as np
 from torque_error import SIGN, Predictor, Signals, needed, read, rigid, signals, torque_error
 
 
-def columns(model: mujoco.MjModel, s: Signals) -> np.ndarray:
-    """(T, n, 4 n + B), before the measure's band."""
+def columns(model: mujoco.MjModel, s: Signals, free_gain: bool = False) -> np.ndarray:
+    """(T, n, 4 n + B), or (T, n, 5 n) with a gain of each joint's own torque, before the measure's band."""
     rows, n = s.v.shape
-    own = np.zeros((rows, n, n, 4))
+    plain = rigid(model, s.q, s.v, s.a)
+    own = np.zeros((rows, n, n, 5))
     for j in range(n):
-        own[:, j, j] = np.stack([s.v[:, j], np.tanh(s.v[:, j] / SIGN), s.a[:, j], np.ones(rows)], 1)
-    plain, masses = rigid(model, s.q, s.v, s.a), []
+        terms = s.v[:, j], np.tanh(s.v[:, j] / SIGN), s.a[:, j], np.ones(rows), plain[:, j]
+        own[:, j, j] = np.stack(terms, 1)
+    if free_gain:
+        return own.reshape(rows, n, -1)
+    masses = []
     for body in range(1, model.nbody):
         if model.body_weldid[body] != 0 and model.body_mass[body] > 0:
             size = model.body_mass[body].copy(), model.body_inertia[body].copy()
             model.body_mass[body], model.body_inertia[body] = 2 * size[0], 2 * size[1]
             masses.append(rigid(model, s.q, s.v, s.a) - plain)
             model.body_mass[body], model.body_inertia[body] = size
-    return np.concatenate([own.reshape(rows, n, -1), np.stack(masses, -1)], axis=2)
+    return np.concatenate([own[..., :4].reshape(rows, n, -1), np.stack(masses, -1)], axis=2)
 
 
-def fit(model: mujoco.MjModel, log: dict[str, np.ndarray], held: bool = True) -> Predictor:
-    """The fitted model as a predictor; `numbers` holds (n, 4): damping, friction, armature, offset."""
+def fit(model: mujoco.MjModel, log: dict, held: bool = True, free_gain: bool = False) -> Predictor:
+    """The fitted model as a predictor.
+
+    `free_gain`: the log holds currents or volts, so each joint's torque has a gain, and masses stay.
+    """
     s = signals(model, log, held)
-    x, y = s.finish(columns(model, s)), s.finish(s.tau - needed(model, s))
+    known = (lambda s: 0.0) if free_gain else lambda s: needed(model, s)
+    x, y = s.finish(columns(model, s, free_gain)), s.finish(s.tau - known(s))
     weight = s.kept / np.sqrt((y**2).mean(0) + 1e-12)
     for _ in range(2):
         a = (x * weight[:, :, None]).reshape(-1, x.shape[2])
@@ -44,28 +52,13 @@ def fit(model: mujoco.MjModel, log: dict[str, np.ndarray], held: bool = True) ->
         theta = np.linalg.lstsq(a / scale, (y * weight).ravel(), rcond=1e-9)[0] / scale
         left = np.where(s.kept, y - x @ theta, 0.0)
         weight = s.kept / np.sqrt((left**2).sum(0) / np.maximum(s.kept.sum(0), 1) + 1e-12)
-
-    def predict(model: mujoco.MjModel, s: Signals) -> np.ndarray:
-        return needed(model, s) + columns(model, s) @ theta
-
-    predict.numbers = theta[: 4 * model.nv].reshape(-1, 4)
-    return predict
-
-
-def before_and_after(model: mujoco.MjModel, log: dict, other: dict, held: bool = True) -> dict:
-    """The measure on another log, without and with the fit."""
-    predict = fit(model, log, held)
-    return {
-        "before": torque_error(model, needed, other, held),
-        "after": torque_error(model, predict, other, held),
-        "numbers": predict.numbers.tolist(),
-    }
+    return lambda model, s: known(s) + columns(model, s, free_gain) @ theta
 
 
 if __name__ == "__main__":
     model = mujoco.MjModel.from_xml_path(sys.argv[1])
-    result = before_and_after(model, read(Path(sys.argv[2])), read(Path(sys.argv[3])))
-    for name in result["before"]["per_joint"]:
-        pair = (result[k]["per_joint"][name] for k in ("before", "after"))
-        print("{:20s} {:8.4f} -> {:8.4f} N m".format(name, *pair))
-    print(f"all {result['before']['rms']:.4f} -> {result['after']['rms']:.4f} N m")
+    log, other = read(Path(sys.argv[2])), read(Path(sys.argv[3]))
+    before, after = (torque_error(model, p, other) for p in (needed, fit(model, log)))
+    for name, error in before["per_joint"].items():
+        print(f"{name:20s} {error:8.4f} -> {after['per_joint'][name]:8.4f} N m")
+    print(f"all {before['rms']:.4f} -> {after['rms']:.4f} N m")

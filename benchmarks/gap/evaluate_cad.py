@@ -96,7 +96,7 @@ def score(job: tuple[str, str, str]) -> dict:
 
 
 def errors(folder: Path, truth: dict) -> dict:
-    """The measure on the other motion [N m] of nominal, least squares and the truth as a report; kept beside the log."""
+    """The measure [N m] on the other motion: nominal, least squares, the truth as a report; kept beside the log."""
     kept = folder / "errors.json"
     if kept.exists():
         return json.loads(kept.read_text())
