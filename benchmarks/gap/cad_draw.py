@@ -73,8 +73,9 @@ class Hidden:
 
     def effects(self) -> list[fx.Effect]:
         """For the plant, the ordinary ones first."""
-        armature = self.armature.copy()
-        ordinary = Ordinary(self.law, self.presliding, armature, self.bias, self.odd_law, self.wave)
+        ordinary = Ordinary(
+            self.law, self.presliding, self.armature, self.bias, self.odd_law, self.wave
+        )
         if isinstance(self.odd, tm.TwoMass):
             ordinary.soft = self.odd
         if isinstance(self.odd, JointCoupling):

@@ -177,6 +177,9 @@ class JointCoupling(Effect):
         super().__init__("joint", joint, {"ratio": ratio})
         self.before, self.ratio = before, ratio
 
+    def edit(self, model):
+        model.joint(self.name).armature[:] = 0.0  # it is the tendon's
+
     def bind(self, model, joints):
         super().bind(model, joints)
         self.other = joints.index(self.before)

@@ -114,15 +114,8 @@ def errors(folder: Path, truth: dict) -> dict:
 
 def oracle(folder: Path, truth: dict, test: dict) -> tuple[dict, list[str]]:
     """The least that such forms leave: real bodies, nearest ordinary terms with real bristles, and the odd effect."""
-    spec = mujoco.MjSpec.from_file(str(folder / "nominal.xml"))
-    for name, error in truth["inertials"].items():
-        body = spec.body(name)
-        body.fullinertia = np.array(body.fullinertia) * (1 + error["mass"]) * (1 + error["inertia"])
-        body.mass *= 1 + error["mass"]
-        body.ipos = np.array(body.ipos) + error["com"]
-    spec.compile()
     real = folder / f".real.{os.getpid()}.xml"
-    real.write_text(spec.to_xml())
+    real.write_text(real_xml((folder / "nominal.xml").read_text(), truth["inertials"]))
     joints = copy.deepcopy(truth["joints"])
     for name, terms in joints.items():
         terms["coulomb_friction"]["presliding"] = truth["law"]["presliding"][name]
@@ -134,6 +127,18 @@ def oracle(folder: Path, truth: dict, test: dict) -> tuple[dict, list[str]]:
     error = told.error(test)
     outside = ["outside the library"] if odd and not known else []
     return error, sorted(told.left_out) + outside
+
+
+def real_xml(nominal: str, inertials: dict) -> str:
+    """The nominal MJCF with the real bodies."""
+    spec = mujoco.MjSpec.from_string(nominal)
+    for name, error in inertials.items():
+        body = spec.body(name)
+        body.fullinertia = np.array(body.fullinertia) * (1 + error["mass"]) * (1 + error["inertia"])
+        body.mass *= 1 + error["mass"]
+        body.ipos = np.array(body.ipos) + error["com"]
+    spec.compile()
+    return spec.to_xml()
 
 
 def own_error(place: Path, folder: Path, report: dict) -> dict | None:
