@@ -144,7 +144,9 @@ class ReportTorque:
                 q[:, j] = q[:, j] - s.finish(link[:, j] / stiffness)
             v, a = s.derived(q)
         bodies = rigid(self.model, q, v, a) - self._springs(q) + self._world(s, q, v)
-        dry, turn = self._dry(bodies, motor_v, s.dt)
+        # The load of a gear: what the motor gives, but for the part of friction that is asked for.
+        load = bodies + self.viscous * motor_v + self.dry * np.tanh(motor_v / SIGN)
+        dry, turn = self._dry(load + self.rotor * motor_a - self.bias, motor_v, s.dt)
         out = bodies + self.viscous * turn + dry + self.rotor * motor_a - self.bias
         self._coupled(out, bodies, motor_v, motor_a)
         return out
