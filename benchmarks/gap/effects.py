@@ -30,7 +30,7 @@ class Effect:
         self.joint = self.dof = self.adr = self.body = -1
 
     def bind(self, model: mujoco.MjModel, joints: tuple[str, ...]) -> None:
-        self.dt_max = 2.5e-4
+        self.dt_max = np.inf
         if self.kind == "joint":
             self.joint = joints.index(self.name)
             self.dof = int(model.joint(self.name).dofadr[0])

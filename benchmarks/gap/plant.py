@@ -43,6 +43,8 @@ class Unstable(RuntimeError):
 class Plant:
     """A robot with hidden effects. `model` is edited: pass a copy."""
 
+    finest = 2.5e-4  # s: the step where no effect asks for a shorter one
+
     def __init__(self, robot: Robot, model: mujoco.MjModel, effects: list[Effect]):
         self.robot, self.effects = robot, effects
         for effect in effects:
@@ -128,7 +130,7 @@ class Plant:
         joint_v = data.qvel[self.dofs]
         for effect in self.effects:
             effect.reset(joint_q, joint_v)
-        dt = min([2.5e-4] + [e.dt_max for e in self.effects])
+        dt = min([self.finest] + [e.dt_max for e in self.effects])
         substeps = int(np.ceil(1.0 / rate / dt - 1e-9))
         dt = 1.0 / rate / substeps
         first = -int(preroll * rate)

@@ -34,6 +34,7 @@ class TwoMass(Effect):
         self.dt_max = min(self.dt_max, 2.5e-4)
 
     damping_ratio = 0.06
+    rubbing = 0.0  # N m: friction that another effect finds at the motor's speed
 
     def reset(self, q, v):
         self.angle = self.angle0 = float(q[self.joint])
@@ -50,7 +51,7 @@ class TwoMass(Effect):
         q, v = float(data.qpos[self.adr]), float(data.qvel[self.dof])
         torque = self.transmitted(self.angle - q, self.speed - v)
         out[self.dof] += torque - drive
-        net = drive - torque - self.damping * self.speed
+        net = drive - torque - self.damping * self.speed - self.rubbing
         if self.bristle:
             net -= self.bristle.torque(self.speed, self.friction)
         self.rate_angle, self.rate_speed = self.speed, net / self.inertia

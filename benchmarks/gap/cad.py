@@ -1,0 +1,295 @@
+"""Development data "cad": robots as they are bought, with every joint's friction and rotor missing in the model.
+
+    python benchmarks/gap/cad.py OUT --n 60 --seed 1 [--first 0] [--jobs 1]
+
+writes OUT/00042/{nominal.xml, log.npz, test.npz, truth.json}; a diagnosis may see all but the last. Log 42 depends on
+the seed and 42 alone; a second call skips what is complete. Shares no code with the package.
+
+Of ten robots six have one odd effect of the library (`cad_draw.ODD`), one has an effect no library has, three have
+nothing but the ordinary: friction (LuGre), rotor inertia and small torque offsets at every joint, masses 2 %, centres
+1 mm, inertias 5 % off the drawing (1 sigma).
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import cad_truth
+import mujoco
+import numpy as np
+from cad_draw import ODD, OUTSIDE, DrawOdd, Hidden, draw_ordinary, equivalents, nominal_run
+from cad_plant import STEP, Law
+from cad_robots import CAD_ROBOTS
+from effects import Effect
+from motions import make_motion
+from plant import Noise, Plant, Unstable
+from robots import Robot
+
+ATTEMPTS = 10
+NUMBER = 20  # of this stratum, in the seeds
+
+
+@dataclass
+class Setting:
+    """One log's robot, motions, rates and sensors."""
+
+    robot: Robot
+    seed: list[int]
+    rate: int
+    duration: float
+    test_duration: float
+    kinds: tuple[str, str]
+    bandwidth: float
+    compensation: float
+    counts: float
+    options: dict
+
+
+class JointLoop:
+    """The maker's loop: nominal feed-forward, gains that suit the real inertia, part of the friction compensated.
+
+    A joint that is mostly friction is held stiffer than its inertia asks for: full friction moves it 0.06 rad.
+    """
+
+    def __init__(self, s: Setting, inertia: np.ndarray, law: Law):
+        self.model = s.robot.model()
+        self.data = mujoco.MjData(self.model)
+        omega = s.bandwidth
+        stiff = (law.coulomb + law.viscous) * omega / (12.0 * 0.06)
+        self.kp = np.maximum(inertia * omega**2, stiff)
+        self.kd = 1.6 * np.sqrt(self.kp * inertia)
+        self.rub, self.limit = s.compensation * law.coulomb, 1.5 * s.robot.peak
+
+    def __call__(self, k: int, t: float, q, v, base, target):
+        q_ref, v_ref, a_ref = target
+        d = self.data
+        d.qpos[:], d.qvel[:], d.qacc[:] = q_ref, v_ref, a_ref
+        mujoco.mj_inverse(self.model, d)
+        tau = d.qfrc_inverse + self.kp * (q_ref - q) + self.kd * (v_ref - v)
+        tau += self.rub * np.tanh(v_ref / 0.05)
+        return np.clip(tau, -self.limit, self.limit), q_ref
+
+
+def draw_setting(seed: int, index: int) -> Setting:
+    rng = np.random.default_rng([seed, NUMBER, index, 0])
+    names = tuple(CAD_ROBOTS)
+    # The robots go round, so that a short set holds all of them.
+    turn = np.random.default_rng([seed, NUMBER]).permutation(names)
+    return Setting(
+        robot=CAD_ROBOTS[str(turn[index % len(turn)])](),
+        seed=[seed, NUMBER, index],
+        rate=int(rng.choice([1000, 500, 250], p=[0.4, 0.35, 0.25])),
+        duration=20.0,
+        test_duration=float(rng.uniform(10.0, 15.0)),
+        kinds=("exciting", str(rng.choice(["exciting", "ordinary"], p=[0.6, 0.4]))),
+        bandwidth=float(rng.uniform(9.0, 15.0)),
+        compensation=float(rng.uniform(0.4, 0.9)),
+        counts=float(2 ** rng.integers(16, 21)) if rng.random() < 0.4 else 0.0,
+        options={
+            "tau_kind": str(rng.choice(["commanded", "current"], p=[0.6, 0.4])),
+            "qvel": bool(rng.random() < 0.6),
+            "sigma": bool(rng.random() < 0.5),
+            "shuffle": bool(rng.random() < 0.2),
+        },
+    )
+
+
+def draw_noise(s: Setting, scale: np.ndarray) -> Noise:
+    """Encoders of 1e-5 to 1e-4 rad, torques of 0.2 to 0.5 % of the peak, as in the other strata."""
+    rng = np.random.default_rng([*s.seed, 1])
+    n = len(s.robot.joints)
+    qpos = np.exp(rng.uniform(np.log(1e-5), np.log(1e-4))) * np.ones(n)
+    qvel = qpos * rng.uniform(15.0, 40.0)
+    tau = rng.uniform(0.002, 0.005) * scale
+    pair = (np.zeros(n), tau) if s.options["tau_kind"] == "commanded" else (tau, np.zeros(n))
+    return Noise(qpos, qvel, *pair, np.zeros(12), np.zeros(6))
+
+
+def draw_kind(seed: int, index: int) -> str:
+    """Family of the odd effect, mechanism of one outside the library, or nothing."""
+    rng = np.random.default_rng([seed, NUMBER, index, 2])
+    order = np.random.default_rng([seed, NUMBER, 1]).permutation(ODD)
+    chance = rng.random()
+    if chance < 0.6:  # round the list, so that every family comes
+        before = sum(
+            np.random.default_rng([seed, NUMBER, i, 2]).random() < 0.6 for i in range(index)
+        )
+        return str(order[before % len(order)])
+    return str(rng.choice(OUTSIDE)) if chance < 0.7 else ""
+
+
+def simulate(s: Setting, hidden: Hidden, which: int, noise: Noise, preroll: float = 1.0) -> dict:
+    """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
+    plant = Plant(s.robot, hidden.model(s.robot), hidden.effects())
+    plant.finest = STEP
+    motion = make_motion(s.robot, s.kinds[which], [*s.seed, 3, which])
+    duration = (s.duration, s.test_duration)[which]
+    run = nominal_run(s.robot, s.kinds[which], [*s.seed, 3, which], 4.0)
+    loop = JointLoop(s, run.inertia + hidden.armature, hidden.law)
+    rng = np.random.default_rng([*s.seed, 4, which])
+    start = motion(-preroll)[:2]
+    log = plant.run(loop, motion, start, s.rate, duration, noise, rng, preroll)
+    rows = round(duration * s.rate)
+    log["noise"] = {k: x[:rows] for k, x in log["noise"].items()}
+    return {k: x[:rows] if k != "noise" else x for k, x in log.items()}
+
+
+def to_contract(s: Setting, log: dict, noise: Noise) -> dict[str, np.ndarray]:
+    """The log as a diagnosis gets it."""
+    order = np.arange(len(s.robot.joints))
+    if s.options["shuffle"]:
+        order = np.random.default_rng([*s.seed, 5]).permutation(order)
+    q = log["qpos"] + log["noise"]["qpos"]
+    step = 2 * np.pi / s.counts if s.counts else 0.0
+    out = {
+        "time": log["time"],
+        "qpos": (np.round(q / step) * step if step else q)[:, order],
+        "tau": (log["tau"] + log["noise"]["tau"])[:, order],
+    }
+    if s.options["qvel"]:
+        out["qvel"] = (log["qvel"] + log["noise"]["qvel"])[:, order]
+    out = {name: np.ascontiguousarray(x) for name, x in out.items()}
+    out["joint_names"] = np.array(s.robot.joints)[order]
+    out["tau_kind"] = np.array(s.options["tau_kind"])
+    if s.options["sigma"]:
+        out["sigma_qpos"] = np.hypot(noise.qpos, step / np.sqrt(12))[order]
+        out["sigma_tau"] = np.hypot(noise.tau, noise.ripple)[order]
+    return out
+
+
+def draw_hidden(s: Setting, kind: str, attempt: int) -> Hidden:
+    rng = np.random.default_rng([*s.seed, 6, attempt])
+    run = nominal_run(s.robot, s.kinds[0], [*s.seed, 3, 0], s.duration)
+    hidden = draw_ordinary(s.robot, run, rng)
+    if kind:
+        DrawOdd(s.robot, run, hidden, rng, s.duration).make(kind)
+    return hidden
+
+
+def make(seed: int, index: int) -> tuple[Setting, dict, dict, dict]:
+    """Setting, log, test log and truth; drawn again where the loop loses the motion."""
+    s, kind = draw_setting(seed, index), draw_kind(seed, index)
+    reason = "never tried"
+    for attempt in range(ATTEMPTS):
+        hidden = draw_hidden(s, kind, attempt)
+        noise = draw_noise(s, hidden.scale)
+        try:
+            log, test = (simulate(s, hidden, which, noise) for which in (0, 1))
+        except Unstable as error:
+            reason = str(error)
+            s.bandwidth = max(0.8 * s.bandwidth, 6.0)
+            continue
+        truth = describe(s, hidden, noise, log, test, attempt)
+        return s, to_contract(s, log, noise), to_contract(s, test, noise), truth
+    raise RuntimeError(f"log {index}: {kind or 'none'} on {s.robot.name}: {reason}")
+
+
+def describe(s: Setting, hidden: Hidden, noise: Noise, log, test, attempt: int) -> dict:
+    seen = cad_truth.judge(s.robot, hidden, log, noise, s.rate)
+    other = cad_truth.judge(s.robot, hidden, test, noise, s.rate)
+    odd: Effect | None = hidden.odd
+    entry = None
+    if odd is not None:
+        entry = odd.truth() | {
+            "equivalent": equivalents(s.robot, odd),
+            "visibility": seen["visibility"],
+            "visibility_on_test": other["visibility"],
+        }
+    law = {
+        k: dict(zip(s.robot.joints, map(float, v), strict=True))
+        for k, v in vars(hidden.law).items()
+    }
+    # True and small at ordinary joints: a tool that lists them has invented nothing.
+    present = [
+        {"family": family, "location": {"kind": "joint", "name": j}}
+        for family, key in (("stribeck_friction", "excess"), ("load_friction", "load"))
+        for j, size in law[key].items()
+        if size > 0
+    ]
+    return {
+        "schema": 1,
+        "stratum": "cad",
+        "robot": s.robot.name,
+        "joints": cad_truth.joint_terms(s.robot, hidden, seen, other),
+        "odd": entry,
+        "present": present,
+        "ordinary_visibility": seen["visibility"] if odd is None else None,
+        "law": law
+        | {"presliding": dict(zip(s.robot.joints, map(float, hidden.presliding), strict=True))},
+        "inertials": hidden.inertials,
+        "scale": dict(zip(s.robot.joints, map(float, hidden.scale), strict=True)),
+        "motion": {"log": s.kinds[0], "test": s.kinds[1]},
+        "rate_hz": s.rate,
+        "duration_s": s.duration,
+        "test_duration_s": s.test_duration,
+        "bandwidth_rad_s": s.bandwidth,
+        "encoder_counts": s.counts,
+        "noise": {k: np.asarray(v).tolist() for k, v in vars(noise).items()},
+        "options": s.options,
+        "seed": s.seed,
+        "attempt": attempt,
+    }
+
+
+def write(out: Path, seed: int, index: int) -> str:
+    """One log on disk, whole or not at all."""
+    begun, folder = time.time(), out / f"{index:05d}"
+    if (folder / "truth.json").exists():
+        return "there already"
+    s, log, test, truth = make(seed, index)
+    part = out / f".{folder.name}.{os.getpid()}"
+    part.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
+    np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
+    (part / "nominal.xml").write_text(s.robot.xml)
+    (part / "truth.json").write_text(json.dumps(truth, indent=1))
+    if folder.exists():
+        shutil.rmtree(folder)
+    part.rename(folder)
+    odd = truth["odd"]
+    told = (
+        f"{odd.get('mechanism', odd['family'])}@{odd['location']['name']} "
+        f"{odd['visibility']['sigmas']:.1f} sigma"
+        if odd
+        else "none"
+    )
+    return f"{s.robot.name} {s.rate} Hz {told} ({time.time() - begun:.1f} s)"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--n", type=int, default=60, help="number of logs")
+    parser.add_argument("--first", type=int, default=0, help="index of the first log")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    failed = 0
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+        indices = range(args.first, args.first + args.n)
+        jobs = {pool.submit(write, args.out, args.seed, k): k for k in indices}
+        for done, job in enumerate(as_completed(jobs), start=1):
+            try:
+                line = job.result()
+            except RuntimeError as error:
+                failed, line = failed + 1, f"skipped: {error}"
+            print(f"[{done}/{args.n}] {jobs[job]:05d} {line}", flush=True)
+    if failed:
+        raise SystemExit(f"{failed} of {args.n} logs could not be drawn")
+
+
+if __name__ == "__main__":
+    main()
