@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-import arms
 import matplotlib
-import numpy as np
 import ur10e
 
 matplotlib.use("Agg")
@@ -61,25 +59,5 @@ def online(path: Path, runs: list[ur10e.Online]) -> None:
         ax.set_ylabel("load [kg]")
         ax.set_title(f"{runs[0].calibration}: own 95 % band of the filter", fontsize=9)
         ax.legend(frameon=False, fontsize=8)
-        figure.savefig(path)
-        plt.close(figure)
-
-
-def residuals(path: Path, results: list[arms.ArmResult]) -> None:
-    """Residual of each joint before and after the fit, on every log."""
-    panels = [(r, log) for r in results for log in r.residuals]
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(
-            1, len(panels), figsize=(2.3 * len(panels), 2.6), layout="constrained"
-        )
-        for ax, (result, log) in zip(axes, panels, strict=True):
-            joints = np.arange(1, len(result.torque[log]) + 1)
-            ax.semilogy(joints, result.torque[log], "k_", ms=9, label="torque itself")
-            for label, rms in result.residuals[log].items():
-                ax.semilogy(joints, rms, "o-", ms=3, lw=0.8, label=label)
-            ax.set_title(f"{result.arm.name}, {log}", fontsize=9)
-            ax.set_xlabel("joint")
-        axes[0].set_ylabel("rms [N m]")
-        axes[0].legend(frameon=False, fontsize=7)
         figure.savefig(path)
         plt.close(figure)

@@ -48,7 +48,6 @@ def main() -> None:
     last = [o for o in online if o.calibration == online[-1].calibration]
     figures.weighings(HERE / "ur10e_load.png", weighings, online, better)
     figures.online(HERE / "ur10e_online.png", last)
-    figures.residuals(HERE / "arms_residuals.png", results)
     text = report.render(
         weighings, held_out, online, by_joint, by_setting, race, results, wall, report.machine()
     )
