@@ -1,0 +1,93 @@
+"""A log as rows of missing torque: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
+
+import functools
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.gap.chain import Settings as Band
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families.body import steiner
+from jax_inertia.log import Log
+from jax_inertia.robot import Robot
+
+
+class Residual:
+    """R rows of n generalised coordinates; made once per log, never changed."""
+
+    def __init__(self, robot: Robot, log: Log, settings: Settings):
+        wide = log.contact_wrench is not None or robot.has_free_base
+        band = (
+            Band(before=80.0, after=20.0, decimated=2 * settings.rows_per_second)
+            if wide
+            else Band(decimated=settings.rows_per_second)
+        )
+        self.log, self.robot, self.settings = log, robot, settings
+        self.prepared: Prepared = prepare(robot, log, band)
+        self.context = Context(self.prepared)
+        self.y = self.prepared.finish_torque(self.prepared.missing)
+        """Missing torque (R, n) [N m]."""
+
+    @property
+    def time(self) -> Float[np.ndarray, " R"]:
+        """Of each row [s], from the log's beginning."""
+        return self.context.time[self.prepared.kept]
+
+    @functools.cached_property
+    def weight(self) -> Float[np.ndarray, "R n"]:
+        """1 where a row is measured and its joint moves, 0 where it rests: there friction is whatever balances."""
+        moving = np.ones_like(self.context.v)
+        for row in self.context.joint_dofs.values():
+            moving[:, row] = np.abs(self.context.v[:, row]) > self.settings.rest_speed
+        moves = np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
+        return moves * self.prepared.valid
+
+    def rotates(self, row: int) -> bool:
+        """Whether a row is a hinge's."""
+        return bool(self.robot.topology.dof_rotates[row])
+
+    def rows_of(self, columns: Columns) -> tuple[np.ndarray, int | None]:
+        """Columns of the fast grid on the slow one; on one row, (R, k), where they act on one."""
+        values = self.prepared.finish_torque(columns.values, columns.row)
+        return values, (columns.row if values.ndim == 2 else None)
+
+    @functools.cached_property
+    def sensors(self) -> Float[np.ndarray, " n"]:
+        """Standard deviation that the torque sensors' noise leaves on each row [N m].
+
+        White noise of one sample, through the band: σ √(2 f_band / rate); as stated by the log, or from its samples.
+        """
+        from jax_inertia.gap.sensors import sensor_noise
+
+        sigma = sensor_noise(np.asarray(self.log.tau), self.log.sigma_tau)
+        out = np.zeros(self.robot.nv)
+        share = np.sqrt(min(1.0, 2.0 * self.prepared.settings.after / self.log.rate))
+        for name, s in zip(self.log.joint_names, sigma, strict=True):
+            dof = self.robot.joint_dofadr[self.robot.joint_index(name)]
+            out[dof] = float(s) * share
+        return out
+
+    @functools.cached_property
+    def tolerances(self) -> Float[np.ndarray, "R n k"]:
+        """One column per inertial number of each body, and one for when in its period a torque acts, times its σ."""
+        s, scale, out = self.settings, self.context.scale, []
+        for i, pi in enumerate(self.context.pi):
+            m = float(pi[0])
+            if m <= 0:
+                continue
+            c = pi[1:4] / m
+            central = pi[4:] - steiner(m, c)
+            change = [s.mass_tolerance * pi]
+            for axis in np.eye(3):
+                turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
+                moved = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
+                change.append(s.com_tolerance * scale * moved)
+            size = s.inertia_tolerance * max(float(central[[0, 3, 5]].max()), 1e-9)
+            change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
+            out.append(self.context.regressor[:, :, i, :] @ np.array(change).T)
+        late = 0.1 / self.log.rate * np.gradient(self.context.tau, self.context.time, axis=0)
+        out.append(late[..., None])
+        return self.prepared.finish_torque(np.concatenate(out, axis=-1))
