@@ -7,10 +7,11 @@ its standard deviation. Add and delete of a group have closed forms (Tipping and
 deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
 """
 
+import copy
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
@@ -53,6 +54,12 @@ class Evidence:
         """Root mean square of each row's missing torque [N m]."""
         self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
         self.correlation = np.ones(y.shape[1])
+
+    def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
+        """The same with some rows left out, variances kept."""
+        out = copy.copy(self)
+        out.weight = np.where(part[:, None], 0.0, self.weight)
+        return out
 
     @property
     def precision(self) -> Float[np.ndarray, "R n"]:

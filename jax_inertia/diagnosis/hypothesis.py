@@ -49,6 +49,11 @@ class Hypothesis:
         return self.effect is not None and self.effect.ordinary
 
     @property
+    def is_odd(self) -> bool:
+        """Whether it is beyond the ordinary and the tolerances; generic alternatives are."""
+        return self.effect is not None and not self.effect.ordinary and not self.effect.marginal
+
+    @property
     def named(self) -> bool:
         """Whether it names a cause."""
         return self.effect is not None and self.effect.named

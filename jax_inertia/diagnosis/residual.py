@@ -21,9 +21,9 @@ class Residual:
     def __init__(self, robot: Robot, log: Log, settings: Settings):
         wide = log.contact_wrench is not None or robot.has_free_base
         band = (
-            Band(before=80.0, after=20.0, decimated=2 * settings.rows_per_second)
+            Band(250.0, 80.0, 20.0, 2 * settings.rows_per_second, settings.margin)
             if wide
-            else Band(decimated=settings.rows_per_second)
+            else Band(decimated=settings.rows_per_second, margin=settings.margin)
         )
         self.log, self.robot, self.settings = log, robot, settings
         self.prepared: Prepared = prepare(robot, log, band)
@@ -71,10 +71,10 @@ class Residual:
         return out
 
     @functools.cached_property
-    def tolerances(self) -> Float[np.ndarray, "R n k"]:
-        """One column per inertial number of each body, and one for when in its period a torque acts, times its σ."""
+    def inertial_changes(self) -> list[tuple[Float[np.ndarray, "10 k"], str, np.ndarray]]:
+        """Of each body with mass: changes of π by one standard deviation of each number, its name, its π."""
         s, scale, out = self.settings, self.context.scale, []
-        for i, pi in enumerate(self.context.pi):
+        for name, pi in zip(self.robot.body_names, self.context.pi, strict=True):
             m = float(pi[0])
             if m <= 0:
                 continue
@@ -87,7 +87,17 @@ class Residual:
                 change.append(s.com_tolerance * scale * moved)
             size = s.inertia_tolerance * max(float(central[[0, 3, 5]].max()), 1e-9)
             change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
-            out.append(self.context.regressor[:, :, i, :] @ np.array(change).T)
+            out.append((np.array(change).T, name, pi))
+        return out
+
+    @functools.cached_property
+    def tolerances(self) -> Float[np.ndarray, "R n k"]:
+        """One column per inertial number of each body, and one for when in its period a torque acts, times its σ."""
+        every = self.context.regressor
+        out = [
+            every[:, :, self.robot.body_index(name)] @ change
+            for change, name, _ in self.inertial_changes
+        ]
         late = 0.1 / self.log.rate * np.gradient(self.context.tau, self.context.time, axis=0)
         out.append(late[..., None])
         return self.prepared.finish_torque(np.concatenate(out, axis=-1))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
+from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction, FrictionForms
 from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
@@ -31,7 +31,7 @@ class Selection:
     @property
     def odd(self) -> tuple[Hypothesis, ...]:
         """Beyond the ordinary, generic alternatives included."""
-        return tuple(h for h in self.posterior.chosen if h.effect is not None and not h.ordinary)
+        return tuple(h for h in self.posterior.chosen if h.is_odd)
 
 
 def tolerances(residual: Residual) -> Hypothesis:
@@ -67,6 +67,8 @@ def select(
             chosen.append(best)
     now = _learned(evidence, tuple(chosen), 4)
     now = _bounded(residual, evidence, now)
+    forms = _forms(residual, now, turning, settings)
+    now = _learned(evidence, (*now.chosen, *forms), 2)
     progress("columns of every other effect at every place")
     candidates = tuple(_candidates(residual, library, turning, settings))
     progress("odd effects by their evidence")
@@ -94,6 +96,26 @@ def _turning(residual, evidence, chosen, dry, place, settings) -> Hypothesis:
     )
     gains = evidence.gains(evidence.posterior(chosen), tried)
     return tried[int(np.argmax(gains))]
+
+
+def _forms(residual, now: Posterior, turning: dict[int, float], settings) -> list[Hypothesis]:
+    """Mild forms of each joint's friction, in proportion to its ordinary friction."""
+    out = []
+    effect = FrictionForms()
+    for name, row in residual.context.joint_dofs.items():
+        own = [
+            now.torque(h)[:, row]
+            for h in now.chosen
+            if h.family in FRICTION and h.place.index == row and h.place.kind == "joint"
+        ]
+        if own:
+            level = float(np.sqrt(np.mean(sum(own) ** 2)))
+            place = Place("joint", name, row)
+            out.append(_make(residual, effect, place, (turning.get(row, 0.0), level), settings))
+    return out
+
+
+FRICTION = ("viscous_friction", "coulomb_friction")
 
 
 def _candidates(residual, library, turning: dict[int, float], settings):
@@ -127,12 +149,13 @@ def _learned(evidence: Evidence, chosen: tuple[Hypothesis, ...], rounds: int) ->
 
 
 def _bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
-    """Without ordinary effects that would be less than nothing: a friction that drives, a rotor without inertia."""
+    """Without effects that would be less than nothing: a friction that drives, a load that lifts."""
     while True:
         wrong = [
             h
             for h in now.chosen
-            if h.ordinary and not h.effect.possible(residual.context, h.place, now.of(h)[0])
+            if h.effect is not None
+            and not h.effect.possible(residual.context, h.place, now.of(h)[0])
         ]
         if not wrong:
             return now
@@ -146,31 +169,92 @@ def _stepwise(
     candidates: tuple[Hypothesis, ...],
     settings: Settings,
 ) -> Posterior:
+    """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
     barred: set[int] = set()
-    for step in range(settings.most_steps):
-        open_ = tuple(
-            h
-            for h in candidates
-            if id(h) not in barred and not any(h.key == c.key for c in now.chosen)
-        )
-        if not open_:
+    for _ in range(settings.most_steps):
+        moved = _added(residual, evidence, now, candidates, barred)
+        if moved is None:
+            moved = _exchanged(residual, evidence, now, candidates, barred)
+        if moved is None:
             break
-        gains = evidence.gains(now, open_) - np.array([h.odds for h in open_])
+        now = moved
+    now = _learned(evidence, now.chosen, 2)
+    return _pruned(evidence, _bounded(residual, evidence, now))
+
+
+EXCHANGE = 2.0
+"""Nats by which another must do better than one that was chosen before: less is a tie."""
+
+
+def _added(residual, evidence, now, candidates, barred) -> Posterior | None:
+    """One more, the best there is; None where nothing gains."""
+    while True:
+        open_ = [h for h in candidates if id(h) not in barred and not _excluded(h, now.chosen)]
+        if not open_:
+            return None
+        gains = evidence.gains(now, tuple(open_)) - np.array([h.odds for h in open_])
         best = int(np.argmax(gains))
         if gains[best] <= 0:
-            break
-        added = open_[best]
-        after = evidence.posterior((*now.chosen, added))
-        refined = _relinearised(residual, evidence, after, added)
-        theta = refined.of(refined.chosen[-1])[0]
-        if not added.effect.possible(residual.context, added.place, theta):
-            barred.add(id(added))
+            return None
+        after = _with(residual, evidence, now, open_[best])
+        if after is not None:
+            return _settled(residual, evidence, after)
+        barred.add(id(open_[best]))
+
+
+def _exchanged(residual, evidence, now, candidates, barred) -> Posterior | None:
+    """One odd effect for a better one, everything else given; None where none is better."""
+    worths = evidence.worths(now)
+    for h, worth in zip(now.chosen, worths, strict=True):
+        if not h.is_odd:
             continue
-        evidence.learn(refined)
-        now = evidence.posterior(refined.chosen)
-        now = _bounded(residual, evidence, now)
-        now = _pruned(evidence, now)
-    return _pruned(evidence, _learned(evidence, now.chosen, 2))
+        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        open_ = [
+            c
+            for c in candidates
+            if id(c) not in barred and c.key != h.key and not _excluded(c, rest.chosen)
+        ]
+        gains = evidence.gains(rest, tuple(open_)) - np.array([c.odds for c in open_])
+        best = int(np.argmax(gains))
+        if gains[best] > worth - h.odds + EXCHANGE:
+            # Once exchanged, it does not come back: no two take turns.
+            barred.update(id(c) for c in candidates if c.key == h.key and c.shape == h.shape)
+            after = _with(residual, evidence, rest, open_[best])
+            if after is not None:
+                return _settled(residual, evidence, after)
+    return None
+
+
+def _excluded(h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
+    """Whether it is chosen already, or another law of what its place has but one of."""
+    for c in chosen:
+        if c.key == h.key and h.family not in MANY:
+            return True
+        if c.effect is None or h.effect is None or not h.effect.law:
+            continue
+        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
+        if c.effect.law == h.effect.law and together:
+            return True
+    return False
+
+
+MANY = frozenset({"push", "cogging"})
+"""Effects that may be at a place more than once."""
+
+
+def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
+    """One more, its secant where it belongs; None where its numbers are no robot's."""
+    after = _relinearised(residual, evidence, evidence.posterior((*now.chosen, h)), h)
+    added = after.chosen[-1]
+    possible = added.effect.possible(residual.context, added.place, after.of(added)[0])
+    return after if possible else None
+
+
+def _settled(residual, evidence, now: Posterior) -> Posterior:
+    """Variance learned again, and without what can no longer be or has lost its evidence."""
+    evidence.learn(now)
+    now = evidence.posterior(now.chosen)
+    return _pruned(evidence, _bounded(residual, evidence, now))
 
 
 def _relinearised(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior:
@@ -193,7 +277,7 @@ def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
         loss = [
             (w - h.odds, k)
             for k, (h, w) in enumerate(zip(now.chosen, worths, strict=True))
-            if h.effect is not None and not h.ordinary
+            if h.is_odd
         ]
         if not loss or min(loss)[0] >= -1.0:
             return now

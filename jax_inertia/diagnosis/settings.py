@@ -13,6 +13,8 @@ class Settings:
 
     rows_per_second: float = 25.0
     """Rate of the residual's rows [Hz]. A 10 Hz band carries 20 independent samples a second (Nyquist)."""
+    margin: float = 0.5
+    """Left out at either end of a log [s]: a zero-phase 10 Hz filter leans on its padding for some five periods."""
     ordinary_odds: float = 2.0
     """Prior log odds against each ordinary effect, nats. Prior: every robot has friction."""
     refinement_odds: float = 3.0
@@ -43,6 +45,12 @@ class Settings:
     """`explained` needs a residual within this many times what the sensors say, or the share above. Decision."""
     gate: float = 0.01
     """An odd effect must lower the other run's error by this share of it. Decision: what a plot shows."""
+    tie: float = 5.0
+    """Nats within which another hypothesis explains as much: odds of 150 to 1 (Kass and Raftery 1995: very strong)."""
+    tie_share: float = 0.01
+    """The same as a share of the effect's evidence: an equation that errs by 10 % misplaces so much."""
+    temper: float = 2.0
+    """By how much log odds between two effects are divided before they are probabilities: equations are not exact."""
     most_steps: int = 80
     """Bound of the search's moves, a safeguard: none of 120 development logs took 60."""
     folds: int = 5

@@ -58,7 +58,7 @@ class TorqueSaturation(Effect):
 
 
 class _Late(Effect):
-    kind, secant, form_error = "global", True, 0.03
+    kind, secant, form_error, law = "global", True, 0.03, "timing"
 
     def places(self, context):
         joints = [Place("joint", n, d) for n, d in context.joint_dofs.items()]
@@ -123,3 +123,25 @@ class ActuatorLag(_Late):
         return 0.0
 
 
+
+
+class TorqueFilter(Effect):
+    """A torque that was smoothed without delay when it was logged; 1/(1 + s²ω²) at ω, to second order."""
+
+    name, equation, kind, form_error = "torque_filter", "τ = τ_logged − s² τ̈_logged", "global", 0.1
+
+    def columns(self, context, place, shape):
+        rows = list(context.joint_dofs.values())
+        # In the analysis band, where the second order is what there is of it.
+        smooth = context.below(context.prepared.settings.after, context.tau[:, rows])
+        slope = np.gradient(smooth, context.time, axis=0)
+        out = np.zeros((*context.tau.shape, 1))
+        out[:, rows, 0] = -np.gradient(slope, context.time, axis=0)
+        return Columns(out)
+
+    def scale(self, context, place, shape):
+        return np.array([3e-4])
+
+    def numbers(self, context, place, shape, theta):
+        width = float(np.sign(theta[0]) * np.sqrt(abs(theta[0])))
+        return {"width": Parameter(width, "s")}

@@ -32,10 +32,15 @@ class Effect(abc.ABC):
     """Whether it is another form of an ordinary effect."""
     named: ClassVar[bool] = True
     """False for a generic alternative, which competes and is not reported as a cause."""
+    marginal: ClassVar[bool] = False
+    """Whether it is a tolerance: in every hypothesis, integrated out, never asked whether it is there."""
     form_error: ClassVar[float] = 0.01
     """Relative error of its equation on real robots, one standard deviation."""
     secant: ClassVar[bool] = False
     """Whether the shape is the value of θ about which the columns are the secant: e(θ) = A(θ) θ exactly."""
+
+    law: ClassVar[str] = ""
+    """What it is one law of, where a place has but one: a torque is late by one law."""
 
     def places(self, context: Context) -> list[Place]:
         """Everywhere it can be."""

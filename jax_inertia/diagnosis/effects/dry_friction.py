@@ -24,7 +24,7 @@ def direction(context, row: int, presliding: float) -> np.ndarray:
 
 
 class _Dry(Effect):
-    form_error = 0.05
+    form_error = 0.03
 
     def shapes(self, context, place):
         peak = peak_of(context, place.index)
@@ -108,3 +108,41 @@ class LoadFriction(_Dry):
 
     def lower(self, context, place):
         return 0.0
+
+
+FORM_TOLERANCE = 0.05
+"""How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
+Stribeck curves and loads of a few per cent are no finding (Armstrong-Hélouvry et al. 1994, sec. 2)."""
+
+
+class FrictionForms(Effect):
+    """Mild forms of an ordinary joint's friction, marginalised: Stribeck at two speeds, load, |q̇| q̇, direction.
+
+    Shape: presliding displacement [rad], and the rms of the joint's ordinary friction torque [N m].
+    """
+
+    name, equation, named, marginal = "friction_forms", "level (1 + a mild form)", False, True
+    form_error = 0.0
+
+    def shapes(self, context, place):
+        return []
+
+    def columns(self, context, place, shape):
+        row = place.index
+        z, v = direction(context, row, shape[0]), context.v[:, row]
+        load = np.abs(context.inverse[:, row])
+        forms = [
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+            z * load,
+            np.abs(v) * v,
+            np.abs(z),
+            np.abs(v),
+        ]
+        return of_row(-np.stack(forms, 1), place)
+
+    def scale(self, context, place, shape):
+        size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
+        return FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
+
+    def numbers(self, context, place, shape, theta):
+        return {}

@@ -51,7 +51,7 @@ class EncoderScale(Effect):
         return {"scale": Parameter(float(theta[0] / (1 - theta[0])), "1")}
 
 
-def _carried(context, row: int) -> np.ndarray:
+def carried(context, row: int) -> np.ndarray:
     """Torque that the joint's coupling carries: what its link needs, in the analysis band (T, 1)."""
     return context.below(context.prepared.settings.after, context.link_torque[:, [row]])
 
@@ -60,7 +60,7 @@ class JointElasticity(Effect):
     name, equation, form_error = "joint_elasticity", "q_motor = q + τ_link/K", 0.1
 
     def columns(self, context, place, shape):
-        return off_path(context, place.index, _carried(context, place.index))
+        return off_path(context, place.index, carried(context, place.index))
 
     def scale(self, context, place, shape):
         return np.array([0.02 / peak_of(context, place.index)])
@@ -76,8 +76,8 @@ class Backlash(Effect):
     name, equation, form_error = "backlash", "q_motor = q + ½ b sign(τ_link)", 0.3
 
     def columns(self, context, place, shape):
-        carried = _carried(context, place.index)
-        half = 0.5 * np.tanh(carried / (0.03 * np.percentile(np.abs(carried), 99.5) + 1e-9))
+        torque = carried(context, place.index)
+        half = 0.5 * np.tanh(torque / (0.03 * np.percentile(np.abs(torque), 99.5) + 1e-9))
         return off_path(context, place.index, half)
 
     def scale(self, context, place, shape):

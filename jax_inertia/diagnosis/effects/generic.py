@@ -3,6 +3,8 @@
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, of_row, peak_of
+from jax_inertia.diagnosis.effects.encoder import carried
+from jax_inertia.gap.families.encoder import off_path
 
 HATS = 8
 
@@ -60,3 +62,22 @@ class FrictionOfPosition(_Free):
         hats = super().columns(context, place, shape)
         z = context.bristle(place.index, 3e-4)
         return of_row(-hats.values * z[:, None], place)
+
+
+class PathOfTorque(Effect):
+    """Of the sign that no soft joint has: a driver that takes off a deflection which its encoder does not see."""
+
+    named, form_error = False, 0.1
+    name, equation = "a position that is corrected for the torque", "q_logged = q − c τ_link"
+
+    def columns(self, context, place, shape):
+        return off_path(context, place.index, -carried(context, place.index))
+
+    def scale(self, context, place, shape):
+        return np.array([0.02 / peak_of(context, place.index)])
+
+    def lower(self, context, place):
+        return 0.0
+
+    def numbers(self, context, place, shape, theta):
+        return {}

@@ -30,6 +30,7 @@ EFFECTS: tuple[Effect, ...] = (
     actuator.TorqueSaturation(),
     actuator.TimeDelay(),
     actuator.ActuatorLag(),
+    actuator.TorqueFilter(),
     encoder.EncoderOffset(),
     encoder.EncoderScale(),
     encoder.JointElasticity(),
@@ -47,5 +48,6 @@ EFFECTS: tuple[Effect, ...] = (
     generic.OfSpeed(),
     generic.OfTime(),
     generic.FrictionOfPosition(),
+    generic.PathOfTorque(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))
