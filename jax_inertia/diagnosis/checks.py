@@ -1,11 +1,11 @@
-"""Predictive checks, never fitted: the residual of a run that played no part, before and after; ties between hypotheses."""
+"""Predictive checks, never fitted: the residual of a run that played no part, and ties between hypotheses."""
 
 import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.evidence import Posterior
+from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import Selection
@@ -27,6 +27,15 @@ class Check:
     """Of the torque sensors, as stated or from samples."""
     per_joint_before: Float[np.ndarray, " n"]
     per_joint_after: Float[np.ndarray, " n"]
+    left: Float[np.ndarray, "R n"]
+    """Residual after, along time."""
+    expected: Float[np.ndarray, " n"]
+    """What the sensors' noise and the equations' own errors leave of each row."""
+
+    @property
+    def excess(self) -> Float[np.ndarray, " n"]:
+        """Residual of each row over what is expected of it."""
+        return self.per_joint_after / np.maximum(self.expected, 1e-12)
 
     @property
     def unexplained(self) -> float:
@@ -38,8 +47,8 @@ class Check:
 class OtherRun:
     """Another log of the same robot, predicted from the first."""
 
-    def __init__(self, residual: Residual):
-        self.residual, self._columns = residual, {}
+    def __init__(self, residual: Residual, evidence: Evidence):
+        self.residual, self.evidence, self._columns = residual, evidence, {}
 
     def predicted(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Torque of everything chosen on this run, at numbers from the first."""
@@ -77,6 +86,8 @@ class OtherRun:
             noise,
             rows(y, weight),
             rows(left, weight),
+            left,
+            expected(self.residual, self.evidence),
         )
 
 
@@ -113,7 +124,16 @@ class HeldOut:
             noise,
             rows(y, weight),
             rows(left, weight),
+            left,
+            expected(self.residual, self.evidence),
         )
+
+
+def expected(residual: Residual, evidence: Evidence) -> Float[np.ndarray, " n"]:
+    """Rms of each row that noise of this run's sensors and errors of the effects' equations leave [N m]."""
+    count = np.maximum(evidence.weight.sum(axis=0), 1e-9)
+    form = (evidence.weight * evidence.form).sum(axis=0) / count
+    return np.sqrt(residual.sensors**2 + form)
 
 
 def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:
@@ -129,17 +149,18 @@ def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float
 def gated(
     selection: Selection, judge: OtherRun | HeldOut, settings: Settings
 ) -> tuple[Selection, tuple[Hypothesis, ...]]:
-    """The selection without odd effects whose removal lowers the other run's error, and those removed.
+    """The selection without odd effects that do not carry over to the other run, and those removed.
 
-    The worst first, one at a time, everything else refitted. Effects that happen once are not asked.
+    The worst first, one at a time, everything else refitted: where an effect alone raises the other run's error by
+    `gate`, and while all odd effects together do worse than the ordinary ones by as much. Effects that happen once are
+    not asked.
     """
     now, dropped = selection.posterior, []
+    ordinary = judge.error(
+        selection.evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
+    )
     while True:
-        odd = [
-            h
-            for h in now.chosen
-            if h.is_odd and h.family not in PASSING
-        ]
+        odd = [h for h in now.chosen if h.is_odd and h.family not in PASSING]
         if not odd:
             break
         error = judge.error(now)
@@ -148,7 +169,8 @@ def gated(
             rest = tuple(c for c in now.chosen if c is not h)
             trials.append(judge.error(selection.evidence.posterior(rest)))
         worst = int(np.argmin(trials))
-        if trials[worst] >= error * (1.0 - settings.gate):
+        harms = trials[worst] < error * (1.0 - settings.gate)
+        if not harms and not (error > (1.0 + settings.gate) * ordinary and trials[worst] < error):
             break
         dropped.append(odd[worst])
         rest = tuple(c for c in now.chosen if c is not odd[worst])

@@ -2,8 +2,8 @@
 
     y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
 
-y: missing torque of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled to
-its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
+y: missing torque of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
+to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
 deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
 """
 
@@ -15,6 +15,10 @@ from jaxtyping import Bool, Float
 from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
+
+MOST_CORRELATED = 0.5
+"""Lag-one correlation of a row's residual that counts as noise: friction's own misfit has less on sound logs, and what
+goes together for longer is an effect that is not yet chosen."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,6 +58,12 @@ class Evidence:
         """Root mean square of each row's missing torque [N m]."""
         self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
         self.correlation = np.ones(y.shape[1])
+        self.form = np.zeros_like(y)
+        """Part of `variance` that errors of the chosen effects' equations leave."""
+
+    def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
+        """Weighted columns of the chosen, per prior standard deviation."""
+        return _scaled(chosen, np.sqrt(self.precision))
 
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
@@ -99,10 +109,10 @@ class Evidence:
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        self.variance = own + form
+        self.variance, self.form = own + form, form
         white = left * np.sqrt(self.weight / self.variance)
         lagged = (white[1:] * white[:-1]).sum(axis=0) / np.maximum((white**2).sum(axis=0), 1e-12)
-        rho = np.clip(lagged, 0.0, 0.95)
+        rho = np.clip(lagged, 0.0, MOST_CORRELATED)
         self.correlation = (1.0 + rho) / (1.0 - rho)
 
     def gains(self, now: Posterior, others: tuple[Hypothesis, ...]) -> Float[np.ndarray, " c"]:
@@ -129,7 +139,7 @@ class Evidence:
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
         out = []
-        for h, part in zip(now.chosen, now.slices, strict=True):
+        for part in now.slices:
             mean, covariance = now.mean[part], now.covariance[part, part]
             _, logdet = np.linalg.slogdet(covariance)
             quadratic = mean @ np.linalg.solve(covariance, mean)

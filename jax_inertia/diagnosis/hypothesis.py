@@ -1,4 +1,4 @@
-"""One effect at one place with one set of nonlinear numbers: its columns, and what is believed of its size beforehand."""
+"""One effect at one place with one set of nonlinear numbers: its columns, and the prior of its size."""
 
 import dataclasses
 
@@ -85,7 +85,9 @@ class Hypothesis:
         out = self.effect.numbers(residual.context, self.place, self.shape, theta)
         if self.place.kind != "joint" or residual.rotates(self.place.index):
             return out
-        return {k: dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit)) for k, p in out.items()}
+        return {
+            k: dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit)) for k, p in out.items()
+        }
 
 
 OF_SLIDE = {

@@ -2,9 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from jaxtyping import Float
-
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.effects.base import Effect
@@ -13,6 +10,7 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search import select
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.gap.families import NAMES as FORMER
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
 
@@ -32,8 +30,9 @@ def diagnose(
     Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
     must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
     """
-    if unknown := sorted(set(exclude) - set(NAMES)):
-        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
+    valid = sorted({*NAMES, *FORMER})
+    if unknown := sorted(set(exclude) - set(valid)):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(valid)}")
     library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)
@@ -41,7 +40,11 @@ def diagnose(
     selection = select(residual, library, settings, progress)
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
-    other = None if test_log is None else OtherRun(Residual(robot, test_log, settings))
+    other = (
+        None
+        if test_log is None
+        else OtherRun(Residual(robot, test_log, settings), selection.evidence)
+    )
     selection, dropped = gated(selection, heldout if other is None else other, settings)
     return summary.summarised(selection, heldout, other, dropped, settings)
 
@@ -58,7 +61,7 @@ def _require_rows(residual: Residual, log: Log) -> None:
         )
 
 
-def ordinary_is_missing(found: Diagnosis, joints: Float[np.ndarray, " n"] | Sequence[str]) -> bool:
+def ordinary_is_missing(found: Diagnosis, joints: Sequence[str]) -> bool:
     """Whether the model lacks ordinary physics at half of its joints or more: a robot as it is bought."""
     lacking = {
         f.place.name

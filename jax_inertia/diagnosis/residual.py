@@ -11,8 +11,11 @@ from jax_inertia.gap.chain import Settings as Band
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
+from jax_inertia.gap.sensors import perturbed
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
+
+REPLICAS = 2
 
 
 class Residual:
@@ -25,7 +28,7 @@ class Residual:
             if wide
             else Band(decimated=settings.rows_per_second, margin=settings.margin)
         )
-        self.log, self.robot, self.settings = log, robot, settings
+        self.log, self.robot, self.settings, self.band = log, robot, settings, band
         self.prepared: Prepared = prepare(robot, log, band)
         self.context = Context(self.prepared)
         self.y = self.prepared.finish_torque(self.prepared.missing)
@@ -56,19 +59,18 @@ class Residual:
 
     @functools.cached_property
     def sensors(self) -> Float[np.ndarray, " n"]:
-        """Standard deviation that the torque sensors' noise leaves on each row [N m].
+        """Standard deviation that the sensors' noise leaves on each row [N m]: encoders' and torques' alike.
 
-        White noise of one sample, through the band: σ √(2 f_band / rate); as stated by the log, or from its samples.
+        From replicas of the log with its noise, as stated or as its samples show, added once more.
         """
-        from jax_inertia.gap.sensors import sensor_noise
-
-        sigma = sensor_noise(np.asarray(self.log.tau), self.log.sigma_tau)
-        out = np.zeros(self.robot.nv)
-        share = np.sqrt(min(1.0, 2.0 * self.prepared.settings.after / self.log.rate))
-        for name, s in zip(self.log.joint_names, sigma, strict=True):
-            dof = self.robot.joint_dofadr[self.robot.joint_index(name)]
-            out[dof] = float(s) * share
-        return out
+        rng, energy = np.random.default_rng(0), np.zeros(self.robot.nv)
+        for _ in range(REPLICAS):
+            noisy = prepare(self.robot, perturbed(self.log, rng), self.band)
+            change = noisy.finish_torque(noisy.missing) - self.y
+            energy += (self.weight * change**2).sum(axis=0) / np.maximum(
+                self.weight.sum(axis=0), 1e-9
+            )
+        return np.sqrt(energy / REPLICAS)
 
     @functools.cached_property
     def inertial_changes(self) -> list[tuple[Float[np.ndarray, "10 k"], str, np.ndarray]]:

@@ -3,6 +3,9 @@
 import dataclasses
 import enum
 
+import numpy as np
+from jaxtyping import Float
+
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.intervals import Interval
 
@@ -71,6 +74,18 @@ class Remainder:
     """Generic alternatives that fit it."""
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trace:
+    """Missing torque of the checked run along time, for figures: R rows of n."""
+
+    time: Float[np.ndarray, " R"]
+    before: Float[np.ndarray, "R n"]
+    after: Float[np.ndarray, "R n"]
+    moving: Float[np.ndarray, "R n"]
+    """Weight of each row: 0 where it rests."""
+    rows: tuple[str, ...]
+
+
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """Verdict, effects, the ordinary physics of every joint, and what is left."""
@@ -93,6 +108,9 @@ class Diagnosis:
     inertials: dict[str, tuple[float, ...]]
     """Bodies' calibrated parameters π, errors within the model's tolerances taken out."""
     notes: tuple[str, ...]
+    trace: Trace
+    units: dict[str, str]
+    """Of each row's torque: N m, or N of a slide."""
 
     @property
     def odd(self) -> tuple[Found, ...]:

@@ -38,13 +38,16 @@ class Settings:
     material: float = 0.02
     """Share of a row's gap energy below which an ordinary effect is not listed. Decision."""
     explained: float = 0.04
-    """Share of the gap's energy on the checked run below which nothing more is asked for (a fifth of its rms): decision."""
+    """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms. Decision."""
+    excess: float = 3.0
+    """A joint's residual over what sensors and ordinary forms leave, from which something remains there: decision."""
     partly: float = 0.5
     """Share from which the effects are no partial answer either. Decision."""
     noise_ratio: float = 2.0
     """`explained` needs a residual within this many times what the sensors say, or the share above. Decision."""
-    gate: float = 0.01
-    """An odd effect must lower the other run's error by this share of it. Decision: what a plot shows."""
+    gate: float = 0.10
+    """Share by which an odd effect may raise the other run's error before it is left out. Decision: what a plot shows;
+    less is how one motion differs from another."""
     tie: float = 5.0
     """Nats within which another hypothesis explains as much: odds of 150 to 1 (Kass and Raftery 1995: very strong)."""
     tie_share: float = 0.01

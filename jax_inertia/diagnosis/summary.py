@@ -6,7 +6,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rivals, rms, rows
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie
+from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace
 from jax_inertia.diagnosis.search import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
@@ -21,6 +21,8 @@ ORDINARY_NUMBERS = {
     "torque_bias": (None, "N m"),
 }
 """Family, the robot's own number of it, and its unit."""
+SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
+"""Of a body's error, the largest first, that may be taken out."""
 DRY_FORMS = ("asymmetric_coulomb", "stribeck_friction", "load_friction")
 
 
@@ -83,6 +85,8 @@ def summarised(
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(selection),
         notes=(*_flags(selection, joints), *notes),
+        trace=_trace(residual if other is None else other.residual, checked),
+        units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
     )
 
 
@@ -114,6 +118,7 @@ def _share(selection: Selection, h: Hypothesis) -> float:
 
 def _found(selection, h: Hypothesis, listed, shares, worths, settings: Settings) -> Found:
     mean, covariance = selection.posterior.of(h)
+    covariance = covariance + selection.jackknife(h)
     others = () if h.ordinary else rivals(selection, h, settings)
     own = worths[id(h)] - h.odds
     reach = max(settings.tie, settings.tie_share * abs(own))
@@ -213,7 +218,8 @@ def _joints(selection: Selection, settings: Settings) -> dict[str, dict[str, Int
             if h is None:
                 own[family] = Interval(0.0, 0.0, 0.0, unit)
                 continue
-            (p,) = intervals(selection, h, *now.of(h)).values()
+            mean, covariance = now.of(h)
+            (p,) = intervals(selection, h, mean, covariance + selection.jackknife(h)).values()
             low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
             own[family] = Interval(p.value + nominal, low, p.high + nominal, p.unit)
         out[name] = own
@@ -221,7 +227,7 @@ def _joints(selection: Selection, settings: Settings) -> dict[str, dict[str, Int
 
 
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
-    """Bodies with the errors that the log says they have, where those bodies can exist."""
+    """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
     now, residual = selection.posterior, selection.residual
     base = next(h for h in now.chosen if h.effect is None)
     numbers = now.mean[now.slices[now.chosen.index(base)]]
@@ -229,10 +235,11 @@ def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
     for change, name, pi in residual.inertial_changes:
         size = change.shape[1]
         # The tolerances' torque is what the model needs too much: the body is lighter by it.
-        moved = pi - change @ numbers[at : at + size]
+        error = change @ numbers[at : at + size]
         at += size
-        if bool(is_physical(moved)):
-            out[name] = tuple(float(x) for x in moved)
+        share = next((t for t in SHARES if bool(is_physical(pi - t * error))), 0.0)
+        if share:
+            out[name] = tuple(float(x) for x in pi - share * error)
     return out
 
 
@@ -273,11 +280,16 @@ def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tupl
 
 
 def _remainder(check: Check, names: tuple[str, ...], generic: list[Hypothesis]) -> Remainder:
-    energy = np.maximum(check.per_joint_after**2 - check.noise**2 / len(names), 0.0)
+    energy = np.maximum(check.per_joint_after**2 - check.expected**2, 0.0)
     total = float(energy.sum())
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}
     carried = tuple(f"{h.family} at {h.place.name}" for h in generic)
     return Remainder(check.unexplained, where, carried)
+
+
+def _trace(residual, checked: Check) -> Trace:
+    names = residual.context.row_names
+    return Trace(residual.time, residual.y, checked.left, residual.weight, names)
 
 
 def _shrink(c: Check, names: tuple[str, ...]) -> Shrink:
@@ -286,5 +298,3 @@ def _shrink(c: Check, names: tuple[str, ...]) -> Shrink:
         for n, b, a in zip(names, c.per_joint_before, c.per_joint_after, strict=True)
     }
     return Shrink(c.before, c.ordinary, c.after, c.noise, rows_of)
-
-

@@ -7,7 +7,8 @@
 | else | below `partly` | | partly |
 | else | | | unknown |
 
-A generic alternative that carries more than `explained` of the gap makes `explained` `partly`.
+`explained` becomes `partly` where one joint keeps more than `excess` times what its sensors and the effects' own
+equations leave, or where a generic alternative carries more than `explained` of the gap.
 """
 
 import numpy as np
@@ -26,9 +27,10 @@ def verdict(
     if not listed:
         quiet = tolerated <= limit or check.before <= limit
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
-    if check.unexplained < settings.explained or check.after <= limit:
-        if check.after < check.before:
-            return Verdict.PARTLY if generic_share > settings.explained else Verdict.EXPLAINED
+    small = check.unexplained < settings.explained or check.after <= limit
+    if small and check.after < check.before:
+        rest = np.any(check.excess > settings.excess) or generic_share > settings.explained
+        return Verdict.PARTLY if rest else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
 
 

@@ -40,14 +40,19 @@ class TorqueSaturation(Effect):
 
     def shapes(self, context, place):
         top = np.percentile(np.abs(context.tau[:, place.index]), 99.8)
-        return [(float(top * x),) for x in np.linspace(0.4, 0.96, 15)]
+        return [
+            (float(top * x),) for x in (*np.linspace(0.4, 0.9, 11), *np.linspace(0.915, 0.99, 6))
+        ]
+
+    def steps(self, context, place, shape):
+        return (0.03 * shape[0],)
 
     def columns(self, context, place, shape):
         tau = context.tau[:, place.index]
         return of_row(np.clip(tau, -shape[0], shape[0]) - tau, place)
 
     def scale(self, context, place, shape):
-        return np.array([0.15])
+        return np.array([1.0])
 
     def possible(self, context, place, theta):
         # The cut is all there or not at all.
@@ -121,8 +126,6 @@ class ActuatorLag(_Late):
 
     def lower(self, context, place):
         return 0.0
-
-
 
 
 class TorqueFilter(Effect):

@@ -56,6 +56,10 @@ class Effect(abc.ABC):
         """Grid of the nonlinear numbers; one empty shape where there are none."""
         return [()]
 
+    def steps(self, context: Context, place: Place, shape: Shape) -> Shape:
+        """First step of a search between the grid's points, for each nonlinear number; 0 where it stays."""
+        return ()
+
     @abc.abstractmethod
     def columns(self, context: Context, place: Place, shape: Shape) -> Columns:
         """A(shape) on the fast grid [N m per unit of θ]."""

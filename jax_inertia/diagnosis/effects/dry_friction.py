@@ -23,7 +23,9 @@ def direction(context, row: int, presliding: float) -> np.ndarray:
     return context.bristle(row, presliding) if presliding else context.side[:, row]
 
 
-class _Dry(Effect):
+class DryFriction(Effect):
+    """A form of a joint's dry friction; the first nonlinear number is its presliding displacement [rad]."""
+
     form_error = 0.03
 
     def shapes(self, context, place):
@@ -31,7 +33,7 @@ class _Dry(Effect):
         return [(x,) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
 
 
-class CoulombFriction(_Dry):
+class CoulombFriction(DryFriction):
     name, equation, ordinary = "coulomb_friction", "−F z, z → sign(q̇)", True
 
     def columns(self, context, place, shape):
@@ -47,7 +49,7 @@ class CoulombFriction(_Dry):
         return -float(context.frictionloss[place.index])
 
 
-class AsymmetricCoulomb(_Dry):
+class AsymmetricCoulomb(DryFriction):
     name, equation, refines = "asymmetric_coulomb", "−½ (F⁺ − F⁻) |z|", True
 
     def columns(self, context, place, shape):
@@ -63,11 +65,14 @@ class AsymmetricCoulomb(_Dry):
         }
 
 
-class StribeckFriction(_Dry):
+class StribeckFriction(DryFriction):
     name, equation, refines = "stribeck_friction", "−(Fs − Fc) exp(−(q̇/vs)²) z", True
 
     def shapes(self, context, place):
         return [(x, v) for (x,) in super().shapes(context, place) for v in STRIBECK_SPEEDS]
+
+    def steps(self, context, place, shape):
+        return (0.0, 0.3 * shape[1])
 
     def columns(self, context, place, shape):
         z = direction(context, place.index, shape[0])
@@ -89,7 +94,7 @@ class StribeckFriction(_Dry):
         return 0.0
 
 
-class LoadFriction(_Dry):
+class LoadFriction(DryFriction):
     name, equation, refines = "load_friction", "−μ |τ| z", True
 
     def columns(self, context, place, shape):
@@ -115,6 +120,16 @@ FORM_TOLERANCE = 0.05
 Stribeck curves and loads of a few per cent are no finding (Armstrong-Hélouvry et al. 1994, sec. 2)."""
 
 
+TURNING_TOLERANCE = 0.5
+"""How much of a joint's friction may turn round over another displacement: bristle laws differ in no other way."""
+
+
+def _beside(presliding: float) -> tuple[float, ...]:
+    """Displacements below and above one [rad]."""
+    base = presliding if presliding > 0 else 1e-4
+    return base / 2.5, base * 2.5
+
+
 class FrictionForms(Effect):
     """Mild forms of an ordinary joint's friction, marginalised: Stribeck at two speeds, load, |q̇| q̇, direction.
 
@@ -137,12 +152,16 @@ class FrictionForms(Effect):
             np.abs(v) * v,
             np.abs(z),
             np.abs(v),
+            # How it turns round after a reversal.
+            *(direction(context, row, x) - z for x in _beside(shape[0])),
         ]
         return of_row(-np.stack(forms, 1), place)
 
     def scale(self, context, place, shape):
         size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
-        return FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
+        out = FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
+        out[6:] = TURNING_TOLERANCE * shape[1]
+        return out
 
     def numbers(self, context, place, shape, theta):
         return {}

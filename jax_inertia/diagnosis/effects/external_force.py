@@ -45,12 +45,16 @@ class Drag(Effect):
 
 
 class Push(Effect):
-    """A force for a short time; `windows` [s] are where the residual of everything else stands out."""
+    """A force for a short time."""
 
     name, equation, kind, form_error = "push", "Jᵀ f w(t), w a short plateau", "body", 0.1
 
     def shapes(self, context, place):
-        return [(start, end, 0.3, 0.0) for start, end in context.windows]
+        # Of what happens once, the search finds when.
+        return []
+
+    def steps(self, context, place, shape):
+        return (0.1, 0.1, 0.0, 0.0)
 
     def columns(self, context, place, shape):
         window = push_window(np, context.time, *shape)

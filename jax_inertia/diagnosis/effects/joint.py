@@ -78,6 +78,9 @@ class FrictionDrift(_AlongTheJoint):
     def shapes(self, context, place):
         return [(T,) for T in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0) if 2 * context.time[-1] > T]
 
+    def steps(self, context, place, shape):
+        return (0.3 * shape[0],)
+
     def columns(self, context, place, shape):
         return of_row(-context.v[:, place.index] * np.exp(-context.time / shape[0]), place)
 
@@ -120,6 +123,9 @@ class Cogging(_AlongTheJoint):
         lowest = max(4.0, 2 * np.pi / span)
         step = max(0.5, 1.5 / span)
         return [(float(n),) for n in np.arange(lowest, max(highest, lowest), step)]
+
+    def steps(self, context, place, shape):
+        return (0.2,)
 
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
