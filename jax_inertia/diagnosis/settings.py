@@ -38,7 +38,7 @@ class Settings:
     material: float = 0.02
     """Share of a row's gap energy below which an ordinary effect is not listed. Decision."""
     explained: float = 0.04
-    """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms. Decision."""
+    """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms."""
     excess: float = 3.0
     """A joint's residual over what sensors and ordinary forms leave, from which something remains there: decision."""
     partly: float = 0.5

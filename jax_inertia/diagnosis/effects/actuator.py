@@ -131,7 +131,13 @@ class ActuatorLag(_Late):
 class TorqueFilter(Effect):
     """A torque that was smoothed without delay when it was logged; 1/(1 + s²ω²) at ω, to second order."""
 
-    name, equation, kind, form_error = "torque_filter", "τ = τ_logged − s² τ̈_logged", "global", 0.1
+    name, equation, kind, form_error = (
+        "a torque that was smoothed",
+        "τ = τ_logged − s² τ̈",
+        "global",
+        0.1,
+    )
+    named = False
 
     def columns(self, context, place, shape):
         rows = list(context.joint_dofs.values())
