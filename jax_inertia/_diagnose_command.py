@@ -58,10 +58,18 @@ def run(args: argparse.Namespace) -> int:
     with stages() as stage:
         inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude)
         with output_folder(out) as folder:
-            result = pipeline.diagnosis(inputs, args.exclude, args.max_effects, stage)
-            stage("writing")
-            pipeline.write(folder, inputs, result)
-    pipeline.show(result, out, as_json=args.json)
+            whole = pipeline.whole_robot(inputs, args.exclude, stage)
+            if whole is not None:
+                stage("writing")
+                report = pipeline.write_whole(folder, inputs, whole)
+            else:
+                result = pipeline.diagnosis(inputs, args.exclude, args.max_effects, stage)
+                stage("writing")
+                pipeline.write(folder, inputs, result)
+    if whole is None:
+        pipeline.show(result, out, as_json=args.json)
+    else:
+        pipeline.show_whole(whole, report, out, as_json=args.json)
     return 0
 
 

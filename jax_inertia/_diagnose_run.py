@@ -13,6 +13,10 @@ from rich.table import Table
 from jax_inertia._console import warn
 from jax_inertia._model_of_log import afloat
 from jax_inertia._model_output import changed_inertials, loadable
+from jax_inertia.diagnosis import output
+from jax_inertia.diagnosis.pipeline import diagnose as whole_robot_diagnosis
+from jax_inertia.diagnosis.pipeline import ordinary_is_missing
+from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import diagnose
 from jax_inertia.gap.effect import effects_of
@@ -100,6 +104,37 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
         if finding.severity is Severity.WARNING:
             warn(finding.message)
     return Inputs(model, log, robot, logs[0], logs[1] if len(logs) > 1 else None, tuple(quality))
+
+
+def whole_robot(
+    inputs: Inputs, exclude: Sequence[str], stage: Callable[[str], None]
+) -> WholeRobot | None:
+    """The diagnosis of every joint at once, for a model that lacks ordinary physics at half of its joints or more.
+
+    None where the model has it: then one effect is sought on a good model. None too for what the former does not do
+    yet: floating bases, and rows that are no hinge's or slide's.
+    """
+    robot = inputs.robot
+    if robot.has_free_base or not all(robot.topology.dof_scalar):
+        return None
+    found = whole_robot_diagnosis(
+        robot, inputs.log, test_log=inputs.test_log, exclude=exclude, progress=stage
+    )
+    return found if ordinary_is_missing(found, robot.joint_names) else None
+
+
+def write_whole(folder: Path, inputs: Inputs, found: WholeRobot) -> dict:
+    """report.json, report.html and corrected.xml."""
+    paths = inputs.path, inputs.model
+    return output.write(folder, found, inputs.robot, inputs.log, paths, inputs.quality)
+
+
+def show_whole(found: WholeRobot, report: dict, out: Path, *, as_json: bool) -> None:
+    """Print what was found."""
+    if as_json:
+        print(json.dumps(report, indent=1, allow_nan=False))
+    else:
+        output.show(found, out)
 
 
 def diagnosis(

@@ -1,0 +1,213 @@
+"""Predictive checks, never fitted: the residual of a run that played no part, and ties between hypotheses."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import Selection
+from jax_inertia.diagnosis.settings import Settings
+
+PASSING = frozenset({"push"})
+"""Effects that happen once: on another run they are not there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """Residual torque of a run [N m], rms over moving rows, before and after the effects."""
+
+    before: float
+    ordinary: float
+    """With the ordinary effects alone, refitted."""
+    after: float
+    noise: float
+    """Of the torque sensors, as stated or from samples."""
+    per_joint_before: Float[np.ndarray, " n"]
+    per_joint_after: Float[np.ndarray, " n"]
+    left: Float[np.ndarray, "R n"]
+    """Residual after, along time."""
+    expected: Float[np.ndarray, " n"]
+    """What the sensors' noise and the equations' own errors leave of each row."""
+
+    @property
+    def excess(self) -> Float[np.ndarray, " n"]:
+        """Residual of each row over what is expected of it."""
+        return self.per_joint_after / np.maximum(self.expected, 1e-12)
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the gap's energy above the sensors' noise that is left."""
+        whole = max(self.before**2 - self.noise**2, 1e-300)
+        return float(max(self.after**2 - self.noise**2, 0.0) / whole)
+
+
+class OtherRun:
+    """Another log of the same robot, predicted from the first."""
+
+    def __init__(self, residual: Residual, evidence: Evidence):
+        self.residual, self.evidence, self._columns = residual, evidence, {}
+
+    def predicted(self, now: Posterior) -> Float[np.ndarray, "R n"]:
+        """Torque of everything chosen on this run, at numbers from the first."""
+        out = np.zeros_like(self.residual.y)
+        for h, part in zip(now.chosen, now.slices, strict=True):
+            if h.family in PASSING:
+                continue
+            mean = now.mean[part]
+            out += (
+                self.residual.tolerances @ mean
+                if h.effect is None
+                else self._here(h).torque(mean, out.shape)
+            )
+        return out
+
+    def _here(self, h: Hypothesis) -> Hypothesis:
+        if id(h) not in self._columns:
+            # The hypothesis is kept beside, so that its id stays its own.
+            self._columns[id(h)] = (h, elsewhere(h, self.residual))
+        return self._columns[id(h)][1]
+
+    def error(self, now: Posterior) -> float:
+        """Residual after, rms over moving rows [N m]."""
+        return rms(self.residual.y - self.predicted(now), self.residual.weight)
+
+    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
+        """Before, with the ordinary effects, after."""
+        y, weight = self.residual.y, self.residual.weight
+        left = y - self.predicted(whole)
+        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
+        return Check(
+            rms(y, weight),
+            self.error(ordinary),
+            rms(left, weight),
+            noise,
+            rows(y, weight),
+            rows(left, weight),
+            left,
+            expected(self.residual, self.evidence),
+        )
+
+
+class HeldOut:
+    """The log itself, each of a few stretches predicted from the others."""
+
+    def __init__(self, selection: Selection, settings: Settings):
+        self.evidence, self.residual = selection.evidence, selection.residual
+        count = len(self.residual.y)
+        self.fold = np.minimum(np.arange(count) * settings.folds // count, settings.folds - 1)
+
+    def left(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "R n"]:
+        """What is left of each stretch."""
+        y, out = self.residual.y, np.zeros_like(self.residual.y)
+        for k in np.unique(self.fold):
+            others = self.evidence.without(self.fold == k).posterior(chosen)
+            part = self.fold == k
+            out[part] = (y - others.fitted)[part]
+        return out
+
+    def error(self, now: Posterior) -> float:
+        """As of `OtherRun`."""
+        return rms(self.left(now.chosen), self.residual.weight)
+
+    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
+        """As of `OtherRun`."""
+        y, weight = self.residual.y, self.residual.weight
+        left = self.left(whole.chosen)
+        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
+        return Check(
+            rms(y, weight),
+            self.error(ordinary),
+            rms(left, weight),
+            noise,
+            rows(y, weight),
+            rows(left, weight),
+            left,
+            expected(self.residual, self.evidence),
+        )
+
+
+def expected(residual: Residual, evidence: Evidence) -> Float[np.ndarray, " n"]:
+    """Rms of each row that noise of this run's sensors and errors of the effects' equations leave [N m]."""
+    count = np.maximum(evidence.weight.sum(axis=0), 1e-9)
+    form = (evidence.weight * evidence.form).sum(axis=0) / count
+    return np.sqrt(residual.sensors**2 + form)
+
+
+def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:
+    """Over all rows by weight."""
+    return float(np.sqrt((weight * e**2).sum() / max(float(weight.sum()), 1e-9)))
+
+
+def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
+    """Of each row by weight."""
+    return np.sqrt((weight * e**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9))
+
+
+def gated(
+    selection: Selection, judge: OtherRun | HeldOut, settings: Settings
+) -> tuple[Selection, tuple[Hypothesis, ...]]:
+    """The selection without odd effects that do not carry over to the other run, and those removed.
+
+    The worst first, one at a time, everything else refitted: where an effect alone raises the other run's error by
+    `gate`, and while all odd effects together do worse than the ordinary ones by as much. Effects that happen once are
+    not asked.
+    """
+    now, dropped = selection.posterior, []
+    ordinary = judge.error(
+        selection.evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
+    )
+    while True:
+        odd = [h for h in now.chosen if h.is_odd and h.family not in PASSING]
+        if not odd:
+            break
+        error = judge.error(now)
+        trials = []
+        for h in odd:
+            rest = tuple(c for c in now.chosen if c is not h)
+            trials.append(judge.error(selection.evidence.posterior(rest)))
+        worst = int(np.argmin(trials))
+        harms = trials[worst] < error * (1.0 - settings.gate)
+        if not harms and not (error > (1.0 + settings.gate) * ordinary and trials[worst] < error):
+            break
+        dropped.append(odd[worst])
+        rest = tuple(c for c in now.chosen if c is not odd[worst])
+        now = selection.evidence.posterior(rest)
+    return dataclasses.replace(selection, posterior=now), tuple(dropped)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rival:
+    """Another hypothesis that explains about as much in the place of one that was chosen."""
+
+    hypothesis: Hypothesis
+    behind: float
+    """By how much its log evidence is lower, odds counted, nats."""
+
+
+def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
+    """Best shape of each other family and place, in the place of `h`, those within reach first."""
+    now, evidence = selection.posterior, selection.evidence
+    rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+    others = tuple(
+        c
+        for c in selection.candidates
+        if c.named and c.key != h.key and not any(c.key == x.key for x in rest.chosen)
+    )
+    own = float(evidence.gains(rest, (h,))[0]) - h.odds
+    gains = evidence.gains(rest, others) - np.array([c.odds for c in others])
+    best: dict[tuple[str, str, str], Rival] = {}
+    for k in np.argsort(-gains):
+        c, behind = others[k], own - float(gains[k])
+        if behind > max(settings.tie, settings.tie_share * abs(own)) + 10.0:
+            break
+        best.setdefault(c.key, Rival(c, behind))
+    out = []
+    for r in best.values():
+        with_it = evidence.posterior((*rest.chosen, r.hypothesis))
+        theta = with_it.of(with_it.chosen[-1])[0]
+        if r.hypothesis.effect.possible(selection.residual.context, r.hypothesis.place, theta):
+            out.append(r)
+    return tuple(out)

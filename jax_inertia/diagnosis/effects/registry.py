@@ -1,0 +1,53 @@
+"""All effects, in the order in which ties are broken."""
+
+from jax_inertia.diagnosis.effects import (
+    actuator,
+    dry_friction,
+    encoder,
+    environment,
+    external_force,
+    generic,
+    inertial,
+    joint,
+    transmission,
+)
+from jax_inertia.diagnosis.effects.base import Effect
+
+EFFECTS: tuple[Effect, ...] = (
+    joint.ViscousFriction(),
+    dry_friction.CoulombFriction(),
+    joint.Armature(),
+    joint.TorqueBias(),
+    dry_friction.AsymmetricCoulomb(),
+    dry_friction.StribeckFriction(),
+    dry_friction.LoadFriction(),
+    joint.AsymmetricViscous(),
+    joint.QuadraticViscous(),
+    joint.FrictionDrift(),
+    joint.JointSpring(),
+    joint.Cogging(),
+    actuator.TorqueGain(),
+    actuator.TorqueSaturation(),
+    actuator.TimeDelay(),
+    actuator.ActuatorLag(),
+    actuator.TorqueFilter(),
+    encoder.EncoderOffset(),
+    encoder.EncoderScale(),
+    encoder.JointElasticity(),
+    encoder.Backlash(),
+    transmission.JointCoupling(),
+    environment.GravityTilt(),
+    environment.ContactForceScale(),
+    inertial.Payload(),
+    inertial.ComShift(),
+    inertial.LinkInertia(),
+    external_force.ConstantForce(),
+    external_force.Drag(),
+    external_force.Push(),
+    generic.OfPosition(),
+    generic.OfSpeed(),
+    generic.OfTime(),
+    generic.FrictionOfPosition(),
+    generic.PathOfTorque(),
+)
+NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))

@@ -1,0 +1,120 @@
+"""One effect at one place with one set of nonlinear numbers: its columns, and the prior of its size."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.effects.base import Effect, Shape
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.gap.families.base import Parameter, Place
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """e = A θ on the rows of the residual, θ ~ N(0, diag(`scale`)²).
+
+    `columns` (R, k) act on one `row`, (R, n, k) on all where that is None [N m per unit of θ].
+    """
+
+    effect: Effect | None
+    """None for the tolerances of the nominal model."""
+    place: Place
+    shape: Shape
+    columns: np.ndarray
+    row: int | None
+    scale: Float[np.ndarray, " k"]
+    """Prior standard deviation of each number, in its unit."""
+    odds: float
+    """Prior log odds against it, nats."""
+
+    @property
+    def count(self) -> int:
+        """How many numbers."""
+        return len(self.scale)
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return "tolerances" if self.effect is None else self.effect.name
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Family and place."""
+        return self.family, self.place.kind, self.place.name
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether every robot has it."""
+        return self.effect is not None and self.effect.ordinary
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether it is beyond the ordinary and the tolerances; generic alternatives are."""
+        return self.effect is not None and not self.effect.ordinary and not self.effect.marginal
+
+    @property
+    def named(self) -> bool:
+        """Whether it names a cause."""
+        return self.effect is not None and self.effect.named
+
+    @property
+    def form_error(self) -> float:
+        """Relative error of its equation."""
+        return 0.0 if self.effect is None else self.effect.form_error
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """Columns per prior standard deviation."""
+        return self.columns * self.scale
+
+    def torque(
+        self, mean: Float[np.ndarray, " k"], shape: tuple[int, int]
+    ) -> Float[np.ndarray, "R n"]:
+        """Torque of the effect at numbers in units of `scale` [N m]."""
+        values = self.columns @ (mean * self.scale)
+        if self.row is None:
+            return values
+        out = np.zeros(shape)
+        out[:, self.row] = values
+        return out
+
+    def numbers(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> dict[str, Parameter]:
+        """What is reported of θ, in newtons and metres of a joint that slides."""
+        assert self.effect is not None
+        out = self.effect.numbers(residual.context, self.place, self.shape, theta)
+        if self.place.kind != "joint" or residual.rotates(self.place.index):
+            return out
+        return {
+            k: dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit)) for k, p in out.items()
+        }
+
+
+OF_SLIDE = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+}
+"""Units of a hinge's numbers, and of a slide's."""
+
+
+def hypothesis(
+    residual: Residual, effect: Effect, place: Place, shape: Shape, odds: float
+) -> Hypothesis:
+    """An effect's columns on the residual's rows."""
+    columns, row = residual.rows_of(effect.columns(residual.context, place, shape))
+    scale = effect.scale(residual.context, place, shape)
+    return Hypothesis(effect, place, shape, columns, row, scale, odds)
+
+
+def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
+    """The same hypothesis on another log, with the first one's prior."""
+    if h.effect is None:
+        raise ValueError("the tolerances of a model are made anew for each log")
+    columns, row = residual.rows_of(h.effect.columns(residual.context, h.place, h.shape))
+    return dataclasses.replace(h, columns=columns, row=row)

@@ -1,0 +1,52 @@
+"""report.html of a whole-robot diagnosis: one file, nothing in it is fetched, nothing in it runs."""
+
+from importlib.metadata import version
+
+import jinja2
+import numpy as np
+
+from jax_inertia.diagnosis import figures
+from jax_inertia.diagnosis.result import Diagnosis
+from jax_inertia.gap.correct import Correction
+from jax_inertia.gap.words import chance, number, percent, plain
+from jax_inertia.log import Log
+
+COLUMNS = (
+    ("viscous_friction", "viscous friction [N m s/rad]"),
+    ("coulomb_friction", "dry friction [N m]"),
+    ("armature", "rotor inertia [kg m²]"),
+    ("torque_bias", "torque offset [N m]"),
+)
+"""Of the joints' table."""
+
+
+def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, str], report) -> str:
+    """The report as HTML, every name in it escaped; `names`: of log and model."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("jax_inertia.diagnosis"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
+    after = {n: a for n, (_, a) in found.checked.per_joint.items()}
+    worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
+    remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
+    return environment.get_template("report.html").render(
+        found=found,
+        correction=correction,
+        log=log,
+        names=names,
+        report=report,
+        version=version("jax-inertia"),
+        columns=COLUMNS,
+        checked="the other run" if found.test is not None else "held-out stretches",
+        joints_figure=figures.joints(found),
+        worst=worst,
+        worst_figure=figures.along_time(found, worst),
+        remains=remains,
+        remains_figure=figures.along_time(found, remains) if remains != worst else None,
+        rest=sum(after.values()),
+        moving=float(np.mean(found.trace.moving > 0.5)),
+    )

@@ -1,0 +1,71 @@
+"""`diagnose`: log → residual → hypotheses → posterior → checks → verdict."""
+
+from collections.abc import Callable, Sequence
+
+from jax_inertia.diagnosis import summary
+from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.result import Diagnosis
+from jax_inertia.diagnosis.search import select
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.gap.families import NAMES as FORMER
+from jax_inertia.log import Log
+from jax_inertia.robot import Robot
+
+
+def diagnose(
+    robot: Robot,
+    log: Log,
+    *,
+    test_log: Log | None = None,
+    exclude: Sequence[str] = (),
+    extra: Sequence[Effect] = (),
+    settings: Settings = Settings(),  # noqa: B008 (frozen)
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diagnosis:
+    """Find the ordinary physics of every joint that the model lacks, and what is odd beyond it.
+
+    Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
+    must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
+    """
+    valid = sorted({*NAMES, *FORMER})
+    if unknown := sorted(set(exclude) - set(valid)):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(valid)}")
+    library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
+    progress("filtering the log")
+    residual = Residual(robot, log, settings)
+    _require_rows(residual, log)
+    selection = select(residual, library, settings, progress)
+    progress("checking on held-out stretches and on the other motion")
+    heldout = HeldOut(selection, settings)
+    other = (
+        None
+        if test_log is None
+        else OtherRun(Residual(robot, test_log, settings), selection.evidence)
+    )
+    selection, dropped = gated(selection, heldout if other is None else other, settings)
+    return summary.summarised(selection, heldout, other, dropped, settings)
+
+
+LEAST_ROWS = 50
+
+
+def _require_rows(residual: Residual, log: Log) -> None:
+    count = residual.weight.sum(axis=0)
+    if count.max(initial=0.0) < LEAST_ROWS:
+        raise ValueError(
+            f"{log.duration:.3g} s of log leave {count.max(initial=0.0):.0f} moving rows at most; at least "
+            f"{LEAST_ROWS} are needed, about {LEAST_ROWS / residual.settings.rows_per_second:.0f} s of motion"
+        )
+
+
+def ordinary_is_missing(found: Diagnosis, joints: Sequence[str]) -> bool:
+    """Whether the model lacks ordinary physics at half of its joints or more: a robot as it is bought."""
+    lacking = {
+        f.place.name
+        for f in found.found
+        if f.ordinary and f.family in ("viscous_friction", "coulomb_friction", "armature")
+    }
+    return len(lacking) >= max(1, (len(joints) + 1) // 2)

@@ -1,0 +1,105 @@
+"""report.json of a whole-robot diagnosis, schema 1."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
+from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.intervals import Interval
+from jax_inertia.preflight import Finding as Quality
+
+
+def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str, Any]:
+    """The diagnosis in the contract's form: only JSON's own types, no NaN."""
+    report = {
+        "schema": 1,
+        "verdict": str(found.verdict),
+        "confidence": found.confidence,
+        "headline": found.headline,
+        "gap": {
+            "chi2": found.chi2,
+            "noise_floor": found.noise_floor,
+            "per_joint_rms": found.per_joint_rms,
+            "share": found.share,
+        },
+        "effects": [_effect(f) for f in found.found],
+        "joints": {
+            name: {family: _number(p) for family, p in own.items()}
+            | (
+                {"presliding": {"value": found.presliding[name], "unit": "rad"}}
+                if found.presliding.get(name, -1.0) >= 0
+                else {}
+            )
+            for name, own in found.joints.items()
+        },
+        "shrink": {
+            "heldout": _shrink(found.heldout),
+            "test_log": None if found.test is None else _shrink(found.test),
+            "rollout": None,
+        },
+        "explained_share": 1.0 - found.remainder.share,
+        "remainder": {
+            "share": found.remainder.share,
+            "where": found.remainder.where,
+            "resembles": "; ".join(found.remainder.resembles),
+        },
+        "when": [],
+        "undetectable_below": [],
+        "suggested_motion": {},
+        "data_quality": [
+            {"severity": str(q.severity), "check": q.check, "message": q.message} for q in quality
+        ],
+        "doubts": [],
+        "notes": list(found.notes),
+    }
+    return {name: _clean(value) for name, value in report.items()}
+
+
+def _effect(f: Found) -> dict[str, Any]:
+    return {
+        "family": f.family,
+        "location": _place(f.place),
+        "ordinary": f.ordinary,
+        "parameters": {name: _number(p) for name, p in f.parameters.items()},
+        "share": f.share,
+        "probability": f.probability,
+        "equivalent": [
+            {"family": t.family, "location": _place(t.place), "kind": t.kind} for t in f.equivalent
+        ],
+    }
+
+
+def _number(p: Interval) -> dict[str, Any]:
+    return {"value": p.value, "ci95": [p.low, p.high], "unit": p.unit}
+
+
+def _shrink(s: Shrink) -> dict[str, Any]:
+    return {
+        "before": s.before,
+        "ordinary": s.ordinary,
+        "after": s.after,
+        "noise": s.noise,
+        "unit": "N m",
+        "per_joint": {n: {"before": b, "after": a} for n, (b, a) in s.per_joint.items()},
+    }
+
+
+def _place(place: Place) -> dict[str, Any]:
+    return {"kind": place.kind, "name": place.name}
+
+
+def _clean(x):
+    """Plain floats; what is not finite becomes null, which JSON has."""
+    if isinstance(x, dict):
+        return {k: _clean(v) for k, v in x.items()}
+    if isinstance(x, list):
+        return [_clean(v) for v in x]
+    if isinstance(x, np.bool_ | bool):
+        return bool(x)
+    if isinstance(x, float | np.generic):
+        value = float(x)
+        return value if math.isfinite(value) else None
+    return x

@@ -1,0 +1,105 @@
+"""A log as rows of missing torque: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
+
+import functools
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.gap.chain import Prepared, prepare
+from jax_inertia.gap.chain import Settings as Band
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families.body import steiner
+from jax_inertia.gap.sensors import perturbed
+from jax_inertia.log import Log
+from jax_inertia.robot import Robot
+
+REPLICAS = 2
+
+
+class Residual:
+    """R rows of n generalised coordinates; made once per log, never changed."""
+
+    def __init__(self, robot: Robot, log: Log, settings: Settings):
+        wide = log.contact_wrench is not None or robot.has_free_base
+        band = (
+            Band(250.0, 80.0, 20.0, 2 * settings.rows_per_second, settings.margin)
+            if wide
+            else Band(decimated=settings.rows_per_second, margin=settings.margin)
+        )
+        self.log, self.robot, self.settings, self.band = log, robot, settings, band
+        self.prepared: Prepared = prepare(robot, log, band)
+        self.context = Context(self.prepared)
+        self.y = self.prepared.finish_torque(self.prepared.missing)
+        """Missing torque (R, n) [N m]."""
+
+    @property
+    def time(self) -> Float[np.ndarray, " R"]:
+        """Of each row [s], from the log's beginning."""
+        return self.context.time[self.prepared.kept]
+
+    @functools.cached_property
+    def weight(self) -> Float[np.ndarray, "R n"]:
+        """1 where a row is measured and its joint moves, 0 where it rests: there friction is whatever balances."""
+        moving = np.ones_like(self.context.v)
+        for row in self.context.joint_dofs.values():
+            moving[:, row] = np.abs(self.context.v[:, row]) > self.settings.rest_speed
+        moves = np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
+        return moves * self.prepared.valid
+
+    def rotates(self, row: int) -> bool:
+        """Whether a row is a hinge's."""
+        return bool(self.robot.topology.dof_rotates[row])
+
+    def rows_of(self, columns: Columns) -> tuple[np.ndarray, int | None]:
+        """Columns of the fast grid on the slow one; on one row, (R, k), where they act on one."""
+        values = self.prepared.finish_torque(columns.values, columns.row)
+        return values, (columns.row if values.ndim == 2 else None)
+
+    @functools.cached_property
+    def sensors(self) -> Float[np.ndarray, " n"]:
+        """Standard deviation that the sensors' noise leaves on each row [N m]: encoders' and torques' alike.
+
+        From replicas of the log with its noise, as stated or as its samples show, added once more.
+        """
+        rng, energy = np.random.default_rng(0), np.zeros(self.robot.nv)
+        for _ in range(REPLICAS):
+            noisy = prepare(self.robot, perturbed(self.log, rng), self.band)
+            change = noisy.finish_torque(noisy.missing) - self.y
+            energy += (self.weight * change**2).sum(axis=0) / np.maximum(
+                self.weight.sum(axis=0), 1e-9
+            )
+        return np.sqrt(energy / REPLICAS)
+
+    @functools.cached_property
+    def inertial_changes(self) -> list[tuple[Float[np.ndarray, "10 k"], str, np.ndarray]]:
+        """Of each body with mass: changes of π by one standard deviation of each number, its name, its π."""
+        s, scale, out = self.settings, self.context.scale, []
+        for name, pi in zip(self.robot.body_names, self.context.pi, strict=True):
+            m = float(pi[0])
+            if m <= 0:
+                continue
+            c = pi[1:4] / m
+            central = pi[4:] - steiner(m, c)
+            change = [s.mass_tolerance * pi]
+            for axis in np.eye(3):
+                turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
+                moved = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
+                change.append(s.com_tolerance * scale * moved)
+            size = s.inertia_tolerance * max(float(central[[0, 3, 5]].max()), 1e-9)
+            change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
+            out.append((np.array(change).T, name, pi))
+        return out
+
+    @functools.cached_property
+    def tolerances(self) -> Float[np.ndarray, "R n k"]:
+        """One column per inertial number of each body, and one for when in its period a torque acts, times its σ."""
+        every = self.context.regressor
+        out = [
+            every[:, :, self.robot.body_index(name)] @ change
+            for change, name, _ in self.inertial_changes
+        ]
+        late = 0.1 / self.log.rate * np.gradient(self.context.tau, self.context.time, axis=0)
+        out.append(late[..., None])
+        return self.prepared.finish_torque(np.concatenate(out, axis=-1))

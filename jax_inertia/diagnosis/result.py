@@ -1,0 +1,123 @@
+"""What a diagnosis of the whole robot found."""
+
+import dataclasses
+import enum
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.gap.families.base import Place
+from jax_inertia.gap.intervals import Interval
+
+
+class Verdict(enum.StrEnum):
+    """What can be said of the gap."""
+
+    EXPLAINED = "explained"
+    PARTLY = "partly"
+    UNKNOWN = "unknown"
+    NO_GAP = "no_gap"
+
+
+@dataclasses.dataclass(frozen=True)
+class Tie:
+    """Another effect that this log cannot tell from the one given."""
+
+    family: str
+    place: Place
+    kind: str
+    """'exact' where no motion of this robot can, 'motion_limited' where another motion would."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """One effect that the model lacks."""
+
+    family: str
+    place: Place
+    parameters: dict[str, Interval]
+    share: float
+    """Of the gap's energy in N² m²: what returns when it alone is left out."""
+    probability: float
+    """That it, or one that it is tied with, is there."""
+    equivalent: tuple[Tie, ...]
+    ordinary: bool
+    equation: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Shrink:
+    """Residual torque of moving rows on a run that played no part [N m, rms]."""
+
+    before: float
+    ordinary: float
+    after: float
+    noise: float
+    per_joint: dict[str, tuple[float, float]]
+    """Before and after."""
+
+    @property
+    def share(self) -> float:
+        """By how much the rms shrinks."""
+        return 1.0 - self.after / max(self.before, 1e-300)
+
+
+@dataclasses.dataclass(frozen=True)
+class Remainder:
+    """What no effect explains, on the run that played no part."""
+
+    share: float
+    """Of the gap's energy, the sensors' noise taken off."""
+    where: dict[str, float]
+    """Each joint's part of it, summing to one."""
+    resembles: tuple[str, ...]
+    """Generic alternatives that fit it."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trace:
+    """Missing torque of the checked run along time, for figures: R rows of n."""
+
+    time: Float[np.ndarray, " R"]
+    before: Float[np.ndarray, "R n"]
+    after: Float[np.ndarray, "R n"]
+    moving: Float[np.ndarray, "R n"]
+    """Weight of each row: 0 where it rests."""
+    rows: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """Verdict, effects, the ordinary physics of every joint, and what is left."""
+
+    verdict: Verdict
+    confidence: float
+    headline: str
+    found: tuple[Found, ...]
+    joints: dict[str, dict[str, Interval]]
+    """By joint and family: the joint's whole number, the model's own included; found or not."""
+    presliding: dict[str, float]
+    """Displacement over which each joint's dry friction turns round [rad]."""
+    heldout: Shrink
+    test: Shrink | None
+    remainder: Remainder
+    chi2: float
+    noise_floor: float
+    per_joint_rms: dict[str, float]
+    share: dict[str, float]
+    inertials: dict[str, tuple[float, ...]]
+    """Bodies' calibrated parameters π, errors within the model's tolerances taken out."""
+    notes: tuple[str, ...]
+    trace: Trace
+    units: dict[str, str]
+    """Of each row's torque: N m, or N of a slide."""
+
+    @property
+    def odd(self) -> tuple[Found, ...]:
+        """Effects beyond those that every robot has."""
+        return tuple(f for f in self.found if not f.ordinary)
+
+    @property
+    def checked(self) -> Shrink:
+        """On the other run where there is one, on held-out stretches where not."""
+        return self.heldout if self.test is None else self.test

@@ -1,0 +1,60 @@
+"""Every decision threshold of the whole-robot diagnosis: value, unit, and where the value comes from."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Frozen; passed to each station, never imported as constants.
+
+    Values marked *decision* are judgements of what an engineer calls material; those marked *prior* are sizes that
+    effects have on real robots (friction: Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994).
+    """
+
+    rows_per_second: float = 25.0
+    """Rate of the residual's rows [Hz]. A 10 Hz band carries 20 independent samples a second (Nyquist)."""
+    margin: float = 0.5
+    """Left out at either end of a log [s]: a zero-phase 10 Hz filter leans on its padding for some five periods."""
+    ordinary_odds: float = 2.0
+    """Prior log odds against each ordinary effect, nats. Prior: every robot has friction."""
+    refinement_odds: float = 3.0
+    """The same against another form of an ordinary effect (Stribeck, asymmetric, load-dependent friction), nats."""
+    odd_odds: float = 8.0
+    """The same against each odd effect, nats: e⁻⁸, about one in 3000 places has one. Prior."""
+    generic_odds: float = 10.0
+    """The same against a generic alternative, which names no cause, nats. Prior."""
+    least_variance: float = 0.01
+    """Least residual standard deviation of a row, share of its gap's rms: filters and differences are no better."""
+    mass_tolerance: float = 0.03
+    """Standard deviation of a nominal body's mass, relative. CAD masses of built arms: 2 to 5 %."""
+    com_tolerance: float = 0.002
+    """Of a nominal centre of mass [m], on links of 0.15 to 1 m."""
+    inertia_tolerance: float = 0.10
+    """Of a nominal rotational inertia, relative."""
+    rest_speed: float = 0.02
+    """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""
+    distinct: float = 3.0
+    """Posterior standard deviations from zero from which a number is listed. Decision (99.7 %)."""
+    material: float = 0.02
+    """Share of a row's gap energy below which an ordinary effect is not listed. Decision."""
+    explained: float = 0.04
+    """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms."""
+    excess: float = 3.0
+    """A joint's residual over what sensors and ordinary forms leave, from which something remains there: decision."""
+    partly: float = 0.5
+    """Share from which the effects are no partial answer either. Decision."""
+    noise_ratio: float = 2.0
+    """`explained` needs a residual within this many times what the sensors say, or the share above. Decision."""
+    gate: float = 0.10
+    """Share by which an odd effect may raise the other run's error before it is left out. Decision: what a plot shows;
+    less is how one motion differs from another."""
+    tie: float = 5.0
+    """Nats within which another hypothesis explains as much: odds of 150 to 1 (Kass and Raftery 1995: very strong)."""
+    tie_share: float = 0.01
+    """The same as a share of the effect's evidence: an equation that errs by 10 % misplaces so much."""
+    temper: float = 2.0
+    """By how much log odds between two effects are divided before they are probabilities: equations are not exact."""
+    most_steps: int = 80
+    """Bound of the search's moves, a safeguard: none of 120 development logs took 60."""
+    folds: int = 5
+    """Blocks of a log that are predicted from the others."""

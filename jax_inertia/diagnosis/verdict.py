@@ -1,0 +1,50 @@
+"""The verdict, one table: about the remainder, not about the robot.
+
+| residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
+|---|---|---|---|
+| nothing is distinct and within `noise_ratio` | – | – | no_gap |
+| else | below `explained`, or | within `noise_ratio` | explained |
+| else | below `partly` | | partly |
+| else | | | unknown |
+
+`explained` becomes `partly` where one joint keeps more than `excess` times what its sensors and the effects' own
+equations leave, or where a generic alternative carries more than `explained` of the gap.
+"""
+
+import numpy as np
+
+from jax_inertia.diagnosis.checks import Check
+from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.settings import Settings
+
+
+def verdict(
+    check: Check, tolerated: float, listed: bool, generic_share: float, settings: Settings
+) -> Verdict:
+    """`tolerated`: residual that is left with the model's tolerances alone, rms [N m]; `listed`: any effect is;
+    `generic_share`: of the gap's energy that generic alternatives carry."""
+    limit = settings.noise_ratio * check.noise
+    if not listed:
+        quiet = tolerated <= limit or check.before <= limit
+        return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
+    small = check.unexplained < settings.explained or check.after <= limit
+    if small and check.after < check.before:
+        rest = np.any(check.excess > settings.excess) or generic_share > settings.explained
+        return Verdict.PARTLY if rest else Verdict.EXPLAINED
+    return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
+
+
+def confidence(
+    check: Check, given: Verdict, probabilities: list[float], settings: Settings
+) -> float:
+    """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts."""
+    sure = min(probabilities, default=0.99)
+    ratio = max(check.unexplained, 1e-6) / settings.explained
+    if given is Verdict.EXPLAINED:
+        border = 1.0 / (1.0 + ratio**2)
+    elif given is Verdict.PARTLY:
+        border = ratio**2 / (1.0 + ratio**2)
+        sure = max(sure, 0.5)
+    else:
+        border = 0.95
+    return float(np.clip(sure * max(border, 0.5), 0.05, 0.99))

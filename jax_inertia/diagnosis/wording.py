@@ -1,0 +1,54 @@
+"""What is said of a diagnosis, as an engineer would say it."""
+
+from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
+from jax_inertia.gap.words import at, number, percent, plain, unit
+
+MANY = 3
+
+
+def headline(
+    verdict: Verdict,
+    found: tuple[Found, ...],
+    shrinks: tuple[Shrink, Shrink | None],
+    remainder: Remainder,
+    lacking: str,
+) -> str:
+    """One to three sentences: what is missing, how far the error shrinks with it, what remains and where."""
+    heldout, test = shrinks
+    checked = heldout if test is None else test
+    where = "on held-out stretches" if test is None else "on the other run"
+    if verdict is Verdict.NO_GAP:
+        return "No gap: model and robot agree within the sensors' noise and the model's tolerances."
+    top = max(remainder.where, key=lambda n: remainder.where[n], default="")
+    if not found:
+        return (
+            f"The model misses the robot by {number(checked.before)} N m, mostly at {top}, and no effect that is "
+            "known here explains it."
+        )
+    parts = [f"The model has no {lacking} at any joint; the robot has."] if lacking else []
+    odd = [f for f in found if not f.ordinary]
+    shrunk = (
+        f"{percent(max(checked.share, 0.0))} of the torque error {where} goes "
+        f"({number(checked.before)} → {number(checked.after)} N m, sensors {number(checked.noise)})"
+    )
+    ordinary = any(f.ordinary for f in found)
+    names = [named(f) for f in odd[:MANY]]
+    more = f" and {len(odd) - MANY} more" if len(odd) > MANY else ""
+    causes = ["each joint's friction, rotor inertia and offset"] if ordinary else []
+    causes += names
+    listed = causes[0] if len(causes) == 1 else ", ".join(causes[:-1]) + " and " + causes[-1]
+    parts.append(f"With {listed}{more}, {shrunk}.")
+    if verdict is not Verdict.EXPLAINED and remainder.share > 0:
+        like = f", and resembles {remainder.resembles[0]}" if remainder.resembles else ""
+        parts.append(f"{percent(remainder.share)} of its energy remains, mostly at {top}{like}.")
+    return " ".join(parts)
+
+
+def named(f: Found) -> str:
+    """Effect, place and its first number."""
+    name, p = next(iter(f.parameters.items()), ("", None))
+    text = f"{plain(f.family)}{at(f.place)}"
+    if p is None:
+        return text
+    times = "× " if p.factor else ""
+    return f"{text} ({plain(name)} {times}{number(p.value)}{unit(p.unit)})"
