@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jax_inertia import _diagnose_whole as output
 from jax_inertia._console import warn
 from jax_inertia._model_of_log import afloat
 from jax_inertia._model_output import changed_inertials, loadable
-from jax_inertia.diagnosis import output
 from jax_inertia.diagnosis.pipeline import diagnose as whole_robot_diagnosis
 from jax_inertia.diagnosis.pipeline import ordinary_is_missing
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot

@@ -20,8 +20,9 @@ LAYERS: dict[str, str] = {
         _filter_settings handover logfilter priors identifiability motion_limits suggest_motion stream statefile
         simulate""",
     "gap": "gap",
+    "diagnosis": "diagnosis",
     "control": "control",
-    "command line": """_console _completion _convert_command _model_of_log _model_output _diagnose_command _diagnose_run
+    "command line": """_console _completion _convert_command _model_of_log _model_output _diagnose_command _diagnose_run _diagnose_whole
         _estimate_command _estimate_run _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }

@@ -55,9 +55,10 @@ LEAST_ROWS = 50
 def _require_rows(residual: Residual, log: Log) -> None:
     count = residual.weight.sum(axis=0)
     if count.max(initial=0.0) < LEAST_ROWS:
+        rate = residual.band.rows
         raise ValueError(
             f"{log.duration:.3g} s of log leave {count.max(initial=0.0):.0f} moving rows at most; at least "
-            f"{LEAST_ROWS} are needed, about {LEAST_ROWS / residual.settings.rows_per_second:.0f} s of motion"
+            f"{LEAST_ROWS} are needed, about {LEAST_ROWS / rate:.0f} s of motion"
         )
 
 

@@ -1,13 +1,14 @@
 """A log as rows of missing torque: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
 
+import dataclasses
 import functools
 
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.chain import Prepared, prepare
-from jax_inertia.gap.chain import Settings as Band
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
@@ -22,12 +23,12 @@ class Residual:
     """R rows of n generalised coordinates; made once per log, never changed."""
 
     def __init__(self, robot: Robot, log: Log, settings: Settings):
-        wide = log.contact_wrench is not None or robot.has_free_base
-        band = (
-            Band(250.0, 80.0, 20.0, 2 * settings.rows_per_second, settings.margin)
-            if wide
-            else Band(decimated=settings.rows_per_second, margin=settings.margin)
+        touches = log.contact_wrench is not None or robot.has_free_base
+        wanted = DIAGNOSIS_IN_CONTACT if touches else DIAGNOSIS
+        wanted = dataclasses.replace(
+            wanted, rows=settings.rows_per_cutoff, periods=settings.margin_periods
         )
+        band = wanted.at(log.rate)
         self.log, self.robot, self.settings, self.band = log, robot, settings, band
         self.prepared: Prepared = prepare(robot, log, band)
         self.context = Context(self.prepared)

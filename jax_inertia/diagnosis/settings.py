@@ -11,10 +11,11 @@ class Settings:
     effects have on real robots (friction: Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994).
     """
 
-    rows_per_second: float = 25.0
-    """Rate of the residual's rows [Hz]. A 10 Hz band carries 20 independent samples a second (Nyquist)."""
-    margin: float = 0.5
-    """Left out at either end of a log [s]: a zero-phase 10 Hz filter leans on its padding for some five periods."""
+    rows_per_cutoff: float = 2.5
+    """Rate of the residual's rows, of the band's cutoff. A band carries two independent samples a period (Nyquist)."""
+    margin_periods: float = 5.0
+    """Periods of the cutoff left out at either end of a log, where a zero-phase filter leans on its padding: measured
+    on a log that begins in motion (Panda), half a second of 10 Hz."""
     ordinary_odds: float = 2.0
     """Prior log odds against each ordinary effect, nats. Prior: every robot has friction."""
     refinement_odds: float = 3.0

@@ -142,7 +142,7 @@ class TorqueFilter(Effect):
     def columns(self, context, place, shape):
         rows = list(context.joint_dofs.values())
         # In the analysis band, where the second order is what there is of it.
-        smooth = context.below(context.prepared.settings.after, context.tau[:, rows])
+        smooth = context.below(context.prepared.bands.cutoff, context.tau[:, rows])
         slope = np.gradient(smooth, context.time, axis=0)
         out = np.zeros((*context.tau.shape, 1))
         out[:, rows, 0] = -np.gradient(slope, context.time, axis=0)

@@ -53,7 +53,7 @@ class EncoderScale(Effect):
 
 def carried(context, row: int) -> np.ndarray:
     """Torque that the joint's coupling carries: what its link needs, in the analysis band (T, 1)."""
-    return context.below(context.prepared.settings.after, context.link_torque[:, [row]])
+    return context.below(context.prepared.bands.cutoff, context.link_torque[:, [row]])
 
 
 class JointElasticity(Effect):

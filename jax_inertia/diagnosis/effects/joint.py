@@ -118,7 +118,7 @@ class Cogging(_AlongTheJoint):
         q, v = context.joint_position[:, place.index], context.v[:, place.index]
         span = max(float(np.ptp(q)), 1e-3)
         # Faster than the analysis band lets through at half the moments, teeth are not seen.
-        fastest = 0.7 * context.prepared.settings.after * 2 * np.pi
+        fastest = 0.7 * context.prepared.bands.cutoff * 2 * np.pi
         highest = min(60.0, fastest / max(float(np.percentile(np.abs(v), 50)), 1e-3))
         lowest = max(4.0, 2 * np.pi / span)
         step = max(0.5, 1.5 / span)
