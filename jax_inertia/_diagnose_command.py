@@ -58,18 +58,8 @@ def run(args: argparse.Namespace) -> int:
     with stages() as stage:
         inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude)
         with output_folder(out) as folder:
-            whole = pipeline.whole_robot(inputs, args.exclude, stage)
-            if whole is not None:
-                stage("writing")
-                report = pipeline.write_whole(folder, inputs, whole)
-            else:
-                result = pipeline.diagnosis(inputs, args.exclude, args.max_effects, stage)
-                stage("writing")
-                pipeline.write(folder, inputs, result)
-    if whole is None:
-        pipeline.show(result, out, as_json=args.json)
-    else:
-        pipeline.show_whole(whole, report, out, as_json=args.json)
+            show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage)
+    show(out, as_json=args.json)
     return 0
 
 

@@ -1,6 +1,7 @@
 """What `jax-inertia diagnose` computes, writes and prints."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -123,18 +124,24 @@ def whole_robot(
     return found if ordinary_is_missing(found, robot.joint_names) else None
 
 
-def write_whole(folder: Path, inputs: Inputs, found: WholeRobot) -> dict:
-    """report.json, report.html and corrected.xml."""
+def diagnosed(
+    folder: Path,
+    inputs: Inputs,
+    exclude: Sequence[str],
+    max_effects: int,
+    stage: Callable[[str], None],
+) -> Callable[..., None]:
+    """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`."""
+    whole = whole_robot(inputs, exclude, stage)
+    if whole is None:
+        result = diagnosis(inputs, exclude, max_effects, stage)
+        stage("writing")
+        write(folder, inputs, result)
+        return functools.partial(show, result)
+    stage("writing")
     paths = inputs.path, inputs.model
-    return output.write(folder, found, inputs.robot, inputs.log, paths, inputs.quality)
-
-
-def show_whole(found: WholeRobot, report: dict, out: Path, *, as_json: bool) -> None:
-    """Print what was found."""
-    if as_json:
-        print(json.dumps(report, indent=1, allow_nan=False))
-    else:
-        output.show(found, out)
+    report = output.write(folder, whole, inputs.robot, inputs.log, paths, inputs.quality)
+    return functools.partial(output.show, whole, report)
 
 
 def diagnosis(

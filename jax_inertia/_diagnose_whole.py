@@ -45,8 +45,11 @@ def write(
     return report
 
 
-def show(found: Diagnosis, out: Path) -> None:
+def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
     """Headline, the joints' table, odd effects, what remains."""
+    if as_json:
+        print(json.dumps(report, indent=1, allow_nan=False))
+        return
     console = Console()
     sure = f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})"
     console.print(f"[bold]{sure}[/bold]")

@@ -22,8 +22,8 @@ LAYERS: dict[str, str] = {
     "gap": "gap",
     "diagnosis": "diagnosis",
     "control": "control",
-    "command line": """_console _completion _convert_command _model_of_log _model_output _diagnose_command _diagnose_run _diagnose_whole
-        _estimate_command _estimate_run _estimate_output _suggest_motion_command plots demo cli
+    "command line": """_console _completion _convert_command _model_of_log _model_output _diagnose_command _diagnose_run
+        _diagnose_whole _estimate_command _estimate_run _estimate_output _suggest_motion_command plots demo cli
         __main__""",
 }
 RANK = {name: rank for rank, names in enumerate(LAYERS.values()) for name in names.split()}

@@ -56,12 +56,7 @@ class OtherRun:
         for h, part in zip(now.chosen, now.slices, strict=True):
             if h.family in PASSING:
                 continue
-            mean = now.mean[part]
-            out += (
-                self.residual.tolerances @ mean
-                if h.effect is None
-                else self._here(h).torque(mean, out.shape)
-            )
+            out += self._here(h).torque(now.mean[part], out.shape)
         return out
 
     def _here(self, h: Hypothesis) -> Hypothesis:

@@ -17,8 +17,7 @@ class Hypothesis:
     `columns` (R, k) act on one `row`, (R, n, k) on all where that is None [N m per unit of θ].
     """
 
-    effect: Effect | None
-    """None for the tolerances of the nominal model."""
+    effect: Effect
     place: Place
     shape: Shape
     columns: np.ndarray
@@ -36,7 +35,7 @@ class Hypothesis:
     @property
     def family(self) -> str:
         """Name of its effect."""
-        return "tolerances" if self.effect is None else self.effect.name
+        return self.effect.name
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -46,22 +45,22 @@ class Hypothesis:
     @property
     def ordinary(self) -> bool:
         """Whether every robot has it."""
-        return self.effect is not None and self.effect.ordinary
+        return self.effect.ordinary
 
     @property
     def is_odd(self) -> bool:
         """Whether it is beyond the ordinary and the tolerances; generic alternatives are."""
-        return self.effect is not None and not self.effect.ordinary and not self.effect.marginal
+        return not self.effect.ordinary and not self.effect.marginal
 
     @property
     def named(self) -> bool:
         """Whether it names a cause."""
-        return self.effect is not None and self.effect.named
+        return self.effect.named
 
     @property
     def form_error(self) -> float:
         """Relative error of its equation."""
-        return 0.0 if self.effect is None else self.effect.form_error
+        return self.effect.form_error
 
     @property
     def scaled(self) -> np.ndarray:
@@ -81,7 +80,6 @@ class Hypothesis:
 
     def numbers(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> dict[str, Parameter]:
         """What is reported of θ, in newtons and metres of a joint that slides."""
-        assert self.effect is not None
         out = self.effect.numbers(residual.context, self.place, self.shape, theta)
         if self.place.kind != "joint" or residual.rotates(self.place.index):
             return out
@@ -114,7 +112,5 @@ def hypothesis(
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
     """The same hypothesis on another log, with the first one's prior."""
-    if h.effect is None:
-        raise ValueError("the tolerances of a model are made anew for each log")
     columns, row = residual.rows_of(h.effect.columns(residual.context, h.place, h.shape))
     return dataclasses.replace(h, columns=columns, row=row)

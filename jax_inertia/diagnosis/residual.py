@@ -11,7 +11,6 @@ from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.sensors import perturbed
 from jax_inertia.log import Log
 from jax_inertia.robot import Robot
@@ -72,35 +71,3 @@ class Residual:
                 self.weight.sum(axis=0), 1e-9
             )
         return np.sqrt(energy / REPLICAS)
-
-    @functools.cached_property
-    def inertial_changes(self) -> list[tuple[Float[np.ndarray, "10 k"], str, np.ndarray]]:
-        """Of each body with mass: changes of π by one standard deviation of each number, its name, its π."""
-        s, scale, out = self.settings, self.context.scale, []
-        for name, pi in zip(self.robot.body_names, self.context.pi, strict=True):
-            m = float(pi[0])
-            if m <= 0:
-                continue
-            c = pi[1:4] / m
-            central = pi[4:] - steiner(m, c)
-            change = [s.mass_tolerance * pi]
-            for axis in np.eye(3):
-                turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
-                moved = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
-                change.append(s.com_tolerance * scale * moved)
-            size = s.inertia_tolerance * max(float(central[[0, 3, 5]].max()), 1e-9)
-            change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
-            out.append((np.array(change).T, name, pi))
-        return out
-
-    @functools.cached_property
-    def tolerances(self) -> Float[np.ndarray, "R n k"]:
-        """One column per inertial number of each body, and one for when in its period a torque acts, times its σ."""
-        every = self.context.regressor
-        out = [
-            every[:, :, self.robot.body_index(name)] @ change
-            for change, name, _ in self.inertial_changes
-        ]
-        late = 0.1 / self.log.rate * np.gradient(self.context.tau, self.context.time, axis=0)
-        out.append(late[..., None])
-        return self.prepared.finish_torque(np.concatenate(out, axis=-1))

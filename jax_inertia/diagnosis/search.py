@@ -13,6 +13,7 @@ from jax_inertia.diagnosis.effects.dry_friction import (
     DryFriction,
     FrictionForms,
 )
+from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.pushes import FLANK, windows
@@ -63,11 +64,12 @@ class Selection:
         return tuple(h for h in self.posterior.chosen if h.is_odd)
 
 
-def tolerances(residual: Residual) -> Hypothesis:
+def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
     """Errors of the nominal inertials, marginalised in every hypothesis."""
-    columns = residual.tolerances
     place = Place("global", "global", -1)
-    return Hypothesis(None, place, (), columns, None, np.ones(columns.shape[-1]), 0.0)
+    own = settings.mass_tolerance, settings.com_tolerance, settings.inertia_tolerance
+    shape = (*own, 1.0 / residual.log.rate)
+    return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 
 def select(
@@ -83,7 +85,7 @@ def select(
     )
     least = np.maximum(residual.sensors, settings.least_variance * gap) + 1e-9
     evidence = Evidence(residual.y, residual.weight, least)
-    base = tolerances(residual)
+    base = tolerances(residual, settings)
     dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
     ordinary = [e for e in library if e.ordinary and e is not dry]
     chosen = [base]
@@ -229,10 +231,7 @@ def _bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterio
     """Without effects that would be less than nothing: a friction that drives, a load that lifts."""
     while True:
         wrong = [
-            h
-            for h in now.chosen
-            if h.effect is not None
-            and not h.effect.possible(residual.context, h.place, now.of(h)[0])
+            h for h in now.chosen if not h.effect.possible(residual.context, h.place, now.of(h)[0])
         ]
         if not wrong:
             return now
@@ -307,7 +306,7 @@ def _excluded(h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
     for c in chosen:
         if c.key == h.key and h.family not in MANY:
             return True
-        if c.effect is None or h.effect is None or not h.effect.law:
+        if not h.effect.law:
             continue
         together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
         if c.effect.law == h.effect.law and together:

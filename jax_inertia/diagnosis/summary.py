@@ -2,9 +2,11 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rivals, rms, rows
+from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace
 from jax_inertia.diagnosis.search import Selection
@@ -51,7 +53,7 @@ def summarised(
         )
     )
     found = _one_dry_law(found)
-    bare = evidence.posterior(tuple(h for h in now.chosen if h.effect is None))
+    bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     generic_share = sum(max(shares[id(h)], 0.0) for h in generic)
     judged = verdict(checked, tolerated, bool(found), generic_share, settings)
@@ -139,7 +141,7 @@ def _found(selection, h: Hypothesis, listed, shares, worths, settings: Settings)
         probability=probability,
         equivalent=ties,
         ordinary=h.ordinary,
-        equation=h.effect.equation if h.effect is not None else "",
+        equation=h.effect.equation,
     )
 
 
@@ -229,15 +231,15 @@ def _joints(selection: Selection, settings: Settings) -> dict[str, dict[str, Int
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
     """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
     now, residual = selection.posterior, selection.residual
-    base = next(h for h in now.chosen if h.effect is None)
+    base = next(h for h in now.chosen if h.family == "tolerances")
     numbers = now.mean[now.slices[now.chosen.index(base)]]
     out, at = {}, 0
-    for change, name, pi in residual.inertial_changes:
+    for change, name, pi in inertial_changes(residual.context, base.shape):
         size = change.shape[1]
         # The tolerances' torque is what the model needs too much: the body is lighter by it.
         error = change @ numbers[at : at + size]
         at += size
-        share = next((t for t in SHARES if bool(is_physical(pi - t * error))), 0.0)
+        share = next((t for t in SHARES if bool(is_physical(jnp.asarray(pi - t * error)))), 0.0)
         if share:
             out[name] = tuple(float(x) for x in pi - share * error)
     return out

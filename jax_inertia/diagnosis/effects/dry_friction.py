@@ -7,7 +7,7 @@ forms are columns beside the constant level, so that levels add.
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, of_row, peak_of
+from jax_inertia.diagnosis.effects.base import Effect, Shape, of_row, peak_of
 from jax_inertia.gap.families.base import Parameter
 
 PRESLIDING = (0.0, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3e-3, 6e-3)
@@ -28,7 +28,7 @@ class DryFriction(Effect):
 
     form_error = 0.03
 
-    def shapes(self, context, place):
+    def shapes(self, context, place) -> list[Shape]:
         peak = peak_of(context, place.index)
         return [(x,) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
 
@@ -68,8 +68,8 @@ class AsymmetricCoulomb(DryFriction):
 class StribeckFriction(DryFriction):
     name, equation, refines = "stribeck_friction", "−(Fs − Fc) exp(−(q̇/vs)²) z", True
 
-    def shapes(self, context, place):
-        return [(x, v) for (x,) in super().shapes(context, place) for v in STRIBECK_SPEEDS]
+    def shapes(self, context, place) -> list[Shape]:
+        return [(x[0], v) for x in super().shapes(context, place) for v in STRIBECK_SPEEDS]
 
     def steps(self, context, place, shape):
         return (0.0, 0.3 * shape[1])

@@ -1,0 +1,61 @@
+"""What a nominal model may be off by, marginalised: each number of each body's inertia, and when a torque acts."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.gap.context import Context
+from jax_inertia.gap.families.base import Columns
+from jax_inertia.gap.families.body import steiner
+
+TIMING = 0.1
+"""Standard deviation of when within a sample's period a torque acted, of the period."""
+
+
+class InertialTolerances(Effect):
+    """y = Y Σ (one standard deviation of each number) z.
+
+    Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative); the log's period [s].
+    """
+
+    name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
+    named, marginal, form_error = False, True, 0.0
+
+    def columns(self, context, place, shape):
+        every, robot = context.regressor, context.robot
+        out = [
+            every[:, :, robot.body_index(name)] @ change
+            for change, name, _ in inertial_changes(context, shape)
+        ]
+        slope = np.gradient(context.tau, context.time, axis=0)
+        out.append((TIMING * shape[3] * slope)[..., None])
+        return Columns(np.concatenate(out, axis=-1))
+
+    def scale(self, context, place, shape):
+        return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 1)
+
+    def numbers(self, context, place, shape, theta):
+        return {}
+
+
+def inertial_changes(
+    context: Context, shape: tuple[float, ...]
+) -> list[tuple[Float[np.ndarray, "10 k"], str, Float[np.ndarray, "10"]]]:
+    """Of each body with mass: changes of π by one standard deviation of each number, its name, its π."""
+    out = []
+    for name, pi in zip(context.robot.body_names, context.pi, strict=True):
+        m = float(pi[0])
+        if m <= 0:
+            continue
+        c = pi[1:4] / m
+        central = pi[4:] - steiner(m, c)
+        change = [shape[0] * pi]
+        for axis in np.eye(3):
+            # The exact derivative: I about the origin moves with the centre of mass.
+            turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
+            moved = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
+            change.append(shape[1] * context.scale * moved)
+        size = shape[2] * max(float(central[[0, 3, 5]].max()), 1e-9)
+        change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
+        out.append((np.array(change).T, name, pi))
+    return out
