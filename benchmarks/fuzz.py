@@ -75,10 +75,10 @@ def fuzz(kind: str, seconds: int, out: Path) -> None:
 
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     with atheris.instrument_imports(include=list(GUIDES)):
-        import jax_inertia.log
-        import jax_inertia.mjcf
-        import jax_inertia.readers
-        import jax_inertia.statefile
+        import jax_inertia.estimation.checkpoint
+        import jax_inertia.logs.log
+        import jax_inertia.logs.readers
+        import jax_inertia.model.load
     corpus = Path(tempfile.mkdtemp(prefix=f"fuzz-{kind}-"))
     for k, content in enumerate(seeds(kind, jax_inertia)):
         (corpus / f"seed_{k}").write_bytes(content)
@@ -109,15 +109,15 @@ def seeds(kind: str, package) -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "file.npz"
         if kind == "npz":
-            package.log.write_log(swing(seconds=0.2), path)
+            package.logs.log.write_log(swing(seconds=0.2), path)
         else:
-            package.statefile.save_state(path, _estimator(), _estimator().initial())
+            package.estimation.checkpoint.save_state(path, _estimator(), _estimator().initial())
         return [path.read_bytes()]
 
 
 def _estimator():
     from jax_inertia import load_model
-    from jax_inertia.estimate import make_estimator
+    from jax_inertia.estimation.inertial_filter import make_estimator
     from jax_inertia.robots.pendulum import double_pendulum
 
     return make_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1)
@@ -128,23 +128,23 @@ def reader(kind: str, path: Path, package) -> Callable[[bytes], None]:
     import warnings
 
     warnings.simplefilter("ignore")
-    errors = (package.log.LogError, package.mjcf.ModelError, package.statefile.StateError)
-    bag = package.readers.Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
-    options = bag if kind in ("bag", "db3", "mcap") else package.readers.Options()
+    errors = (package.logs.log.LogError, package.model.load.ModelError, package.estimation.checkpoint.StateError)
+    bag = package.logs.readers.Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
+    options = bag if kind in ("bag", "db3", "mcap") else package.logs.readers.Options()
     if kind in LOGS:
         path = path.with_suffix(f".{kind}")
 
         def read():
-            return package.log.read_log(path, options=options, max_bytes=1 << 24)
+            return package.logs.log.read_log(path, options=options, max_bytes=1 << 24)
     elif kind == "state":
         path, estimator = path.with_suffix(".npz"), _estimator()
 
         def read():
-            return package.statefile.load_state(path, estimator)
+            return package.estimation.checkpoint.load_state(path, estimator)
     else:
 
         def read():
-            return package.mjcf.load_model(path)
+            return package.model.load.load_model(path)
 
     def one(data: bytes) -> None:
         path.write_bytes(data)

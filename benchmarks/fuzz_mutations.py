@@ -195,7 +195,7 @@ def _try(read: Callable[[], None], errors: tuple[type, ...], path: Path) -> dict
     signal.setitimer(signal.ITIMER_PROF, 0)
     signal.setitimer(signal.ITIMER_REAL, 0)
     more = _peak() - before
-    from jax_inertia.mjcf import ModelWarning
+    from jax_inertia.model.load import ModelWarning
 
     if raw := [w for w in told if not issubclass(w.category, ModelWarning)]:
         faults.append("stray")
@@ -226,7 +226,7 @@ def _material(kind: str) -> tuple[list[bytes], Any]:
     from models import MODELS
 
     package = importlib.import_module("jax_inertia")
-    for name in ("log", "statefile", "mjcf"):
+    for name in ("logs.log", "logs.readers", "estimation.checkpoint", "model.load"):
         importlib.import_module(f"jax_inertia.{name}")
     if kind.startswith("csv"):
         return [test_hostile.valid("csv")], mutations.text(["time,qpos.a,tau.a\n", '"', ",,,,"])
@@ -271,14 +271,14 @@ def _material(kind: str) -> tuple[list[bytes], Any]:
 def _stream() -> Any:
     import fuzz
 
-    from jax_inertia.stream import Stream
+    from jax_inertia.estimation.stream import Stream
 
     return Stream(fuzz._estimator())
 
 
 def _stream_state() -> bytes:
+    from jax_inertia.estimation.checkpoint import save_stream
     from jax_inertia.robots.pendulum import swing
-    from jax_inertia.statefile import save_stream
 
     stream = _stream()
     state, _ = stream.feed(stream.start(), swing(seconds=0.5))
@@ -293,11 +293,11 @@ def _reader(kind: str, path: Path) -> tuple[Callable[[], None], tuple[type, ...]
     import jax
 
     from jax_inertia import load_model, read_log
-    from jax_inertia.log import Log, LogError
-    from jax_inertia.log_chunks import read_chunks
-    from jax_inertia.mjcf import ModelError, is_urdf, write_urdf
-    from jax_inertia.readers import Options
-    from jax_inertia.statefile import StateError, load_state, load_stream
+    from jax_inertia.estimation.checkpoint import StateError, load_state, load_stream
+    from jax_inertia.logs.chunks import read_chunks
+    from jax_inertia.logs.log import Log, LogError
+    from jax_inertia.logs.readers import Options
+    from jax_inertia.model.load import ModelError, is_urdf, write_urdf
 
     ros = Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
     sound = Options() if kind not in ("ROS 1 bag", "db3", "mcap") else ros

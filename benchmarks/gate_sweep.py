@@ -32,15 +32,15 @@ from benchmarks.harness import gate_page, results, stepping  # noqa: E402
 from benchmarks.paper.brain import FEET, foot_wrenches, measurement_noise, with_accelerations  # noqa: E402
 from benchmarks.paper.plant import Sensors  # noqa: E402
 from jax_inertia import load_model  # noqa: E402
-from jax_inertia.charts import LogCholeskyUUt  # noqa: E402
-from jax_inertia.differences import Observation  # noqa: E402
-from jax_inertia.estimate import Estimator, make_estimator  # noqa: E402
-from jax_inertia.gates import FixedGate  # noqa: E402
-from jax_inertia.measurement import torque_residuals  # noqa: E402
-from jax_inertia.motion import Motion  # noqa: E402
-from jax_inertia.noise import IndependentNoise  # noqa: E402
-from jax_inertia.priors import Load, Tolerance  # noqa: E402
-from jax_inertia.robot import Robot  # noqa: E402
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator  # noqa: E402
+from jax_inertia.estimation.priors import Load, Tolerance  # noqa: E402
+from jax_inertia.maths.charts import LogCholeskyUUt  # noqa: E402
+from jax_inertia.maths.gates import FixedGate  # noqa: E402
+from jax_inertia.maths.noise import IndependentNoise  # noqa: E402
+from jax_inertia.model.robot import Robot  # noqa: E402
+from jax_inertia.signals.differences import Observation  # noqa: E402
+from jax_inertia.signals.generalised_motion import Motion  # noqa: E402
+from jax_inertia.signals.residual import torque_residuals  # noqa: E402
 
 ROWS = 29
 # Probabilities of keeping a good measurement, then raw thresholds, then no gate.

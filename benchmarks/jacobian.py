@@ -33,8 +33,9 @@ import numpy as np  # noqa: E402
 from benchmarks.harness import results  # noqa: E402
 from benchmarks.harness.clock import compiled, seconds  # noqa: E402
 from benchmarks.harness.states import BODIES, humanoid, states  # noqa: E402
-from jax_inertia import inertia, inverse_dynamics, load_model, torque_regressor  # noqa: E402
-from jax_inertia.robot import Robot  # noqa: E402
+from jax_inertia import inverse_dynamics, load_model, torque_regressor  # noqa: E402
+from jax_inertia.maths import inertial_parameters  # noqa: E402
+from jax_inertia.model.robot import Robot  # noqa: E402
 
 BATCHES = (1, 16, 256, 4096, 65536)
 FILES = {"cpu": "jacobian", "gpu": "jacobian_gpu"}
@@ -46,9 +47,9 @@ Ways = dict[str, Callable]
 
 def of_g() -> Ways:
     """∂g/∂θ of one body (10 × 10)."""
-    g = inertia.from_log_cholesky
+    g = inertial_parameters.from_log_cholesky
     return {
-        "analytic": lambda x: inertia.log_cholesky_jacobian(x[0]),
+        "analytic": lambda x: inertial_parameters.log_cholesky_jacobian(x[0]),
         "jacfwd": lambda x: jax.jacfwd(g)(x[0]),
         "jacrev": lambda x: jax.jacrev(g)(x[0]),
     }
@@ -59,13 +60,13 @@ def of_h(robot: Robot) -> Ways:
     chosen = tuple(robot.body_index(name) for name in BODIES)
 
     def h(theta, q, v, a):
-        pi = inertia.from_log_cholesky(theta.reshape(-1, 10))
+        pi = inertial_parameters.from_log_cholesky(theta.reshape(-1, 10))
         return inverse_dynamics(robot.with_pi(chosen, pi), q, v, a)
 
     def analytic(x):
         theta, q, v, a = x
         y = torque_regressor(robot, q, v, a, chosen)
-        slope = inertia.log_cholesky_jacobian(theta.reshape(-1, 10))
+        slope = inertial_parameters.log_cholesky_jacobian(theta.reshape(-1, 10))
         return jnp.einsum("vbp,bpj->vbj", y, slope).reshape(robot.nv, -1)
 
     return {
@@ -105,7 +106,9 @@ def measure(most: int, budget: float) -> dict:
     model = humanoid()
     robot = load_model(model)
     rng = np.random.default_rng(1)
-    nominal = inertia.to_log_cholesky(robot.pi[np.array([robot.body_index(b) for b in BODIES])])
+    nominal = inertial_parameters.to_log_cholesky(
+        robot.pi[np.array([robot.body_index(b) for b in BODIES])]
+    )
     count = max(most, SAMPLES)
     theta = np.asarray(nominal).ravel() + 0.1 * rng.normal(size=(count, 20))
     chunk = 8192 if GPU else 64

@@ -1,6 +1,6 @@
 """Physically consistent inertial estimation and sim-to-real gap diagnosis in JAX."""
 
-from jax_inertia.dynamics import (
+from jax_inertia.dynamics.rigid_body import (
     body_jacobian,
     body_poses,
     condensed_dynamics,
@@ -10,10 +10,10 @@ from jax_inertia.dynamics import (
     passive_torque,
     torque_regressor,
 )
-from jax_inertia.inertia import from_log_cholesky, is_physical, to_log_cholesky
-from jax_inertia.log import Log, LogError, read_log, write_log
-from jax_inertia.mjcf import ModelError, ModelWarning, load_model
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log, LogError, read_log, write_log
+from jax_inertia.maths.inertial_parameters import from_log_cholesky, is_physical, to_log_cholesky
+from jax_inertia.model.load import ModelError, ModelWarning, load_model
+from jax_inertia.model.robot import Robot
 
 __all__ = [
     "Log",

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from jax_inertia.log import Log, TorqueKind
+from jax_inertia.logs.log import Log, TorqueKind
 
 ARM = """
 <mujoco><option gravity="0 0 -9.81" timestep="0.0005" integrator="RK4"/>

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from jax_inertia.log import Log, TorqueKind
+from jax_inertia.logs.log import Log, TorqueKind
 
 JOINTS = 5
 DAMPING = np.array([1.2, 1.5, 0.8, 0.3, 0.2])

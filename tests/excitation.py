@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from models import MODELS
 
-from jax_inertia.differences import Observation
-from jax_inertia.motion import Motion
 from jax_inertia.robots import home_pose, humanoid_mjcf
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.generalised_motion import Motion
 
 LOAD = {"mass": 2.4, "com": np.array([0.03, -0.02, 0.08]), "moments": (0.006, 0.008, 0.005)}
 

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jax_inertia import batch, load_model, logfilter
-from jax_inertia.bands import (
+from jax_inertia import load_model
+from jax_inertia.estimation import batch_fit, log_filter
+from jax_inertia.estimation.priors import Load
+from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.gap.chain import below, prepare
+from jax_inertia.gap.sensors import sensor_noise
+from jax_inertia.logs.log import LogError
+from jax_inertia.robots.pendulum import double_pendulum, swing
+from jax_inertia.signals.bands import (
     DIAGNOSIS,
     DIAGNOSIS_IN_CONTACT,
     ESTIMATE,
@@ -17,15 +24,9 @@ from jax_inertia.bands import (
     of_estimate,
     smooth_order,
 )
-from jax_inertia.differences import central_differences
-from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.chain import below, prepare
-from jax_inertia.gap.sensors import sensor_noise
-from jax_inertia.log import LogError
-from jax_inertia.motion import generalised
-from jax_inertia.priors import Load
-from jax_inertia.robots.pendulum import double_pendulum, swing
-from jax_inertia.signals import low_pass, resample
+from jax_inertia.signals.differences import central_differences
+from jax_inertia.signals.filtering import low_pass, resample
+from jax_inertia.signals.generalised_motion import generalised
 
 EVERY = (ESTIMATE, DIAGNOSIS, DIAGNOSIS_IN_CONTACT)
 
@@ -57,11 +58,11 @@ def test_a_fast_log_has_the_bands_that_are_wanted(rate):
 def test_of_a_fast_log_every_number_is_that_of_fixed_filters(robot):
     """To the last bit: rates and cut-offs that were written down before logs had bands."""
     log = swing(load=0.5, rate=500.0)
-    seen = logfilter.observe(log, robot)
+    seen = log_filter.observe(log, robot)
     plain = central_differences(generalised(low_pass(resample(log, 100.0), 10.0), robot))
     np.testing.assert_array_equal(seen.a, np.asarray(plain.a)[10:-10])
     np.testing.assert_array_equal(seen.motion.tau, np.asarray(plain.motion.tau)[10:-10])
-    assert logfilter.stride(seen) == 5
+    assert log_filter.stride(seen) == 5
     bare = dataclasses.replace(log, qvel=None)
     wide = central_differences(generalised(low_pass(resample(bare, 250.0), 40.0), robot))
     prepared = prepare(robot, log)
@@ -83,12 +84,12 @@ def test_a_low_pass_above_what_a_grid_holds_changes_nothing():
 
 @pytest.mark.parametrize("rate", [19.3, 20.0])
 def test_clocks_may_be_off(robot, rate):
-    assert logfilter.observe(swing(rate=rate), robot).a.shape[1] == 2
+    assert log_filter.observe(swing(rate=rate), robot).a.shape[1] == 2
 
 
 def test_a_log_below_20_hz_is_refused_in_one_line_that_says_what_is_needed(robot):
     log = swing(rate=10.0, seconds=20.0)
-    for use in (lambda: logfilter.observe(log, robot), lambda: diagnose(robot, log)):
+    for use in (lambda: log_filter.observe(log, robot), lambda: diagnose(robot, log)):
         with pytest.raises(LogError, match=r"10 samples a second.*at least 20") as caught:
             use()
         assert "\n" not in str(caught.value)
@@ -96,20 +97,20 @@ def test_a_log_below_20_hz_is_refused_in_one_line_that_says_what_is_needed(robot
 
 @pytest.mark.parametrize("rate", [20.0, 30.0, 60.0, 80.0])
 def test_a_load_is_weighed_at_every_rate(robot, rate):
-    seen = logfilter.observe(swing(load=0.5, seconds=10.0, rate=rate), robot)
-    assert logfilter.stride(seen) == (2 if rate <= 50.0 else round(rate / 20.0 - 0.49))
-    fit = batch.fit(robot, [seen], ["lower"], prior=Load(1.0))
+    seen = log_filter.observe(swing(load=0.5, seconds=10.0, rate=rate), robot)
+    assert log_filter.stride(seen) == (2 if rate <= 50.0 else round(rate / 20.0 - 0.49))
+    fit = batch_fit.fit(robot, [seen], ["lower"], prior=Load(1.0))
     assert fit.estimate.pi[0, 0] - robot.pi[robot.body_index("lower"), 0] == pytest.approx(
         0.5, abs=0.02
     )
 
 
 def test_at_50_hz_the_filter_weighs_a_load(robot):
-    seen = logfilter.observe(swing(load=0.5, seconds=10.0, rate=50.0), robot)
-    fit = batch.fit(robot, [seen], ["lower"], prior=Load(1.0))
-    noise = fit.noise / np.sqrt(logfilter.stride(seen))
-    ekf = logfilter.online(robot, ["lower"], noise, prior=Load(1.0))
-    _, trace = logfilter.run(ekf, ekf.initial(), logfilter.thinned(seen))
+    seen = log_filter.observe(swing(load=0.5, seconds=10.0, rate=50.0), robot)
+    fit = batch_fit.fit(robot, [seen], ["lower"], prior=Load(1.0))
+    noise = fit.noise / np.sqrt(log_filter.stride(seen))
+    ekf = log_filter.online(robot, ["lower"], noise, prior=Load(1.0))
+    _, trace = log_filter.run(ekf, ekf.initial(), log_filter.thinned(seen))
     body, sigma = robot.body_index("lower"), float(trace.estimate.sigma_pi[-1, 0, 0])
     assert sigma < 0.03
     for found in (trace.estimate.pi[-1, 0, 0], fit.estimate.pi[0, 0]):

@@ -8,10 +8,10 @@ import pytest
 from excitation import LOAD, compiled, loaded, motion_of, observation, torques
 
 import jax_inertia as ji
-from jax_inertia import batch
-from jax_inertia.inertia import is_physical
-from jax_inertia.mjcf import body_pi
-from jax_inertia.priors import Load, Tolerance
+from jax_inertia.estimation import batch_fit
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.maths.inertial_parameters import is_physical
+from jax_inertia.model.load import body_pi
 from jax_inertia.robots.pendulum import swing
 
 SAMPLES, SLOW = 500, 0.1
@@ -50,11 +50,11 @@ def test_joint_terms_and_gains_are_recovered():
     """Currents of three logs: gains start 30 % off, bodies are known to 0.1 %, and set the scale of torque."""
     logs = [log(plant(), seed, gains=GAINS) for seed in range(3)]
     tight = Tolerance(1e-3, 1e-4, 1e-3)
-    fit = batch.fit(
+    fit = batch_fit.fit(
         robot(),
         logs,
         prior=tight,
-        joint_terms=batch.JOINT_TERMS,
+        joint_terms=batch_fit.JOINT_TERMS,
         gains=GAINS * np.array([1.3, 0.75, 1.2]),
         gain_sigma=0.5,
     )
@@ -71,12 +71,12 @@ def test_joint_terms_and_gains_are_recovered():
 
 
 def test_noise_and_residuals_are_in_newton_metres_whatever_the_gains():
-    fit = batch.fit(
+    fit = batch_fit.fit(
         robot(),
         [log(plant(), 0, gains=GAINS)],
         prior=Tolerance(0.05, 0.01),
         gains=GAINS,
-        joint_terms=batch.JOINT_TERMS,
+        joint_terms=batch_fit.JOINT_TERMS,
     )
     np.testing.assert_allclose(fit.rms_after, NOISE, rtol=0.15)
     # White noise: correlation inflates it by little.
@@ -93,7 +93,7 @@ def test_joint_terms_never_fall_below_zero():
     model = compiled("universal")
     time, q, v, a = motion_of(model, SAMPLES, 0)
     tau = torques(model, q, v, a) - 0.3 * np.sign(v)
-    fit = batch.fit(
+    fit = batch_fit.fit(
         robot(),
         [observation(time, q, v, a, np.where(np.abs(v) < SLOW, np.nan, tau))],
         prior=Tolerance(0.01, 0.001),
@@ -111,7 +111,7 @@ def test_intervals_cover_the_truth():
     z, z_com, width = [], [], []
     for seed in range(20):
         one = log(model, seed, joints=False, noise=0.3)
-        fit = batch.fit(robot(), [one], ["tip"], prior=Load(3.0))
+        fit = batch_fit.fit(robot(), [one], ["tip"], prior=Load(3.0))
         assert fit.converged
         assert np.all(is_physical(fit.estimate.pi))
         z.append((fit.estimate.pi[0] - truth) / fit.estimate.sigma_pi[0])
@@ -133,30 +133,30 @@ def test_a_carried_load_is_told_from_the_bodies_that_carry_it():
     free, carrying = log(plant(), 0, gains=GAINS), log(plant(1.5), 1, gains=GAINS)
     options = {
         "prior": Tolerance(0.03, 0.01),
-        "joint_terms": batch.JOINT_TERMS,
+        "joint_terms": batch_fit.JOINT_TERMS,
         "gains": GAINS * 1.2,
         "gain_sigma": 0.3,
     }
-    fit = batch.fit(
-        robot(), [free, carrying], carried=batch.Carried("tip", (1,), Load(3.0)), **options
+    fit = batch_fit.fit(
+        robot(), [free, carrying], carried=batch_fit.Carried("tip", (1,), Load(3.0)), **options
     )
     assert within(fit.load.pi[0, 0], fit.load.sigma_pi[0, 0], 1.5, useful=0.15)
     np.testing.assert_allclose(fit.load.com[0], LOAD["com"], atol=0.02)
-    none = batch.fit(
+    none = batch_fit.fit(
         robot(),
         [free, log(plant(), 2, gains=GAINS)],
-        carried=batch.Carried("tip", (1,), Load(3.0)),
+        carried=batch_fit.Carried("tip", (1,), Load(3.0)),
         **options,
     )
     assert within(none.load.pi[0, 0], none.load.sigma_pi[0, 0], 0.0, useful=0.05)
 
 
 def test_draws_spread_as_the_posterior_says():
-    fit = batch.fit(
+    fit = batch_fit.fit(
         robot(),
         [log(plant(), 0, gains=GAINS)],
         prior=Tolerance(0.03, 0.01),
-        joint_terms=batch.JOINT_TERMS,
+        joint_terms=batch_fit.JOINT_TERMS,
         gains=GAINS,
         gain_sigma=0.1,
     )
@@ -182,15 +182,15 @@ def test_draws_spread_as_the_posterior_says():
         ({"prior": Load(np.nan)}, "mass of prior is nan; it must be finite"),
         ({"prior": Load(0.0)}, r"the prior \(Load\) holds a body fast; .* must be positive"),
         (
-            {"carried": batch.Carried("tip", (1,), Load(1.0))},
+            {"carried": batch_fit.Carried("tip", (1,), Load(1.0))},
             r"logs \[1\] carry the load; expected some of 0 to 0",
         ),
         (
-            {"carried": batch.Carried("tip", (0,), Load(np.nan))},
+            {"carried": batch_fit.Carried("tip", (0,), Load(np.nan))},
             "sigma_pi of the load carried is .* must be positive",
         ),
     ],
 )
 def test_mistakes_are_named(changes, says):
     with pytest.raises(ValueError, match=says):
-        batch.fit(robot(), **{"observations": [log(plant(), 0)], "prior": Load(1.0)} | changes)
+        batch_fit.fit(robot(), **{"observations": [log(plant(), 0)], "prior": Load(1.0)} | changes)

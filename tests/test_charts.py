@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bodies import random_bodies, rotation, spread_body
 
-from jax_inertia import charts, inertia
+from jax_inertia.maths import charts, inertial_parameters
 
 NOMINAL = spread_body(3.0, [0.05, 0.1, -0.2], [0.1, 0.06, 0.2], rotation(np.random.default_rng(0)))
 ROD = spread_body(2.0, [0.1, -0.1, 0.3], [0.3, 0.003, 0.003], rotation(np.random.default_rng(1)))
@@ -71,7 +71,7 @@ def test_inverse_root_is_the_spread_about_the_centre_of_mass(name):
     """W Wᵀ = Σ_c⁻¹ with Σ_c = Σ − h hᵀ/m, which `project` measures against tr Σ."""
     chart = MAKE[name](np.float64)
     for pi in random_bodies(20, seed=2):
-        p = np.asarray(inertia.pseudo_inertia(jnp.asarray(pi)))
+        p = np.asarray(inertial_parameters.pseudo_inertia(jnp.asarray(pi)))
         spread = p[:3, :3] - np.outer(p[:3, 3], p[:3, 3]) / p[3, 3]
         root = chart.inverse_root(chart.from_pi(jnp.asarray(pi)))
         np.testing.assert_allclose(root @ root.T @ spread, np.eye(3), atol=1e-7)
@@ -96,7 +96,7 @@ def test_project_makes_wild_coordinates_physical(name, dtype):
     """Without it, most of these are bodies only in exact arithmetic: rounding π spoils them."""
     _, to_pi, _, project = functions(name, dtype)
     rng = np.random.default_rng(4)
-    physical = jax.jit(inertia.is_physical)
+    physical = jax.jit(inertial_parameters.is_physical)
     for scale in (1.0, 3.0, 10.0, 1e2, 1e6):
         x = (scale * rng.normal(size=(10_000, 10))).astype(dtype)
         projected = project(x)

@@ -5,6 +5,7 @@ import csv
 import importlib
 import io
 import json
+import pkgutil
 import re
 import shlex
 import shutil
@@ -20,13 +21,14 @@ import pytest
 from excitation import compiled, loaded, motion_of, torques
 from models import MODELS
 
+import jax_inertia
 import jax_inertia as ji
-from jax_inertia.cli import main
-from jax_inertia.demo import command as demo_command
-from jax_inertia.estimate import Estimator
-from jax_inertia.inertia import PI_NAMES, is_physical
-from jax_inertia.log import Log, TorqueKind, read_log, write_log
-from jax_inertia.mjcf import body_pi
+from jax_inertia.cli.demo import command as demo_command
+from jax_inertia.cli.main import main
+from jax_inertia.estimation.inertial_filter import Estimator
+from jax_inertia.logs.log import Log, TorqueKind, read_log, write_log
+from jax_inertia.maths.inertial_parameters import PI_NAMES, is_physical
+from jax_inertia.model.load import body_pi
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -214,7 +216,7 @@ def test_help_teaches_with_examples_that_parse(command, capsys, monkeypatch):
     lines = [line.partition(" && ")[0] for line in lines]
     assert any(line.startswith(command) for line in lines)
     for name in ("convert", "diagnose", "estimate", "suggest_motion"):
-        module = importlib.import_module(f"jax_inertia._{name}_command")
+        module = importlib.import_module(f"jax_inertia.cli.{name}")
         monkeypatch.setattr(module, "run", lambda args: 0)
     monkeypatch.setattr(demo_command, "run", lambda args: 0)
     assert [main(shlex.split(line)) for line in lines] == [0] * len(lines)
@@ -387,7 +389,9 @@ def test_what_the_readme_names_is_there():
     assert (ROOT / "benchmarks/figures/demo.png").stat().st_size < 150_000
     # Functions of the table, by their names in the package.
     table = README.split("## Paper to code")[1].split("## ")[0]
+    modules = [m.name for m in pkgutil.walk_packages(jax_inertia.__path__, "jax_inertia.")]
     for module, name in re.findall(r"`(\w+)\.(\w+)", table):
         if module != "Estimator":
-            assert hasattr(importlib.import_module(f"jax_inertia.{module}"), name), (module, name)
+            (full,) = (m for m in modules if m.endswith(f".{module}"))
+            assert hasattr(importlib.import_module(full), name), (module, name)
     assert hasattr(Estimator, "calibrate_bias")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jax_inertia import kalman
-from jax_inertia.consistency import consistency, nees
-from jax_inertia.noise import IndependentNoise
+from jax_inertia.estimation.innovation_tests import consistency, nees
+from jax_inertia.maths import kalman
+from jax_inertia.maths.noise import IndependentNoise
 
 SAMPLES, STATES, ROWS = 500, 3, 2
 SIGMA = np.array([0.2, 0.5])

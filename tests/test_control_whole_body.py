@@ -10,7 +10,7 @@ from conftest import FAST, case_of
 
 from jax_inertia.control.terms import terms
 from jax_inertia.control.whole_body import Reference, make_whole_body
-from jax_inertia.dynamics import body_jacobian, inverse_dynamics
+from jax_inertia.dynamics.rigid_body import body_jacobian, inverse_dynamics
 from jax_inertia.robots import CORNERS
 
 NAMES = {

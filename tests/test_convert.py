@@ -8,10 +8,10 @@ import pytest
 from log_files import JOINTS, Maker, arrays, columns, joint_messages, write_bag, write_csv
 
 import jax_inertia as ji
-from jax_inertia._console import folder_for
-from jax_inertia.cli import main
-from jax_inertia.log import Log, TorqueUnit, read_log, write_log
-from jax_inertia.wrench_axes import wrenches_in_world
+from jax_inertia.cli.console import folder_for
+from jax_inertia.cli.main import main
+from jax_inertia.logs.log import Log, TorqueUnit, read_log, write_log
+from jax_inertia.signals.wrench_axes import wrenches_in_world
 
 MODEL = """<mujoco><worldbody><body name="thigh" pos="0 0 1"><joint name="hip" axis="0 1 0"/>
   <inertial pos="0 0 -0.2" mass="3" diaginertia="0.1 0.1 0.1"/>

@@ -11,10 +11,11 @@ from bodies import random_bodies
 from excitation import compiled, loaded, log_of
 
 import jax_inertia as ji
-from jax_inertia import charts, gates, inertia, kalman, logfilter
-from jax_inertia.estimate import Estimator, make_estimator
-from jax_inertia.noise import IndependentNoise
-from jax_inertia.priors import Load
+from jax_inertia.estimation import log_filter
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths import charts, gates, inertial_parameters, kalman
+from jax_inertia.maths.noise import IndependentNoise
 
 FAST = {"xla_backend_optimization_level": 0}
 TIP, LOAD = "tip", 2.4
@@ -48,7 +49,7 @@ def test_the_default_and_the_paper_s_filter_are_what_they_say():
     assert (paper.iterations, float(paper.reopen_after), paper.outliers) == (1, np.inf, None)
     np.testing.assert_allclose(paper.process_noise * 3, paper.prior.covariance)
     # A log's filter is the default.
-    online = logfilter.online(robot(), [TIP], np.full(3, 0.1), prior=Load(3.0))
+    online = log_filter.online(robot(), [TIP], np.full(3, 0.1), prior=Load(3.0))
     assert eqx.tree_equal(online, make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0)))
 
 
@@ -213,7 +214,7 @@ def random_updates(dtype: str, filters: int, steps: int, gate, seed: int = 0) ->
         scale = jnp.sqrt(jnp.diagonal(wide))
         return state, {
             "finite": jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(p)),
-            "physical": jnp.all(inertia.is_physical(pi)),
+            "physical": jnp.all(inertial_parameters.is_physical(pi)),
             "symmetric": jnp.all(p == p.T),
             # Of the correlation matrix, in float64: tolerance zero.
             "positive": jnp.linalg.eigvalsh(wide / (scale[:, None] * scale))[0] > 0,

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from jax_inertia import load_model
-from jax_inertia.cli import main
+from jax_inertia.cli.main import main
 from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.effect import effects_in
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.units import drive_gains, in_newton_metres
-from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
-from jax_inertia.mjcf import compile_spec, load_spec
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.model.load import compile_spec, load_spec
 
 # A name that would run, be mathematics, and end a CDATA section, if anything let it.
 HOSTILE = "elbow <script>alert('x')</script> $\\frac{1}$ ]]> & \"q\""

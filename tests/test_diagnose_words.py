@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jax_inertia.demo.command import judged
-from jax_inertia.demo.hidden import Secret
+from jax_inertia.cli.demo.command import judged
+from jax_inertia.cli.demo.hidden import Secret
 from jax_inertia.gap.energies import Counted, Shrink
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie

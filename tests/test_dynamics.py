@@ -232,7 +232,7 @@ def test_nested_vmap_and_chunks(cases, monkeypatch):
     nested = jax.jit(jax.vmap(jax.vmap(two)), compiler_options=FAST)(
         *(x.reshape(4, 5, -1) for x in (q, v, a))
     )
-    monkeypatch.setattr("jax_inertia._batch_last._CACHE_BYTES", 1)
+    monkeypatch.setattr("jax_inertia.maths.batch_last._CACHE_BYTES", 1)
     chunked = jax.jit(lambda *x: jax.vmap(two)(*x), compiler_options=FAST)
     assert "while" in chunked.lower(q, v, a).as_text()
     for x, y, z in zip(whole, nested, chunked(q, v, a), strict=True):
@@ -259,7 +259,7 @@ def test_long_chain_in_blocks(monkeypatch):
         )(q, v, a)
 
     whole = torque()
-    monkeypatch.setattr("jax_inertia.robot.BLOCK", 4)
+    monkeypatch.setattr("jax_inertia.model.robot.BLOCK", 4)
     assert relative(torque()[None], whole[None]) <= 1e-13
 
 

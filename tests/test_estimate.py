@@ -12,14 +12,14 @@ import pytest
 from excitation import LOAD, compiled, humanoid, loaded, log_of, stepping
 
 import jax_inertia as ji
-from jax_inertia import charts, inertia
-from jax_inertia.differences import Observation
-from jax_inertia.estimate import Estimator, make_estimator
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.measurement import torque_residuals
-from jax_inertia.mjcf import body_pi
-from jax_inertia.noise import IndependentNoise
-from jax_inertia.priors import Load
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths import charts, inertial_parameters
+from jax_inertia.maths.gates import ChiSquaredGate
+from jax_inertia.maths.noise import IndependentNoise
+from jax_inertia.model.load import body_pi
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.residual import torque_residuals
 
 FAST = {"xla_backend_optimization_level": 0}
 STILL = Load(0.0)
@@ -94,7 +94,7 @@ def test_exact_torques_of_a_seven_joint_arm_give_the_load():
     np.testing.assert_allclose(last.com, wanted[1:4] / wanted[0], atol=1e-3)
     # The principal moments about the frame are 0.01 to 0.04 kg m².
     np.testing.assert_allclose(last.pi[4:], wanted[4:], atol=4e-3)
-    assert np.all(inertia.is_physical(trace.estimate.pi))
+    assert np.all(inertial_parameters.is_physical(trace.estimate.pi))
 
 
 @pytest.mark.parametrize("iterations", [1, 5])
@@ -177,7 +177,7 @@ def test_humanoid_s_torso_and_forearm_are_found_while_it_steps():
         assert sigma[0] < 0.05
         np.testing.assert_allclose(got[0], wanted[0], rtol=0.04)
         np.testing.assert_allclose(got[1:4] / got[0], wanted[1:4] / wanted[0], atol=0.01)
-    assert np.all(inertia.is_physical(trace.estimate.pi))
+    assert np.all(inertial_parameters.is_physical(trace.estimate.pi))
 
 
 # --- what the arguments do ---------------------------------------------------------------------------------------

@@ -12,20 +12,36 @@ import jax
 import pytest
 
 import jax_inertia
-import jax_inertia.stream
+import jax_inertia.estimation.stream
 
 MODULES = (
-    *("batch", "consistency", "dynamics", "estimate", "identifiability", "inertia", "kalman"),
-    *("least_squares", "log", "logfilter", "mjcf", "physical", "preflight", "robots.pendulum"),
-    *("statefile", "stream", "suggest_motion", "gap.diagnosis"),
+    *(
+        "estimation.batch_fit",
+        "estimation.innovation_tests",
+        "dynamics.rigid_body",
+        "estimation.inertial_filter",
+        "estimation.identifiability",
+        "maths.inertial_parameters",
+        "maths.kalman",
+    ),
+    *(
+        "maths.least_squares",
+        "logs.log",
+        "estimation.log_filter",
+        "model.load",
+        "estimation.physical_estimate",
+        "preflight.preflight",
+        "robots.pendulum",
+    ),
+    *("estimation.checkpoint", "estimation.stream", "estimation.excitation", "gap.diagnosis"),
 )
 SLOW = {
     f"jax_inertia.{name}"
     for name in (
-        "batch.fit",
+        "estimation.batch_fit.fit",
         "gap.diagnosis.diagnose",
-        "logfilter.residual_noise",
-        "suggest_motion.suggest_motion",
+        "estimation.log_filter.residual_noise",
+        "estimation.excitation.suggest_motion",
     )
 }
 
@@ -49,7 +65,10 @@ def public_functions() -> dict[str, object]:
 FUNCTIONS = public_functions()
 EXAMPLES = {
     name: test
-    for name, thing in {**FUNCTIONS, "jax_inertia.stream.Stream": jax_inertia.stream.Stream}.items()
+    for name, thing in {
+        **FUNCTIONS,
+        "jax_inertia.estimation.stream.Stream": jax_inertia.estimation.stream.Stream,
+    }.items()
     for test in doctest.DocTestFinder(recurse=False).find(thing, name, globs={})
     if test.examples
 }

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
-from jax_inertia import _estimate_run
-from jax_inertia._diagnose_run import read
-from jax_inertia._model_of_log import afloat
-from jax_inertia.dynamics import inverse_dynamics
-from jax_inertia.log import Log, write_log
-from jax_inertia.mjcf import compile_spec, load_spec
+from jax_inertia.cli import estimate_run
+from jax_inertia.cli.diagnose_run import read
+from jax_inertia.dynamics.rigid_body import inverse_dynamics
+from jax_inertia.logs.log import Log, write_log
+from jax_inertia.model.load import compile_spec, load_spec
+from jax_inertia.model.log_match import afloat
 
 LEG = """<robot name="leg">
   <link name="{root}"><inertial><origin xyz="0.02 0 0.1"/><mass value="4"/>
@@ -135,7 +135,7 @@ def test_who_weighs_a_robot_that_floats_is_told_to_log_what_carries_it(tmp_path,
     }.items():
         write_log(one, tmp_path / f"{name}.npz")
         asked = {"model": path, "log": tmp_path / f"{name}.npz", "bodies": ["trunk"]}
-        inputs = _estimate_run.read(Namespace(**asked, calibrate=None, gains=None))
+        inputs = estimate_run.read(Namespace(**asked, calibrate=None, gains=None))
         told = [finding.check for finding in inputs.findings]
         assert ("contact_wrench" in told) == (name == "without")
         assert ("no contact_wrench: unless the robot flies" in capsys.readouterr().err) == (

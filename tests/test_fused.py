@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_inertia import fused
-from jax_inertia._rows import moved_rows, spread_rows, take_rows
-from jax_inertia.estimate import make_estimator
-from jax_inertia.fused import FusedSquareRoot
-from jax_inertia.kalman import Belief, Standard, update
-from jax_inertia.noise import IndependentNoise
+from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
+from jax_inertia.estimation import fused_update
+from jax_inertia.estimation.fused_update import FusedSquareRoot
+from jax_inertia.estimation.inertial_filter import make_estimator
+from jax_inertia.maths.kalman import Belief, Standard, update
+from jax_inertia.maths.noise import IndependentNoise
 
 ROWS = (0, 1, 2, 5, 8)
 
@@ -29,7 +29,7 @@ def problems(robots: int, n: int, m: int) -> tuple[np.ndarray, np.ndarray, np.nd
 def test_kernel_is_the_textbook_update(n: int):
     # 33 filters: one more than a program has lanes.
     args = [jnp.asarray(x) for x in problems(33, n, 3)]
-    found = fused.kernel(*args, interpret=True)
+    found = fused_update.kernel(*args, interpret=True)
     wanted = jax.vmap(Standard().correct)(*args)
     names = ("step", "covariance", "nis", "log_det")
     for name, one in zip(names, found, strict=True):

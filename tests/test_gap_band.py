@@ -8,13 +8,13 @@ import numpy as np
 from chain_log import JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
-from jax_inertia.demo.hidden import draw
-from jax_inertia.demo.simulation import Load
+from jax_inertia.cli.demo.hidden import draw
+from jax_inertia.cli.demo.simulation import Load
 from jax_inertia.gap.band import Band
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.noise import whitener
-from jax_inertia.inertia import from_com
+from jax_inertia.maths.inertial_parameters import from_com
 from jax_inertia.robots.arm import HAND
 
 STEEL = 7850.0

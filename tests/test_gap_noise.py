@@ -25,7 +25,7 @@ from jax_inertia.gap.scales import Learner
 from jax_inertia.gap.sensors import resolution, sensor_noise
 from jax_inertia.gap.strain import Left, Strained, strained
 from jax_inertia.gap.verdict import with_strain
-from jax_inertia.log import TorqueKind
+from jax_inertia.logs.log import TorqueKind
 
 
 @pytest.fixture(scope="module")

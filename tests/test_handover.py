@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_inertia import inertia
-from jax_inertia.handover import Slew
+from jax_inertia.estimation.slew import Slew
+from jax_inertia.maths import inertial_parameters
 
 DT, STEPS, PAIRS = 0.003, 400, 500
 
@@ -18,7 +18,7 @@ def pairs() -> np.ndarray:
     rng = np.random.default_rng(0)
     theta = rng.normal(size=(2, PAIRS, 10)) * np.array([0.5] + [0.5] * 3 + [0.3] * 3 + [0.1] * 3)
     theta[..., 1:4] -= 2.0
-    load = np.asarray(inertia.from_log_cholesky_uut(jnp.asarray(theta)))
+    load = np.asarray(inertial_parameters.from_log_cholesky_uut(jnp.asarray(theta)))
     return np.stack([load[0], load[0] + load[1]])
 
 
@@ -41,7 +41,7 @@ def test_every_step_is_physical_within_the_rate_and_arrives(pairs, reverse):
     start, end = pairs[::-1] if reverse else pairs
     slew = Slew(rate=3.0, reach=0.2)
     handed = path(slew, start, end)
-    assert np.all(inertia.is_physical(jnp.asarray(handed)))
+    assert np.all(inertial_parameters.is_physical(jnp.asarray(handed)))
     step = np.abs(np.diff(handed, axis=0)) / 0.2 ** np.array([0.0] + [1.0] * 3 + [2.0] * 6)
     assert np.max(step) <= 3.0 * DT * (1 + 1e-9)
     # It uses what it is allowed until it has arrived, after distance / rate.
@@ -61,7 +61,7 @@ def test_a_limit_on_each_component_would_leave_the_physical_set(pairs):
     handed, spoilt = start.copy(), np.zeros(PAIRS, bool)
     for _ in range(STEPS):
         handed = handed + np.clip(end - handed, -most, most)
-        spoilt |= ~np.asarray(inertia.is_physical(jnp.asarray(handed)))
+        spoilt |= ~np.asarray(inertial_parameters.is_physical(jnp.asarray(handed)))
     assert spoilt.mean() > 0.5
 
 
@@ -72,13 +72,15 @@ def test_a_moving_estimate_is_chased_and_never_left(pairs):
     step = eqx.filter_jit(slew.step)
     for k in range(100):
         handed = step(handed, jnp.asarray(np.roll(pairs[k % 2], k, axis=0)), DT)
-        assert np.all(inertia.is_physical(handed))
+        assert np.all(inertial_parameters.is_physical(handed))
 
 
 def test_the_mass_moves_at_the_paper_s_rate():
     """A ball's mass from 1 to 4 kg at 3 kg/s: one second."""
     eye = 0.001 * jnp.eye(3)
-    one, four = (inertia.from_com(jnp.asarray(m), jnp.zeros(3), m * eye) for m in (1.0, 4.0))
+    one, four = (
+        inertial_parameters.from_com(jnp.asarray(m), jnp.zeros(3), m * eye) for m in (1.0, 4.0)
+    )
     slew = Slew(3.0)
     handed = slew.step(one, four, 0.5)
     assert float(handed[0]) == pytest.approx(2.5)

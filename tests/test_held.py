@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from jax_inertia.held import FASTER, LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
-from jax_inertia.log import Log
+from jax_inertia.logs.log import Log
+from jax_inertia.signals.held import FASTER, LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
 
 ARMATURE, STEP, HOLD = 0.1, 1e-3, 20
 XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>

@@ -35,12 +35,12 @@ from log_files import (
 from test_model_files import ARM, DEFAULTS, URDF
 
 import jax_inertia as ji
-from jax_inertia import _console
-from jax_inertia._files import held
-from jax_inertia.cli import main
-from jax_inertia.log import LogError, read_log
-from jax_inertia.mjcf import ModelError, write_urdf
-from jax_inertia.readers import Options
+from jax_inertia.cli import console
+from jax_inertia.cli.main import main
+from jax_inertia.logs.atomic_files import held
+from jax_inertia.logs.log import LogError, read_log
+from jax_inertia.logs.readers import Options
+from jax_inertia.model.load import ModelError, write_urdf
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -660,13 +660,13 @@ def test_commands_leave_one_line_and_nothing_else(tmp_path, capsys, monkeypatch,
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     """Folders and files of writers that are gone, and nobody else's."""
     out, kept = tmp_path / "out", []
-    with contextlib.suppress(KeyboardInterrupt), _console.output_folder(out):
+    with contextlib.suppress(KeyboardInterrupt), console.output_folder(out):
         kept += [p for p in out.iterdir() if p.is_dir()]
         raise KeyboardInterrupt
     assert not out.exists()
     for name in (kept[0].name, ".part-of-another-program"):
         (out / name).mkdir(parents=True)
-    with _console.output_folder(out) as folder:
+    with console.output_folder(out) as folder:
         (folder / "report.json").write_text("{}")
         assert not kept[0].exists() or kept[0] == folder
     assert {p.name for p in out.iterdir()} == {"report.json", ".part-of-another-program"}
@@ -703,21 +703,21 @@ def test_the_second_writer_to_a_folder_is_told(tmp_path):
         assert first.stdout.readline() == "in\n"
         with (
             pytest.raises(ValueError, match="another run is writing there; wait for it"),
-            _console.output_folder(out),
+            console.output_folder(out),
         ):
             pass
-        with _console.output_folder(out, "motion.csv"):
+        with console.output_folder(out, "motion.csv"):
             pass
         first.stdin.write("\n")
     assert [p.name for p in out.iterdir()] == ["report.json"]
-    with _console.output_folder(out) as folder:
+    with console.output_folder(out) as folder:
         (folder / "report.json").write_text("second")
     assert (out / "report.json").read_text() == "second"
 
 
 def test_commands_say_warnings_in_one_line_or_not_at_all(capfd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with _console.warnings_as_lines():
+    with console.warnings_as_lines():
         warnings.warn("invalid value\n  in code", RuntimeWarning, stacklevel=1)
         warnings.warn("a spring is\nleft out", ji.ModelWarning, stacklevel=1)
         model = mujoco.MjModel.from_xml_string(mjcf(""))

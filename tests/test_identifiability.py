@@ -11,11 +11,11 @@ from excitation import compiled, log_of
 from pinocchio_oracle import PinocchioRobot
 
 import jax_inertia as ji
-from jax_inertia.identifiability import Knowledge, Source, knowledge, of_rows, structure
-from jax_inertia.inertia import PI_NAMES
-from jax_inertia.least_squares import weighted_least_squares
-from jax_inertia.logfilter import regressors
-from jax_inertia.priors import Load
+from jax_inertia.estimation.identifiability import Knowledge, Source, knowledge, of_rows, structure
+from jax_inertia.estimation.log_filter import regressors
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.inertial_parameters import PI_NAMES
+from jax_inertia.maths.least_squares import weighted_least_squares
 
 NOISE = 0.1
 # Two links in a plane. Vertical: of each its moment about its joint and two first moments, the second's mass hung into

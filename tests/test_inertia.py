@@ -9,30 +9,30 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from pinocchio_oracle import ORDER, pin
 
-from jax_inertia import inertia
+from jax_inertia.maths import inertial_parameters
 
 MAPS = {
     name: tuple(map(jax.jit, (to_pi, to_theta, jacobian, jax.jacfwd(to_pi))))
     for name, to_pi, to_theta, jacobian in [
         (
             "UtU",
-            inertia.from_log_cholesky,
-            inertia.to_log_cholesky,
-            inertia.log_cholesky_jacobian,
+            inertial_parameters.from_log_cholesky,
+            inertial_parameters.to_log_cholesky,
+            inertial_parameters.log_cholesky_jacobian,
         ),
         (
             "UUt",
-            inertia.from_log_cholesky_uut,
-            inertia.to_log_cholesky_uut,
-            inertia.log_cholesky_uut_jacobian,
+            inertial_parameters.from_log_cholesky_uut,
+            inertial_parameters.to_log_cholesky_uut,
+            inertial_parameters.log_cholesky_uut_jacobian,
         ),
     ]
 }
 maps = pytest.mark.parametrize("name", MAPS)
 # Pinocchio's θ has s13 after s23.
 THETA_ORDER = np.array([0, 1, 2, 3, 4, 6, 5, 7, 8, 9])
-physical = jax.jit(inertia.is_physical)
-pseudo_inertia = jax.jit(inertia.pseudo_inertia)
+physical = jax.jit(inertial_parameters.is_physical)
+pseudo_inertia = jax.jit(inertial_parameters.pseudo_inertia)
 
 thetas = st.lists(st.floats(-3.0, 3.0), min_size=10, max_size=10).map(np.array)
 
@@ -52,14 +52,14 @@ def spread_ratio(pi: np.ndarray) -> float:
 
 
 def test_pi_is_mass_first_moment_and_inertia():
-    pi = inertia.from_com(
+    pi = inertial_parameters.from_com(
         jnp.array(2.0), jnp.array([0.1, -0.2, 0.3]), jnp.diag(jnp.array([0.3, 0.4, 0.5]))
     )
     np.testing.assert_allclose(pi, body(2.0, [0.1, -0.2, 0.3], np.diag([0.3, 0.4, 0.5])), 1e-14)
-    np.testing.assert_allclose(inertia.centre_of_mass(pi), [0.1, -0.2, 0.3], rtol=1e-14)
-    assert inertia.PI_NAMES[7] == "Iyy"
-    np.testing.assert_array_equal(inertia.rotational_inertia(pi)[1, 1], pi[7])
-    np.testing.assert_array_equal(inertia.centre_of_mass(jnp.zeros(10)), np.zeros(3))
+    np.testing.assert_allclose(inertial_parameters.centre_of_mass(pi), [0.1, -0.2, 0.3], rtol=1e-14)
+    assert inertial_parameters.PI_NAMES[7] == "Iyy"
+    np.testing.assert_array_equal(inertial_parameters.rotational_inertia(pi)[1, 1], pi[7])
+    np.testing.assert_array_equal(inertial_parameters.centre_of_mass(jnp.zeros(10)), np.zeros(3))
 
 
 def test_pseudo_inertia_is_the_second_moment_of_mass():
@@ -69,8 +69,10 @@ def test_pseudo_inertia_is_the_second_moment_of_mass():
     ends = np.concatenate([points, np.ones((6, 1))], axis=1)
     pi = sum(body(m, r, np.zeros((3, 3))) for m, r in zip(masses, points, strict=True))
     p = np.einsum("n,ni,nj->ij", masses, ends, ends)
-    np.testing.assert_allclose(inertia.pseudo_inertia(jnp.asarray(pi)), p, rtol=1e-13)
-    np.testing.assert_allclose(inertia.from_pseudo_inertia(jnp.asarray(p)), pi, rtol=1e-13)
+    np.testing.assert_allclose(inertial_parameters.pseudo_inertia(jnp.asarray(pi)), p, rtol=1e-13)
+    np.testing.assert_allclose(
+        inertial_parameters.from_pseudo_inertia(jnp.asarray(p)), pi, rtol=1e-13
+    )
 
 
 @maps
@@ -204,9 +206,9 @@ def test_agrees_with_pinocchio_log_cholesky():
         pi[ORDER] = parameters.toDynamicParameters()
         jacobian = np.zeros((10, 10))
         jacobian[np.ix_(ORDER, THETA_ORDER)] = parameters.calculateJacobian()
-        ours = inertia.from_log_cholesky_uut(jnp.asarray(theta))
+        ours = inertial_parameters.from_log_cholesky_uut(jnp.asarray(theta))
         assert np.max(np.abs(ours - pi) / stored(pi)) <= 1e-13
-        exact = inertia.log_cholesky_uut_jacobian(jnp.asarray(theta))
+        exact = inertial_parameters.log_cholesky_uut_jacobian(jnp.asarray(theta))
         scale = np.max(np.abs(exact), axis=0, keepdims=True)
         assert np.max(np.abs(jacobian - exact) / scale) <= 1e-12
 
@@ -215,11 +217,14 @@ def test_the_two_factors_are_not_interchangeable():
     """The paper's m = e^{2α}(t·t + 1); in the other m = e^{2α} and t is the centre of mass."""
     theta = jnp.asarray(np.random.default_rng(6).normal(size=10))
     alpha, t = theta[0], theta[7:]
-    paper, other = inertia.from_log_cholesky(theta), inertia.from_log_cholesky_uut(theta)
+    paper, other = (
+        inertial_parameters.from_log_cholesky(theta),
+        inertial_parameters.from_log_cholesky_uut(theta),
+    )
     np.testing.assert_allclose(paper[0], np.exp(2 * alpha) * (t @ t + 1), rtol=1e-13)
     np.testing.assert_allclose(other[0], np.exp(2 * alpha), rtol=1e-13)
-    np.testing.assert_allclose(inertia.centre_of_mass(other), t, rtol=1e-13)
-    assert np.max(np.abs(inertia.centre_of_mass(paper) - t)) > 0.1
+    np.testing.assert_allclose(inertial_parameters.centre_of_mass(other), t, rtol=1e-13)
+    assert np.max(np.abs(inertial_parameters.centre_of_mass(paper) - t)) > 0.1
 
 
 @maps
@@ -248,7 +253,8 @@ def test_other_shapes_are_refused(name):
 def test_from_com_takes_numbers_and_no_diagonal():
     round_, com = 0.01 * np.eye(3), [0.0, 0.0, 0.1]
     np.testing.assert_array_equal(
-        inertia.from_com(2.0, com, round_), inertia.from_com(jnp.array(2.0), jnp.array(com), round_)
+        inertial_parameters.from_com(2.0, com, round_),
+        inertial_parameters.from_com(jnp.array(2.0), jnp.array(com), round_),
     )
     with pytest.raises(ValueError, match=r"inertia has shape \(3,\).*jnp.diag"):
-        inertia.from_com(2.0, com, np.array([0.02, 0.02, 0.01]))
+        inertial_parameters.from_com(2.0, com, np.array([0.02, 0.02, 0.01]))

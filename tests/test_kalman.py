@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jax_inertia import kalman
-from jax_inertia.gates import ChiSquaredGate, FixedGate
-from jax_inertia.noise import CorrelatedNoise, IndependentNoise
+from jax_inertia.maths import kalman
+from jax_inertia.maths.gates import ChiSquaredGate, FixedGate
+from jax_inertia.maths.noise import CorrelatedNoise, IndependentNoise
 
 FORMS = [kalman.Standard(), kalman.SquareRoot(), kalman.Information()]
 forms = pytest.mark.parametrize("form", FORMS, ids=["standard", "square_root", "information"])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bodies import random_bodies
 
-from jax_inertia import charts, inertia, kalman
-from jax_inertia.noise import IndependentNoise
+from jax_inertia.maths import charts, inertial_parameters, kalman
+from jax_inertia.maths.noise import IndependentNoise
 
 FILTERS, STEPS, ROWS = 250, 200, 12
 
@@ -60,7 +60,7 @@ def storm(chart: charts.Chart, key: jax.Array, bodies: int, iterations: int):
         return belief, {
             "float32": jnp.array(belief.mean.dtype == pi.dtype == p.dtype == jnp.float32),
             "finite": jnp.all(jnp.isfinite(belief.mean)) & jnp.all(jnp.isfinite(p)),
-            "physical": jnp.all(inertia.is_physical(pi)),
+            "physical": jnp.all(inertial_parameters.is_physical(pi)),
             "symmetric": jnp.all(p == p.T),
             # Of the correlation matrix, in float64: tolerance zero.
             "positive": jnp.linalg.eigvalsh(wide / (scale[:, None] * scale))[0] > 0,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jax_inertia.inertia import PI_NAMES
-from jax_inertia.least_squares import weighted_least_squares
+from jax_inertia.maths.inertial_parameters import PI_NAMES
+from jax_inertia.maths.least_squares import weighted_least_squares
 
 # Rank of the regressor of robots whatever their motion. Two links in a vertical plane: of each a moment of inertia and
 # two first moments, the second's mass hung into the first's. `welded` has two joints, the first fixed in the world:

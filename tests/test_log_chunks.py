@@ -9,13 +9,21 @@ import pytest
 from log_files import JOINTS, arrays, columns, write_csv, write_parquet
 
 import jax_inertia as ji
-from jax_inertia.estimate import make_estimator
-from jax_inertia.log import CHANNELS, Log, LogError, TorqueKind, TorqueUnit, read_log, write_log
-from jax_inertia.log_chunks import read_chunks
-from jax_inertia.priors import Load
-from jax_inertia.readers import Options
+from jax_inertia.estimation.inertial_filter import make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.estimation.stream import Stream
+from jax_inertia.logs.chunks import read_chunks
+from jax_inertia.logs.log import (
+    CHANNELS,
+    Log,
+    LogError,
+    TorqueKind,
+    TorqueUnit,
+    read_log,
+    write_log,
+)
+from jax_inertia.logs.readers import Options
 from jax_inertia.robots.pendulum import double_pendulum, swing
-from jax_inertia.stream import Stream
 
 KINDS = pytest.mark.parametrize("kind", ["csv", "parquet"])
 WRITERS = {"csv": write_csv, "parquet": write_parquet}
@@ -93,7 +101,7 @@ def test_blocks_and_row_groups_may_be_smaller_or_larger_than_chunks(tmp_path, mo
 
     table = columns(500)
     whole = read_log(write_csv(tmp_path / "log.csv", table))
-    monkeypatch.setattr("jax_inertia.readers.delimited._BLOCK", 1000)
+    monkeypatch.setattr("jax_inertia.logs.readers.delimited._BLOCK", 1000)
     assert_same(list(read_chunks(tmp_path / "log.csv", rows=64)), whole)
     for group in (10, 300):
         parquet.write_table(
@@ -185,7 +193,7 @@ def test_a_stream_from_a_file_is_the_stream_from_memory(tmp_path):
 @KINDS
 def test_memory_is_a_chunk_s_whatever_the_file_s(tmp_path, kind, monkeypatch):
     """Of a file much longer than a chunk; Arrow's own buffers are its affair, and measured elsewhere."""
-    monkeypatch.setattr("jax_inertia.readers.delimited._BLOCK", 1 << 16)
+    monkeypatch.setattr("jax_inertia.logs.readers.delimited._BLOCK", 1 << 16)
     samples, rows = 160_000 if kind == "parquet" else 40_000, 1000
     path = written(tmp_path, kind, columns(samples))
     for _ in itertools.islice(read_chunks(path, rows=rows), 3):  # what is imported late

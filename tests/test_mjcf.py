@@ -14,7 +14,7 @@ import pytest
 from models import MODELS
 
 import jax_inertia as ji
-from jax_inertia.mjcf import ModelError, ModelWarning
+from jax_inertia.model.load import ModelError, ModelWarning
 from jax_inertia.robots.pendulum import double_pendulum
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -11,9 +11,8 @@ import pytest
 from bodies import random_bodies
 
 import jax_inertia as ji
-from jax_inertia._model_output import changed_inertials, loadable, write_with_inertials
-from jax_inertia.dynamics import inverse_dynamics
-from jax_inertia.mjcf import (
+from jax_inertia.dynamics.rigid_body import inverse_dynamics
+from jax_inertia.model.load import (
     ModelError,
     body_pi,
     compile_spec,
@@ -22,6 +21,7 @@ from jax_inertia.mjcf import (
     set_inertials,
     write_urdf,
 )
+from jax_inertia.model.write import changed_inertials, loadable, write_with_inertials
 
 # --- MJCF as in a collection of models ----------------------------------------------------------------------------
 

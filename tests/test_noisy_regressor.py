@@ -11,11 +11,11 @@ import pytest
 from excitation import compiled, loaded, log_of
 
 import jax_inertia as ji
-from jax_inertia import charts
-from jax_inertia.differences import Observation
-from jax_inertia.estimate import Estimator, make_estimator
-from jax_inertia.motion import Motion
-from jax_inertia.priors import Load
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths import charts
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.generalised_motion import Motion
 
 FAST = {"xla_backend_optimization_level": 0}
 STILL = Load(0.0)

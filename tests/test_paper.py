@@ -15,7 +15,7 @@ from benchmarks.paper import curl, elbow, pelvis, report  # noqa: E402
 from benchmarks.paper.hardware import NOTHING, Effects, hardware  # noqa: E402
 from benchmarks.paper.loop import summary  # noqa: E402
 from benchmarks.paper.plant import PER_TICK, STEP, Fleet, LinkMass, Sensors, model  # noqa: E402
-from jax_inertia.mjcf import body_pi  # noqa: E402
+from jax_inertia.model.load import body_pi  # noqa: E402
 
 SILENT = Sensors(
     joint_position=0.0,

@@ -10,8 +10,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.paper.curl_log import contract, sensed
 from benchmarks.paper.plant import Fleet, Sensors, model
 from jax_inertia import load_model
-from jax_inertia.log import read_log
-from jax_inertia.preflight import preflight
+from jax_inertia.logs.log import read_log
+from jax_inertia.preflight.preflight import preflight
 
 
 def test_log_of_standing_robot_is_sound_and_its_feet_carry_it(tmp_path: Path):

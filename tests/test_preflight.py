@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jax_inertia.log import Log, LogError, TorqueUnit, read_log
-from jax_inertia.preflight import Severity, preflight
-from jax_inertia.signals import mask
+from jax_inertia.logs.log import Log, LogError, TorqueUnit, read_log
+from jax_inertia.preflight.preflight import Severity, preflight
+from jax_inertia.signals.filtering import mask
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 ERROR, WARNING, NOTE = Severity

@@ -19,8 +19,8 @@ from log_files import (
     write_plain_mcap,
 )
 
-from jax_inertia.log import Log, LogError, TorqueKind, TorqueUnit, read_log
-from jax_inertia.readers import Options, WrenchAxes, bag_collect
+from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit, read_log
+from jax_inertia.logs.readers import Options, WrenchAxes, bag_collect
 
 
 def assert_is(log: Log, data: dict, **close) -> None:
@@ -167,7 +167,9 @@ def test_csv_names_what_is_wrong_with_its_columns(tmp_path):
 
 
 def test_a_csv_longer_than_a_block_reads_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("jax_inertia.readers.delimited"), "_BLOCK", 1000)
+    monkeypatch.setattr(
+        importlib.import_module("jax_inertia.logs.readers.delimited"), "_BLOCK", 1000
+    )
     table = columns(500)
     table["tau.hip"] = [("" if k % 97 == 3 else float(v)) for k, v in enumerate(table["tau.hip"])]
     log = read_log(write_csv(tmp_path / "log.csv", table))
@@ -448,5 +450,5 @@ def test_a_missing_extra_is_one_line_with_the_command(tmp_path, monkeypatch, nam
 
     (tmp_path / name).write_bytes(b"x")
     bag_collect._typestores.cache_clear()
-    monkeypatch.setattr("jax_inertia.readers.options.importlib.import_module", absent)
+    monkeypatch.setattr("jax_inertia.logs.readers.options.importlib.import_module", absent)
     assert "pip install 'jax-inertia[readers]'" in refusal(tmp_path / name)

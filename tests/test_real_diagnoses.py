@@ -15,7 +15,7 @@ import diagnosis_summary as summary
 import logs
 
 import jax_inertia as ji
-from jax_inertia import _diagnose_run as pipeline
+from jax_inertia.cli import diagnose_run as pipeline
 from jax_inertia.gap import Verdict
 
 pytestmark = pytest.mark.skipif(

@@ -15,9 +15,9 @@ import arms
 import logs
 import ur10e
 
-from jax_inertia import batch
-from jax_inertia.batch import Calibrated
-from jax_inertia.inertia import is_physical
+from jax_inertia.estimation import batch_fit
+from jax_inertia.estimation.batch_fit import Calibrated
+from jax_inertia.maths.inertial_parameters import is_physical
 
 pytestmark = pytest.mark.skipif(
     not logs.SHARED.is_dir(),
@@ -81,7 +81,7 @@ def test_lwr_s_residual_shrinks_on_logs_that_the_fit_has_not_seen():
     arm = arms.ARMS[1]
     robot = arm.setting.model(arm.model)
     log = arm.setting.observation(robot, arm.train)
-    fit = batch.fit(robot, [log], prior=arm.trust, joint_terms=batch.JOINT_TERMS)
+    fit = batch_fit.fit(robot, [log], prior=arm.trust, joint_terms=batch_fit.JOINT_TERMS)
     for name in arm.tests:
         other = arm.setting.observation(robot, name)
         before = arms._rms(robot, np.zeros(robot.nv), other)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
-from jax_inertia.log import Log
-from jax_inertia.physical import Estimate
+from jax_inertia.estimation.physical_estimate import Estimate
+from jax_inertia.logs.log import Log
 
 ODD = "<script>x</script>"
 LEG = f"""

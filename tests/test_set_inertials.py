@@ -9,7 +9,7 @@ from bodies import body, random_bodies, rotation, spread_body
 from models import MODELS
 
 import jax_inertia as ji
-from jax_inertia.mjcf import ModelError, body_pi, compile_spec, load_spec, set_inertials
+from jax_inertia.model.load import ModelError, body_pi, compile_spec, load_spec, set_inertials
 
 TURN = rotation(np.random.default_rng(2))
 AWKWARD = {

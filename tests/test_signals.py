@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jax_inertia.differences import Differentiator, aligned_differences, central_differences
-from jax_inertia.log import Log, LogError
-from jax_inertia.mjcf import load_model
-from jax_inertia.motion import Motion, body_rates, generalised
-from jax_inertia.signals import gap_limit, low_pass, mask, resample
-from jax_inertia.slopes import centred_slopes
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.finite_difference import centred_slopes
+from jax_inertia.model.load import load_model
+from jax_inertia.signals.differences import Differentiator, aligned_differences, central_differences
+from jax_inertia.signals.filtering import gap_limit, low_pass, mask, resample
+from jax_inertia.signals.generalised_motion import Motion, body_rates, generalised
 
 OMEGA = 2 * np.pi * 1.5
 

@@ -15,16 +15,23 @@ import pytest
 from excitation import compiled, loaded, motion_of, torques
 
 import jax_inertia as ji
-from jax_inertia import charts, logfilter
-from jax_inertia.differences import aligned_differences
-from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.estimation import log_filter
+from jax_inertia.estimation.checkpoint import (
+    StateError,
+    load_state,
+    load_stream,
+    save_state,
+    save_stream,
+)
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.estimation.stream import Part, Stream, StreamState
 from jax_inertia.gap import diagnose
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.log import Log, LogError
-from jax_inertia.motion import generalised
-from jax_inertia.priors import Load
-from jax_inertia.statefile import StateError, load_state, load_stream, save_state, save_stream
-from jax_inertia.stream import Part, Stream, StreamState
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths import charts
+from jax_inertia.maths.gates import ChiSquaredGate
+from jax_inertia.signals.differences import aligned_differences
+from jax_inertia.signals.generalised_motion import generalised
 
 RATE, SAMPLES = 333.0, 3001
 
@@ -105,7 +112,7 @@ def test_it_is_the_filter_over_aligned_differences():
     got = joined(list(stream().run([sound])))
     motion = dataclasses.replace(generalised(sound, stream().estimator.robot), notes=())
     seen = jax.tree.map(lambda x: x[::8], aligned_differences(motion, 8))
-    _, wanted = logfilter.run(stream().estimator, stream().estimator.initial(), seen)
+    _, wanted = log_filter.run(stream().estimator, stream().estimator.initial(), seen)
     np.testing.assert_allclose(got.time, seen.motion.time, rtol=1e-12)
     for a, b in zip(jax.tree.leaves(got.trace), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-6, atol=1e-8)
@@ -338,7 +345,7 @@ def by_stream(given: Log) -> None:
 
 
 def by_observation(given: Log) -> None:
-    logfilter.observe(given, estimator().robot)
+    log_filter.observe(given, estimator().robot)
 
 
 def by_diagnosis(given: Log) -> None:
@@ -373,6 +380,6 @@ def test_no_result_is_had_from_what_is_no_log_of_the_robot(way, change, words):
 
 def test_currents_are_taken_where_gains_follow():
     given = dataclasses.replace(log(), tau=log().tau / 5.0, tau_unit="A", tau_unit_text="A")
-    raw = logfilter.observe(given, estimator().robot, any_unit=True)
-    usual = logfilter.observe(log(), estimator().robot)
+    raw = log_filter.observe(given, estimator().robot, any_unit=True)
+    usual = log_filter.observe(log(), estimator().robot)
     np.testing.assert_allclose(5.0 * raw.motion.tau, usual.motion.tau, atol=1e-9)

@@ -12,12 +12,12 @@ import pytest
 from excitation import torques
 
 import jax_inertia as ji
-from jax_inertia.cli import main
-from jax_inertia.inertia import PI_NAMES
-from jax_inertia.mjcf import body_pi
-from jax_inertia.motion_limits import Limits, collision_free
-from jax_inertia.priors import Load
-from jax_inertia.suggest_motion import SAMPLE_RATE, Series, Suggestion, suggest_motion
+from jax_inertia.cli.main import main
+from jax_inertia.estimation.excitation import SAMPLE_RATE, Series, Suggestion, suggest_motion
+from jax_inertia.estimation.motion_limits import Limits, collision_free
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.inertial_parameters import PI_NAMES
+from jax_inertia.model.load import body_pi
 
 PRIOR, NOISE, PERIOD = Load(2.0), 0.5, 6.0
 # Three hinges, armature, damping and a spring, so that what the motors give is not the rigid body's torque alone.

@@ -9,28 +9,29 @@ import jax
 import numpy as np
 
 import jax_inertia as ji
-from jax_inertia import batch, charts, logfilter
-from jax_inertia.consistency import consistency, nees
-from jax_inertia.estimate import Estimator, make_estimator
+from jax_inertia.estimation import batch_fit, log_filter
+from jax_inertia.estimation.checkpoint import load_stream, save_stream
+from jax_inertia.estimation.excitation import suggest_motion
+from jax_inertia.estimation.identifiability import Source, knowledge, structure
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.innovation_tests import consistency, nees
+from jax_inertia.estimation.motion_limits import Limits
+from jax_inertia.estimation.priors import Load
+from jax_inertia.estimation.slew import Slew
+from jax_inertia.estimation.stream import Stream
 from jax_inertia.gap import Diagnosis, Tolerance, Verdict, diagnose
 from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_in, effects_of
 from jax_inertia.gap.report import to_report
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.handover import Slew
-from jax_inertia.identifiability import Source, knowledge, structure
-from jax_inertia.inertia import from_com, pseudo_inertia
-from jax_inertia.least_squares import weighted_least_squares
-from jax_inertia.mjcf import load_spec, set_inertials, write_urdf
-from jax_inertia.motion_limits import Limits
-from jax_inertia.preflight import Severity, preflight
-from jax_inertia.priors import Load
-from jax_inertia.readers import Options
+from jax_inertia.logs.readers import Options
+from jax_inertia.maths import charts
+from jax_inertia.maths.gates import ChiSquaredGate
+from jax_inertia.maths.inertial_parameters import from_com, pseudo_inertia
+from jax_inertia.maths.least_squares import weighted_least_squares
+from jax_inertia.model.load import load_spec, set_inertials, write_urdf
+from jax_inertia.preflight.preflight import Severity, preflight
 from jax_inertia.robots.pendulum import double_pendulum
-from jax_inertia.statefile import load_stream, save_stream
-from jax_inertia.stream import Stream
-from jax_inertia.suggest_motion import suggest_motion
 
 
 def model() -> ji.Robot:
@@ -67,10 +68,10 @@ def logs(path: Path, robot: ji.Robot) -> ji.Log:
 
 
 def estimate(robot: ji.Robot, log: ji.Log) -> float:
-    observed = logfilter.observe(log, robot)
-    fit = batch.fit(robot, [observed], ["lower"], prior=Load(1.0), joint_terms=("damping",))
-    ekf = logfilter.online(robot, ["lower"], fit.noise, prior=Load(1.0))
-    state, trace = logfilter.run(ekf, ekf.initial(), logfilter.thinned(observed))
+    observed = log_filter.observe(log, robot)
+    fit = batch_fit.fit(robot, [observed], ["lower"], prior=Load(1.0), joint_terms=("damping",))
+    ekf = log_filter.online(robot, ["lower"], fit.noise, prior=Load(1.0))
+    state, trace = log_filter.run(ekf, ekf.initial(), log_filter.thinned(observed))
     other: Estimator = make_estimator(
         robot,
         ["lower"],

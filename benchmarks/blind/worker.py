@@ -70,7 +70,7 @@ def _serve() -> None:
         job = json.loads(line)
         start = time.perf_counter()
         try:
-            from jax_inertia.cli import main
+            from jax_inertia.cli.main import main
 
             code = 0
             with contextlib.redirect_stdout(sys.stderr):

@@ -13,14 +13,14 @@ from jaxtyping import Array, Float, Int
 from mujoco import mjx
 
 from jax_inertia import inverse_dynamics, load_model, mass_matrix
-from jax_inertia.differences import Observation
-from jax_inertia.dynamics import passive_torque
-from jax_inertia.estimate import Estimator, make_estimator
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.inertia import is_physical
-from jax_inertia.motion import Motion
-from jax_inertia.priors import Load
+from jax_inertia.dynamics.rigid_body import passive_torque
+from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.gates import ChiSquaredGate
+from jax_inertia.maths.inertial_parameters import is_physical
 from jax_inertia.robots.arm import HAND, arm_mjcf
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.generalised_motion import Motion
 
 STEP, PER_TICK, PICK_UP = 0.002, 2, 0.6  # s, steps, s
 TICK = STEP * PER_TICK

@@ -14,8 +14,8 @@ from benchmarks.harness import fleet, peers
 from benchmarks.harness.clock import Overwriting, compiled, race, seconds, times_faster
 from benchmarks.harness.states import BODIES, humanoid, states
 from jax_inertia import condensed_dynamics, inverse_dynamics, load_model, torque_regressor
-from jax_inertia.estimate import Estimator
-from jax_inertia.robot import Robot
+from jax_inertia.estimation.inertial_filter import Estimator
+from jax_inertia.model.robot import Robot
 
 BATCH, PEERS = 4096, 512  # samples of ours in one call; of the others in one pass
 DTYPES = ("float32", "float64")

@@ -6,14 +6,14 @@ import numpy as np
 
 from benchmarks.harness.states import BODIES, humanoid, states
 from jax_inertia import inverse_dynamics, load_model
-from jax_inertia.differences import Observation
-from jax_inertia.estimate import Estimator, State, make_estimator
-from jax_inertia.fused import FusedSquareRoot, moved_rows
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.kalman import Form
-from jax_inertia.motion import Motion
-from jax_inertia.priors import Load
-from jax_inertia.robot import Robot
+from jax_inertia.estimation.fused_update import FusedSquareRoot, moved_rows
+from jax_inertia.estimation.inertial_filter import Estimator, State, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.gates import ChiSquaredGate
+from jax_inertia.maths.kalman import Form
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.generalised_motion import Motion
 
 RATE, LOAD = 333.0, 1.0  # Hz; kg on the torso, unknown to the filter
 # With 5 kg one iteration is no filter on states as wild as these: after three samples the gate holds the rest off,

@@ -16,21 +16,22 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from benchmarks.paper.plant import PER_TICK, TICK, Sensed, Sensors
-from jax_inertia import load_model, spatial
-from jax_inertia.charts import Chart, LogCholeskyUUt
+from jax_inertia import load_model
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
-from jax_inertia.differences import Observation
-from jax_inertia.dynamics import body_jacobian, body_poses, mass_matrix
-from jax_inertia.estimate import Estimator, State, Step, make_estimator
-from jax_inertia.gates import Gate
-from jax_inertia.handover import Slew
-from jax_inertia.inertia import is_physical
-from jax_inertia.motion import Motion
-from jax_inertia.noise import CorrelatedNoise
-from jax_inertia.priors import Uncertainty
-from jax_inertia.robot import Robot
+from jax_inertia.dynamics.rigid_body import body_jacobian, body_poses, mass_matrix
+from jax_inertia.estimation.inertial_filter import Estimator, State, Step, make_estimator
+from jax_inertia.estimation.priors import Uncertainty
+from jax_inertia.estimation.slew import Slew
+from jax_inertia.maths import spatial
+from jax_inertia.maths.charts import Chart, LogCholeskyUUt
+from jax_inertia.maths.gates import Gate
+from jax_inertia.maths.inertial_parameters import is_physical
+from jax_inertia.maths.noise import CorrelatedNoise
+from jax_inertia.model.robot import Robot
 from jax_inertia.robots import CORNERS
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.generalised_motion import Motion
 
 NONE, ADAPTIVE, ORACLE = range(3)
 MODES = ("none", "adaptive", "oracle")

@@ -25,8 +25,8 @@ from benchmarks.paper.hardware import (
 )
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import NU, Fleet, LinkMass, Sensors, model
-from jax_inertia.mjcf import body_pi
-from jax_inertia.priors import Load, Tolerance
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.model.load import body_pi
 
 CALIBRATE, LOADED, ACTIVE, CURL, DURATION = (1.0, 2.0), 2.0, 2.5, 6.0, 21.0  # s
 FREQUENCY, AMPLITUDE = 1.0 / 3.0, 0.7

@@ -25,18 +25,18 @@ from benchmarks.paper.hardware import FOREARM, NOTHING
 from benchmarks.paper.loop import Run
 from benchmarks.paper.plant import mjcf
 from jax_inertia import load_model
-from jax_inertia.differences import Observation
-from jax_inertia.dynamics import body_poses, contact_torque
+from jax_inertia.dynamics.rigid_body import body_poses, contact_torque
 from jax_inertia.gap import diagnose
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import Effect, effects_of
 from jax_inertia.gap.finding import Diagnosis
-from jax_inertia.inertia import centre_of_mass
-from jax_inertia.log import Log, read_log
-from jax_inertia.measurement import FRICTION_VELOCITY
-from jax_inertia.mjcf import set_inertials
-from jax_inertia.robot import Robot
-from jax_inertia.spatial import cross
+from jax_inertia.logs.log import Log, read_log
+from jax_inertia.maths.inertial_parameters import centre_of_mass
+from jax_inertia.maths.spatial import cross
+from jax_inertia.model.load import set_inertials
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.residual import FRICTION_VELOCITY
 
 SEED = 1000
 """Of the log: none of the runs that are scored has its noise."""

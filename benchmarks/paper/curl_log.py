@@ -16,7 +16,7 @@ from benchmarks.paper import curl
 from benchmarks.paper.brain import FEET, foot_wrenches
 from benchmarks.paper.plant import Fleet, mjcf
 from jax_inertia import load_model
-from jax_inertia.robot import Robot
+from jax_inertia.model.robot import Robot
 
 
 def sensed(fleet: Fleet) -> dict[str, np.ndarray]:

@@ -12,8 +12,8 @@ from benchmarks.paper.brain import GAINS, MODES, ORACLE, Settings, make_brain, s
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import TICK, Fleet, LinkMass, Sensors, model
-from jax_inertia.mjcf import body_pi
-from jax_inertia.priors import Load, Tolerance
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.model.load import body_pi
 
 FOREARM, JOINT = "left_elbow_pitch_link", "left_elbow_y"
 SETTLE, DURATION = 1.0, 17.0  # s: one second of the bare arm, then the waveform

@@ -14,8 +14,8 @@ from benchmarks.paper.brain import ORACLE, Settings
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import TICK, Sensors
-from jax_inertia.gates import ChiSquaredGate
-from jax_inertia.priors import Load, Tolerance
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.maths.gates import ChiSquaredGate
 
 DURATION, PICK_UP, NOMINAL, LOAD = 20.0, 12.0, 13.5, 10.0
 # Over 18 ms rather than 9: a noisy acceleration biases inertia, and with it mass (errors in variables).

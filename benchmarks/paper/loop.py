@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.paper.brain import MODES, Brain, Inputs, Memory, Output, inputs, spread
 from benchmarks.paper.plant import TICK, Fleet
-from jax_inertia.estimate import State
-from jax_inertia.inertia import is_physical
+from jax_inertia.estimation.inertial_filter import State
+from jax_inertia.maths.inertial_parameters import is_physical
 
 FALLEN = 0.6  # m, pelvis over the ground
 

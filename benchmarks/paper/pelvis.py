@@ -14,8 +14,8 @@ from benchmarks.paper.loop import Run, by_controller, crew, drive, replay, summa
 from benchmarks.paper.plant import Fleet, LinkMass, Sensors, model
 from benchmarks.paper.strides import begin_at_home, boxes, strolling, walk_figures
 from jax_inertia.control.walking import Ground
-from jax_inertia.mjcf import body_pi
-from jax_inertia.priors import Load, Tolerance
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.model.load import body_pi
 from jax_inertia.robots import Terrain
 
 TORSO = "torso_link"

@@ -14,9 +14,9 @@ from benchmarks.paper.brain import ORACLE, Settings
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import Sensors, model
-from jax_inertia.charts import Chart, Linear, LogCholesky
-from jax_inertia.mjcf import body_pi
-from jax_inertia.priors import Load
+from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.charts import Chart, Linear, LogCholesky
+from jax_inertia.model.load import body_pi
 
 DURATION = 20.0
 # A torso held upright turns so little that differences over 9 ms are mostly noise, and what a filter that may drift

@@ -29,9 +29,9 @@ from diagnosis_cases import CASES, Case, Files
 from logs import SHARED
 from report import machine
 
-from jax_inertia import _diagnose_run as pipeline
-from jax_inertia._console import stages
-from jax_inertia.log import Log, TorqueKind, read_log, write_log
+from jax_inertia.cli import diagnose_run as pipeline
+from jax_inertia.cli.console import stages
+from jax_inertia.logs.log import Log, TorqueKind, read_log, write_log
 
 HERE = Path(__file__).parent
 COUNT = {"ur10e_no_load": 9, "ur10e_payload": 9, "double_pendulum": 8, "panda": 4, "lwr4": 4}

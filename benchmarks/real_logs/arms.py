@@ -10,16 +10,16 @@ import numpy as np
 from logs import LWR, PANDA, Setting
 
 import jax_inertia as ji
-from jax_inertia import batch
-from jax_inertia.batch import BatchFit
-from jax_inertia.differences import Observation
-from jax_inertia.estimate import make_estimator
-from jax_inertia.inertia import PI_NAMES
-from jax_inertia.least_squares import Identifiability, weighted_least_squares
-from jax_inertia.measurement import FRICTION_VELOCITY, torque_residuals
-from jax_inertia.physical import Estimate
-from jax_inertia.priors import Tolerance
-from jax_inertia.robot import Robot
+from jax_inertia.estimation import batch_fit
+from jax_inertia.estimation.batch_fit import BatchFit
+from jax_inertia.estimation.inertial_filter import make_estimator
+from jax_inertia.estimation.physical_estimate import Estimate
+from jax_inertia.estimation.priors import Tolerance
+from jax_inertia.maths.inertial_parameters import PI_NAMES
+from jax_inertia.maths.least_squares import Identifiability, weighted_least_squares
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.residual import FRICTION_VELOCITY, torque_residuals
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,9 @@ def evaluate(arm: Arm) -> ArmResult:
     robot, reference = arm.setting.model(arm.model), arm.setting.model(arm.reference)
     logs = {name: arm.setting.observation(robot, name) for name in (arm.train, *arm.tests)}
     start = time.perf_counter()
-    fit = batch.fit(robot, [logs[arm.train]], prior=arm.trust, joint_terms=batch.JOINT_TERMS)
+    fit = batch_fit.fit(
+        robot, [logs[arm.train]], prior=arm.trust, joint_terms=batch_fit.JOINT_TERMS
+    )
     seconds = time.perf_counter() - start
     # The reference's own damping and friction are not the published ones: rigid bodies alone.
     rigid = eqx.tree_at(
@@ -143,7 +145,7 @@ def _identifiability(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
     eye = np.eye(robot.nv)[None, :, :, None]
     own = (terms[:, :, None, :] * eye).reshape(len(q), robot.nv, -1)
     names = [f"{b}.{p}" for b in robot.body_names for p in PI_NAMES]
-    names += [f"{j}.{t}" for j in robot.joint_names for t in batch.JOINT_TERMS]
+    names += [f"{j}.{t}" for j in robot.joint_names for t in batch_fit.JOINT_TERMS]
     y = np.concatenate([bodies, own], axis=-1).reshape(-1, len(names))
     return weighted_least_squares(y, np.zeros(len(y)), names=names).identifiability
 

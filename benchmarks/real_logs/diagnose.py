@@ -26,8 +26,8 @@ from diagnosis_summary import Summary, summarise
 from logs import SHARED
 from report import machine
 
-from jax_inertia import _diagnose_run as pipeline
-from jax_inertia._console import stages
+from jax_inertia.cli import diagnose_run as pipeline
+from jax_inertia.cli.console import stages
 
 HERE = Path(__file__).parent
 PAGE = "DIAGNOSES.md"

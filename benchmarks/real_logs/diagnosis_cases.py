@@ -12,9 +12,9 @@ import ur10e
 from logs import SHARED
 from ur10e_model import LINKS, makers_model
 
-from jax_inertia.log import Log, TorqueKind, TorqueUnit, read_log, write_log
-from jax_inertia.mjcf import ModelWarning, compile_spec, load_spec, set_inertials
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.model.load import ModelWarning, compile_spec, load_spec, set_inertials
+from jax_inertia.model.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ import jax
 import numpy as np
 
 import jax_inertia as ji
-from jax_inertia.differences import Observation, central_differences
-from jax_inertia.log import read_log
-from jax_inertia.mjcf import ModelWarning
-from jax_inertia.motion import generalised
-from jax_inertia.robot import Robot
-from jax_inertia.signals import low_pass, resample
+from jax_inertia.logs.log import read_log
+from jax_inertia.model.load import ModelWarning
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation, central_differences
+from jax_inertia.signals.filtering import low_pass, resample
+from jax_inertia.signals.generalised_motion import generalised
 
 SHARED = Path(
     os.environ.get("JAX_INERTIA_DATA", Path(__file__).parents[2].parent / "shared" / "data")

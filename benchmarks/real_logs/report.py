@@ -9,7 +9,7 @@ import numpy as np
 import ur10e
 from logs import LWR, PANDA, UR10E
 
-from jax_inertia.inertia import PI_NAMES
+from jax_inertia.maths.inertial_parameters import PI_NAMES
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

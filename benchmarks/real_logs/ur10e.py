@@ -10,12 +10,13 @@ import numpy as np
 from logs import UR10E, Setting
 from ur10e_model import LINKS, makers_model
 
-from jax_inertia import batch, charts
-from jax_inertia.batch import BatchFit, Calibrated, Carried
-from jax_inertia.differences import Observation
-from jax_inertia.estimate import make_estimator
-from jax_inertia.priors import Load, Tolerance
-from jax_inertia.robot import Robot
+from jax_inertia.estimation import batch_fit
+from jax_inertia.estimation.batch_fit import BatchFit, Calibrated, Carried
+from jax_inertia.estimation.inertial_filter import make_estimator
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.maths import charts
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
 
 TRUE_KG = 2.805
 WRIST = "wrist_3_link"
@@ -38,12 +39,12 @@ class Calibration:
 
     def fit(self, observations: list[Observation], **options) -> BatchFit:
         """Bodies, joint terms and (where free) gains of the logs."""
-        return batch.fit(
+        return batch_fit.fit(
             self.model,
             observations,
             LINKS,
             prior=self.trust,
-            joint_terms=batch.JOINT_TERMS,
+            joint_terms=batch_fit.JOINT_TERMS,
             gains=self.gains,
             gain_sigma=self.gain_sigma,
             **options,

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jax_inertia as ji
-from jax_inertia import inertia
-from jax_inertia.robot import Robot
+from jax_inertia.maths import inertial_parameters
+from jax_inertia.model.robot import Robot
 
 LINKS = (
     "shoulder_link",
@@ -45,12 +45,17 @@ def makers_model(urdf: Robot) -> Robot:
         i = urdf.body_index(name)
         com_here = rotations[i].T @ ((pose @ [*com, 1.0])[:3] - positions[i])
         old = urdf.pi[i]
-        about = inertia.rotational_inertia(
-            old - inertia.from_com(old[0], inertia.centre_of_mass(old), jnp.zeros((3, 3)))
+        about = inertial_parameters.rotational_inertia(
+            old
+            - inertial_parameters.from_com(
+                old[0], inertial_parameters.centre_of_mass(old), jnp.zeros((3, 3))
+            )
         )
         chosen.append(i)
         bodies.append(
-            inertia.from_com(jnp.asarray(mass), jnp.asarray(com_here), about * mass / old[0])
+            inertial_parameters.from_com(
+                jnp.asarray(mass), jnp.asarray(com_here), about * mass / old[0]
+            )
         )
     return urdf.with_pi(tuple(chosen), jnp.stack(bodies))
 

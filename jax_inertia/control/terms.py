@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jax_inertia import spatial
-from jax_inertia.dynamics import inverse_dynamics, mass_matrix
-from jax_inertia.kinematics import accumulate_outward, forward_kinematics, tree_origin
-from jax_inertia.robot import Robot
+from jax_inertia.dynamics.kinematics import accumulate_outward, forward_kinematics, tree_origin
+from jax_inertia.dynamics.rigid_body import inverse_dynamics, mass_matrix
+from jax_inertia.maths import spatial
+from jax_inertia.model.robot import Robot
 
 
 class Terms(eqx.Module):

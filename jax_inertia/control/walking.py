@@ -1,9 +1,9 @@
 """Walking by the divergent component of motion ξ = c + ċ/ω, replanned every tick, branch-free.
 
-ξ̇ = ω (ξ − p) runs away from the zero-moment point p (Englsberger et al. 2015). The plan puts p under the stance foot in
-single support and moves it in a straight line in double support; running the equation backwards over the next three
-steps gives ξ_ref now. Feedback p = p_ref + (1 + k/ω)(ξ − ξ_ref), clipped to the soles, sets the centre of mass's
-acceleration ω² (c − p). Only the error that the clipped p cannot remove before touchdown moves the next step.
+ξ̇ = ω (ξ − p) runs away from the zero-moment point p (Englsberger et al. 2015). The plan puts p under the stance foot
+in single support and moves it in a straight line in double support; running the equation backwards over the next
+three steps gives ξ_ref now. Feedback p = p_ref + (1 + k/ω)(ξ − ξ_ref), clipped to the soles, sets the centre of
+mass's acceleration ω² (c − p). Only the error that the clipped p cannot remove before touchdown moves the next step.
 
 The ground is flat boxes on a grid, known or not: a robot that does not know takes the next step to be as high as the
 foot it stands on.

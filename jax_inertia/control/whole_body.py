@@ -21,10 +21,10 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
-from jax_inertia import spatial
 from jax_inertia.control.qp import Program, solve
 from jax_inertia.control.terms import Terms, terms
-from jax_inertia.robot import Robot
+from jax_inertia.maths import spatial
+from jax_inertia.model.robot import Robot
 
 PELVIS, TORSO, LEFT, RIGHT = range(4)
 # Arrays where a loop is compiled once for all gains.

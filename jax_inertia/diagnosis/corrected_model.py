@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia._mujoco_types import MjSpec
 from jax_inertia.diagnosis.result import Diagnosis, Found
 from jax_inertia.diagnosis.summary import DRY_FORMS
 from jax_inertia.gap.callbacks import HANDLED
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.edits import EDITS
 from jax_inertia.gap.effect import Effect
-from jax_inertia.mjcf import compile_spec, set_inertials
-from jax_inertia.robot import Robot
+from jax_inertia.model.load import compile_spec, set_inertials
+from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.model.robot import Robot
 
 NAMES = {
     "viscous_friction": "damping",

@@ -9,7 +9,7 @@ from jax_inertia.diagnosis import figures
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.words import chance, number, percent, plain
-from jax_inertia.log import Log
+from jax_inertia.logs.log import Log
 
 COLUMNS = (
     ("viscous_friction", "viscous friction [N m s/rad]"),

@@ -11,8 +11,8 @@ from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search import select
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.families import NAMES as FORMER
-from jax_inertia.log import Log
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import Robot
 
 
 def diagnose(

@@ -9,7 +9,7 @@ import numpy as np
 from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.intervals import Interval
-from jax_inertia.preflight import Finding as Quality
+from jax_inertia.preflight.preflight import Finding as Quality
 
 
 def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
 from jax_inertia.diagnosis.wording import headline
 from jax_inertia.gap.intervals import Interval
-from jax_inertia.inertia import is_physical
+from jax_inertia.maths.inertial_parameters import is_physical
 
 ORDINARY_NUMBERS = {
     "viscous_friction": ("damping", "N m s/rad"),

@@ -20,9 +20,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from jax_inertia._mujoco_types import MjData, MjModel
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.families.force import push_window
+from jax_inertia.model.mujoco_types import MjData, MjModel
 
 _LATE = ("time_delay", "actuator_lag")
 _FRICTION = ("stribeck_friction", "load_friction")

@@ -2,7 +2,7 @@
 
 The missing torque of a sample is what the model, moved as the log says, would have needed beyond what was logged:
 
-    y = M a + c − τ_passive − τ − Σ Jᵀλ − b            (minus `measurement.torque_residual`)
+    y = M a + c − τ_passive − τ − Σ Jᵀλ − b            (minus `residual.torque_residual`)
 
 An effect of the real robot is a torque e(t; θ) on the same rows, and y = e + noise. Log and model go through the same
 low-pass before the physics (signals) and after it (y and every column e), so no side is ever differentiated or smoothed
@@ -19,20 +19,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
-from jax_inertia import dynamics
-from jax_inertia._check_channels import torque_spikes
-from jax_inertia.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
-from jax_inertia.differences import Observation, central_differences
+from jax_inertia.dynamics import rigid_body
 from jax_inertia.gap.chunks import over_samples
 from jax_inertia.gap.creep import softness
 from jax_inertia.gap.dry import at_rest, direction
 from jax_inertia.gap.outliers import without_outliers
 from jax_inertia.gap.support import BASE, Support, supported
-from jax_inertia.held import PositionLoop, later, of_loop, position_loop
-from jax_inertia.log import Log, TorqueKind
-from jax_inertia.motion import generalised
-from jax_inertia.robot import Robot
-from jax_inertia.signals import bridged_smoothly, low_pass, mask, resample
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.single_channel import torque_spikes
+from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
+from jax_inertia.signals.differences import Observation, central_differences
+from jax_inertia.signals.filtering import bridged_smoothly, low_pass, mask, resample
+from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop
 
 
 class Prepared(eqx.Module):
@@ -177,7 +177,7 @@ def _inertia(robot: Robot, log: Log) -> tuple[Float[np.ndarray, " m"], Float[np.
     """Of a log's joints, at moments throughout the log."""
     motion = generalised(log, robot)
     picked = np.linspace(0, len(log.time) - 1, _POSTURES).astype(int)
-    every = jax.vmap(dynamics.mass_matrix, (None, 0))(robot, jnp.asarray(motion.q)[picked])
+    every = jax.vmap(rigid_body.mass_matrix, (None, 0))(robot, jnp.asarray(motion.q)[picked])
     dofs = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
     rows = [dofs[name] for name in log.joint_names]
     return np.asarray(log.time)[picked], np.asarray(every)[:, rows][:, :, rows]
@@ -209,10 +209,10 @@ def _needed_torques(robot: Robot, o: Observation) -> jax.Array:
 
 def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
     """M a + c − τ_passive − Σ Jᵀλ of one moment."""
-    out = dynamics.inverse_dynamics(robot, q, v, a) - dynamics.passive_torque(robot, q, v)
+    out = rigid_body.inverse_dynamics(robot, q, v, a) - rigid_body.passive_torque(robot, q, v)
     motion = observation.motion
     if motion.wrench is not None:
-        out = out - dynamics.contact_torque(
+        out = out - rigid_body.contact_torque(
             robot, q, jnp.asarray(motion.wrench), motion.contact_bodies
         )
     return out

@@ -19,8 +19,8 @@ from jax_inertia.gap.chain import (
 from jax_inertia.gap.creep import DAMPING, softness
 from jax_inertia.gap.dry import bristle, direction, share_below, stillness
 from jax_inertia.gap.twomass import DrivenLink, OwnFriction
-from jax_inertia.inertia import centre_of_mass
-from jax_inertia.robot import HINGE, SLIDE
+from jax_inertia.maths.inertial_parameters import centre_of_mass
+from jax_inertia.model.robot import HINGE, SLIDE
 
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4

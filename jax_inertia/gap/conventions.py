@@ -14,7 +14,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from jax_inertia.gap.chain import Prepared, needed_torques, without_friction
-from jax_inertia.robot import HINGE, SLIDE
+from jax_inertia.model.robot import HINGE, SLIDE
 
 Shares = Float[np.ndarray, " n"]
 

@@ -10,10 +10,10 @@ import dataclasses
 import warnings
 from collections.abc import Sequence
 
-from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.edits import EDITS
 from jax_inertia.gap.effect import Effect
-from jax_inertia.mjcf import ModelWarning, compile_spec
+from jax_inertia.model.load import ModelWarning, compile_spec
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 
 @dataclasses.dataclass(frozen=True)

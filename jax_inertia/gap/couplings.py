@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 
-from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.spec_joints import joint_of, set_first, unit_of
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 DEFLECTION = "_deflection"
 """Added to a joint's name for the hinge between motor and link."""

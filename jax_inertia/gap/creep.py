@@ -1,8 +1,8 @@
 """MuJoCo's friction loss: a soft constraint, by which a joint never stands still but creeps.
 
-With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ, until it
-comes to the level of the friction (MuJoCo, Computation: friction loss). So beside little inertia a joint that a
-simulator holds goes on for centiradians a second.
+With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ,
+until it comes to the level of the friction (MuJoCo, Computation: friction loss). So beside little inertia a joint
+that a simulator holds goes on for centiradians a second.
 """
 
 import equinox as eqx
@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jax_inertia import dynamics
-from jax_inertia.robot import BALL, FREE, HINGE, SLIDE, Robot
+from jax_inertia.dynamics import rigid_body
+from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, Robot
 
 # MuJoCo's defaults: impedance of a constraint that is not violated, and the damping 2/(0.95 · 0.02 s) [1/s].
 IMPEDANCE, DAMPING = 0.9, 2.0 / (0.95 * 0.02)
@@ -34,4 +34,4 @@ def softness(robot: Robot) -> Float[np.ndarray, " nv"]:
 @eqx.filter_jit
 def _mobility(robot: Robot, q: Float[Array, " nq"]) -> Float[Array, " nv"]:
     """[M⁻¹]ⱼⱼ."""
-    return jnp.diagonal(jnp.linalg.inv(dynamics.mass_matrix(robot, q)))
+    return jnp.diagonal(jnp.linalg.inv(rigid_body.mass_matrix(robot, q)))

@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax_inertia import dynamics
+from jax_inertia.dynamics import rigid_body
 from jax_inertia.gap.chain import needed_torque
 from jax_inertia.gap.chunks import over_samples
-from jax_inertia.robot import HINGE, SLIDE
+from jax_inertia.model.robot import HINGE, SLIDE
 
 
 @over_samples
 def regressor(robot, x):
     """Torque regressor of all bodies at (q, q̇, q̈) (T, nv, nb, 10)."""
-    return dynamics.torque_regressor(robot, *x)
+    return rigid_body.torque_regressor(robot, *x)
 
 
 @over_samples
@@ -45,4 +45,4 @@ def contact_rows(shared, x):
     robot, bodies = shared
     q, w = x
     alone = jnp.eye(len(bodies))[:, :, None] * w
-    return jax.vmap(lambda x: dynamics.contact_torque(robot, q, x, bodies))(alone)
+    return jax.vmap(lambda x: rigid_body.contact_torque(robot, q, x, bodies))(alone)

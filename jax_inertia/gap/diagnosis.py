@@ -39,9 +39,9 @@ from jax_inertia.gap.turning import turning
 from jax_inertia.gap.undetectable import undetectable
 from jax_inertia.gap.verdict import Verdict, probabilities
 from jax_inertia.gap.words import number
-from jax_inertia.log import Log
-from jax_inertia.preflight import require_usable
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.preflight import require_usable
 
 # Samples that a diagnosis takes.
 LEAST = 100

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from jax_inertia._mujoco_types import MjModel, MjSpec
 from jax_inertia.gap.couplings import backlash, elasticity
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.spec_joints import joint_of, set_first, unit_of
-from jax_inertia.mjcf import body_pi, set_inertials
+from jax_inertia.model.load import body_pi, set_inertials
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 SOFT = 1e-6
 """Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""

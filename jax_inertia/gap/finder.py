@@ -25,7 +25,7 @@ from jax_inertia.gap.select import select
 from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.suited import suited
 from jax_inertia.gap.together import remaining
-from jax_inertia.log import Log
+from jax_inertia.logs.log import Log
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,13 +3,13 @@
 import dataclasses
 import math
 
-from jax_inertia._readable import line, table
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.intervals import Interval
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import at, chance, named, number, percent, plain, unit
+from jax_inertia.text.notebook_page import line, table
 
 
 @dataclasses.dataclass(frozen=True)

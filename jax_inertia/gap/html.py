@@ -15,7 +15,7 @@ from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import chance, number, percent, plain, unit
-from jax_inertia.log import Log
+from jax_inertia.logs.log import Log
 
 
 @dataclasses.dataclass(frozen=True)

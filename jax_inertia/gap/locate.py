@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia._findings import run_bounds
 from jax_inertia.gap.evidence import Evidence
+from jax_inertia.logs.findings import run_bounds
 
 # Of energies summed over rows, the mean over the median: near one for many rows, 2.2 for a single one.
 MEAN = 1.2

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.sensors import perturbed
-from jax_inertia.log import Log
+from jax_inertia.logs.log import Log
 
 ORDER = 3
 # The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.

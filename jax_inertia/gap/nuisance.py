@@ -15,15 +15,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from jax_inertia._findings import run_bounds
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.families.friction import PRESLIDING
-from jax_inertia.held import LOOP_LATE_ERROR
-from jax_inertia.log import Log, TorqueKind
-from jax_inertia.slopes import derivative
+from jax_inertia.logs.findings import run_bounds
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.signals.held import LOOP_LATE_ERROR
 
 
 @dataclasses.dataclass(frozen=True)

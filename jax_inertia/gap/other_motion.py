@@ -31,8 +31,8 @@ from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.shrink import Sight
 from jax_inertia.gap.turning import REACHES, turning_over
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
-from jax_inertia.log import Log
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import Robot
 
 # Of the shape of what happened at another time.
 TRIES = 60

@@ -16,7 +16,7 @@ from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.encoder import off_path
 from jax_inertia.gap.pool import Pool
-from jax_inertia.slopes import derivative
+from jax_inertia.maths.finite_difference import derivative
 
 KNOTS = 24
 # Angles over which a hose or a cable yields [rad]: dry friction turns within a hundredth of them.

@@ -7,8 +7,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia._mujoco_types import MjModel, MjSpec
-from jax_inertia._mujoco_warnings import mujoco_warnings
 from jax_inertia.gap.callbacks import Callback, law
 from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
@@ -16,10 +14,12 @@ from jax_inertia.gap.couplings import DAMPING_RATIO, DEFLECTION
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.turning import CREEPS
-from jax_inertia.log import Log, TorqueKind
-from jax_inertia.mjcf import ModelWarning, compile_spec
-from jax_inertia.robot import Robot
-from jax_inertia.slopes import derivative
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.model.load import ModelWarning, compile_spec
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
+from jax_inertia.model.mujoco_warnings import mujoco_warnings
+from jax_inertia.model.robot import Robot
 
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
 # ω² h² of a joint on its bristles, at most.

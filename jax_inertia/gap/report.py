@@ -12,7 +12,7 @@ from jax_inertia.gap.finding import Diagnosis, Finding
 from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.suggest import Suggestion, suggestions
 from jax_inertia.gap.trace import regions
-from jax_inertia.preflight import Finding as Quality
+from jax_inertia.preflight.preflight import Finding as Quality
 
 
 def to_report(

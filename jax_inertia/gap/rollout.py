@@ -12,15 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia._mujoco_types import MjSpec
 from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.plant import Plant, Recording
 from jax_inertia.gap.sensors import perturbed
 from jax_inertia.gap.trace import Trace
-from jax_inertia.log import Log
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import Log
+from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.model.robot import Robot
 
 _STEP = 5e-4
 # Draws of the sensors' noise: by one alone a floor of few windows errs by a tenth or two.

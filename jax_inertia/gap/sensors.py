@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.bands import smooth_order
-from jax_inertia.log import AnyArray, Log
+from jax_inertia.logs.log import AnyArray, Log
+from jax_inertia.signals.bands import smooth_order
 
 
 def stated(log: Log) -> bool:

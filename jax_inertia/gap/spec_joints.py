@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from jax_inertia._mujoco_types import MjSpec
 from jax_inertia.gap.effect import Effect
+from jax_inertia.model.mujoco_types import MjSpec
 
 
 def joint_of(spec: MjSpec, effect: Effect):

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia import dynamics
+from jax_inertia.dynamics import rigid_body
 from jax_inertia.gap.chunks import over_samples
-from jax_inertia.log import LogError
-from jax_inertia.robot import Robot
+from jax_inertia.logs.log import LogError
+from jax_inertia.model.robot import Robot
 
 BASE = 6
 """Rows of a free joint."""
@@ -161,11 +161,11 @@ def _ways(
     return np.stack(ways, axis=1)
 
 
-_poses = over_samples(dynamics.body_poses)
+_poses = over_samples(rigid_body.body_poses)
 
 
 @over_samples
 def _torques(shared, x):
     robot, bodies = shared
     q, ways = x
-    return jax.vmap(lambda w: dynamics.contact_torque(robot, q, w, bodies))(ways)
+    return jax.vmap(lambda w: rigid_body.contact_torque(robot, q, w, bodies))(ways)

@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import polynomial
 
-from jax_inertia.slopes import derivative
+from jax_inertia.maths.finite_difference import derivative
 
 # A tooth's contact lasts some milliseconds.
 STEP = 5e-4

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from jax_inertia.robots._xml import element
 from jax_inertia.robots.humanoid_looks import draw, lights, scenery
+from jax_inertia.robots.mjcf_elements import element
 from jax_inertia.robots.nadia_figures import (
     DAMPING,
     JOINTS,

@@ -3,7 +3,7 @@
 import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
-from jax_inertia.robots._xml import element
+from jax_inertia.robots.mjcf_elements import element
 
 Vector = tuple[float, float, float]
 

@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from jax_inertia._mujoco_types import MjModel
-from jax_inertia.log import Log, TorqueKind
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.model.mujoco_types import MjModel
 
 # Links of 1 m, hung at each other's ends, their masses half-way down.
 _LINK = """<body name="{name}" pos="0 0 {z}"><joint name="{joint}" axis="0 1 0"/>

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
 from jax_inertia.gap.twomass import Coupling
-from jax_inertia.slopes import derivative
+from jax_inertia.maths.finite_difference import derivative
 
 
 def off_path(

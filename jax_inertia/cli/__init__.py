@@ -1,0 +1,1 @@
+"""The command `jax-inertia`: what it parses, prints, draws and writes."""

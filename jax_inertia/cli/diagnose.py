@@ -1,0 +1,69 @@
+"""`jax-inertia diagnose`: which effects the model lacks, where, how large, and how far the gap shrinks with them."""
+
+import argparse
+import textwrap
+from pathlib import Path
+
+_DESCRIPTION = """
+Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
+shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
+effects added); of a URDF whose inertials are at fault corrected.urdf too.
+"""
+_EXAMPLES = """
+examples:
+  what does the simulation of this arm lack?
+    jax-inertia diagnose log.npz --model arm.xml
+
+  the same, checked on another motion
+    jax-inertia diagnose log.npz --model arm.xml --test-log other.npz --out diagnosis
+
+  without an effect that cannot be (this arm has no belts)
+    jax-inertia diagnose log.npz --model arm.xml --exclude joint_elasticity backlash
+
+No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.
+"""
+
+_LOG_HELP = ".npz, .csv, .parquet, ROS bag or MCAP (what needs options: see jax-inertia convert)"
+
+
+def add_parser(subparsers) -> None:
+    """Add `diagnose` to the command line."""
+    parser = subparsers.add_parser(
+        "diagnose",
+        help="which effects a model lacks, from a log",
+        description=textwrap.dedent(_DESCRIPTION),
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("log", metavar="LOG", type=Path, help=_LOG_HELP)
+    add("--model", type=Path, required=True, help="MJCF or URDF, the robot as modelled")
+    test_help = "another motion of the same robot, used to validate only"
+    add("--test-log", type=Path, metavar="LOG2", help=test_help)
+    exclude_help = "families of effects that are out of the question"
+    add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
+    effects_help = "look for so many effects at most (default 3)"
+    add("--max-effects", type=_count, default=3, metavar="N", help=effects_help)
+    add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
+    add("--json", action="store_true", help="print report.json instead of the table")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it; raises ValueError with one line where log or model cannot be used."""
+    from jax_inertia.cli import diagnose_run as pipeline
+    from jax_inertia.cli.console import folder_for, output_folder, stages
+
+    out = args.out if args.out is not None else folder_for(args.log)
+    with stages() as stage:
+        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude)
+        with output_folder(out) as folder:
+            show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage)
+    show(out, as_json=args.json)
+    return 0
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 20:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 20")
+    return int(text)

@@ -1,0 +1,250 @@
+"""What `jax-inertia diagnose` computes, writes and prints."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from jax_inertia.cli import diagnose_whole as output
+from jax_inertia.cli.console import warn
+from jax_inertia.diagnosis.pipeline import diagnose as whole_robot_diagnosis
+from jax_inertia.diagnosis.pipeline import ordinary_is_missing
+from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
+from jax_inertia.gap.correct import Correction, corrected
+from jax_inertia.gap.diagnosis import diagnose
+from jax_inertia.gap.effect import effects_of
+from jax_inertia.gap.families import NAMES
+from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.gap.html import Page, page
+from jax_inertia.gap.report import to_report
+from jax_inertia.gap.rollout import Rollouts, rollouts
+from jax_inertia.gap.units import drive_gains, in_newton_metres
+from jax_inertia.gap.verdict import Verdict
+from jax_inertia.gap.words import percent, plain
+from jax_inertia.logs.log import Log, LogError, read_log
+from jax_inertia.model.load import (
+    compile_spec,
+    is_urdf,
+    load_model,
+    load_spec,
+    model_path,
+    write_urdf,
+)
+from jax_inertia.model.log_match import afloat
+from jax_inertia.model.robot import Robot
+from jax_inertia.model.write import changed_inertials, loadable
+from jax_inertia.preflight.preflight import Finding as Quality
+from jax_inertia.preflight.preflight import Severity, preflight
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What was read, and found sound."""
+
+    model: Path
+    path: Path
+    robot: Robot
+    log: Log
+    test_log: Log | None
+    quality: tuple[Quality, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What was found, and what becomes of it."""
+
+    found: Diagnosis
+    nominal: mujoco.MjSpec
+    correction: Correction
+    rollouts: Rollouts | None
+    report: dict
+
+
+def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) -> Inputs:
+    """Read model and logs, and look at them before anything is computed; ValueError with one line."""
+    if unknown := sorted(set(exclude) - set(NAMES)):
+        raise ValueError(
+            f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
+        )
+    robot = load_model(model)
+    logs, quality = [], []
+    gains, unit = [], ""
+    for path in (log, *([] if test_log is None else [test_log])):
+        one = read_log(path, names=robot)
+        if not logs:
+            robot, told = afloat(robot, model, one)
+            quality += told
+        found = preflight(one, robot)
+        try:
+            found.raise_for_errors()
+        except LogError as error:
+            raise LogError(f"{path}: {error}") from None
+        for finding in found.findings:
+            if finding.check == "no_motion" and finding.severity is Severity.WARNING:
+                raise LogError(f"{path}: {finding.message}")
+        remarks: tuple[Quality, ...] = ()
+        if not logs:
+            # The test log is read with the same gains: one that does not carry over is part of what it tests.
+            try:
+                gains, remarks = drive_gains(one, robot)
+            except ValueError as error:
+                raise LogError(f"{path}: {error}") from None
+            unit = one.tau_unit_text
+        elif one.tau_unit_text != unit:
+            raise LogError(f"{path}: tau is in {one.tau_unit_text!r}, {log.name} in {unit!r}")
+        logs.append(in_newton_metres(one, gains))
+        for finding in (*found.findings, *remarks):
+            quality.append(finding._replace(message=f"{path.name}: {finding.message}"))
+    for finding in quality:
+        if finding.severity is Severity.WARNING:
+            warn(finding.message)
+    return Inputs(model, log, robot, logs[0], logs[1] if len(logs) > 1 else None, tuple(quality))
+
+
+def whole_robot(
+    inputs: Inputs, exclude: Sequence[str], stage: Callable[[str], None]
+) -> WholeRobot | None:
+    """The diagnosis of every joint at once, for a model that lacks ordinary physics at half of its joints or more.
+
+    None where the model has it: then one effect is sought on a good model. None too for what the former does not do
+    yet: floating bases, and rows that are no hinge's or slide's.
+    """
+    robot = inputs.robot
+    if robot.has_free_base or not all(robot.topology.dof_scalar):
+        return None
+    found = whole_robot_diagnosis(
+        robot, inputs.log, test_log=inputs.test_log, exclude=exclude, progress=stage
+    )
+    return found if ordinary_is_missing(found, robot.joint_names) else None
+
+
+def diagnosed(
+    folder: Path,
+    inputs: Inputs,
+    exclude: Sequence[str],
+    max_effects: int,
+    stage: Callable[[str], None],
+) -> Callable[..., None]:
+    """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`."""
+    whole = whole_robot(inputs, exclude, stage)
+    if whole is None:
+        result = diagnosis(inputs, exclude, max_effects, stage)
+        stage("writing")
+        write(folder, inputs, result)
+        return functools.partial(show, result)
+    stage("writing")
+    paths = inputs.path, inputs.model
+    report = output.write(folder, whole, inputs.robot, inputs.log, paths, inputs.quality)
+    return functools.partial(output.show, whole, report)
+
+
+def diagnosis(
+    inputs: Inputs, exclude: Sequence[str], max_effects: int, stage: Callable[[str], None]
+) -> Result:
+    """Diagnose, correct the model, and roll both models out."""
+    found = diagnose(
+        inputs.robot,
+        inputs.log,
+        test_log=inputs.test_log,
+        exclude=exclude,
+        max_effects=max_effects,
+        progress=stage,
+    )
+    stage("rolling models out in MuJoCo")
+    floats = is_urdf(model_path(inputs.model)) and inputs.robot.has_free_base
+    nominal, wanted = (load_spec(inputs.model, floating_base=floats) for _ in range(2))
+    correction = corrected(wanted, effects_of(found))
+    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace)
+    report = to_report(found, rollouts=rolled, quality=inputs.quality)
+    return Result(found, nominal, correction, rolled, report)
+
+
+NO_CORRECTION = "verdict unknown: the effects in this model are the nearest ones, and no correction"
+
+
+def write(folder: Path, inputs: Inputs, result: Result) -> None:
+    """report.json, report.html and corrected.xml; for a URDF whose inertials change corrected.urdf too."""
+    text = json.dumps(result.report, indent=1, allow_nan=False)
+    (folder / "report.json").write_text(text + "\n")
+    model = loadable(result.correction.spec, inputs.model)
+    if result.found.verdict is Verdict.UNKNOWN and result.found.findings:
+        model = f"<!-- {NO_CORRECTION} -->\n{model}"
+    (folder / "corrected.xml").write_text(model)
+    nominal, mended = compile_spec(result.nominal), compile_spec(result.correction.spec)
+    if is_urdf(model_path(inputs.model)) and (pi := changed_inertials(nominal, mended)):
+        write_urdf(model_path(inputs.model), folder / "corrected.urdf", pi)
+    content = Page(
+        inputs.path.name,
+        inputs.model.name,
+        inputs.log,
+        result.found,
+        result.correction,
+        result.rollouts,
+        result.report,
+    )
+    (folder / "report.html").write_text(page(content))
+
+
+def show(result: Result, out: Path, *, as_json: bool) -> None:
+    """Print what was found."""
+    if as_json:
+        print(json.dumps(result.report, indent=1, allow_nan=False))
+        return
+    console = Console()
+    console.print(escape(result.found.headline), highlight=False)
+    table(console, result.found)
+    for kind, text in shrink_lines(result):
+        console.print(f"{kind:>22}: {text}", highlight=False, soft_wrap=True)
+    for doubt in result.found.doubts:
+        console.print(f"doubt: {escape(doubt)}", highlight=False, soft_wrap=True)
+    said = [q["message"] for q in result.report["data_quality"]]
+    for note in result.found.notes:
+        # What is wrong with the log was said when it was read.
+        if not any(note in message for message in said):
+            console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
+    if wanted := result.report["suggested_motion"]:
+        console.print(f"to tell ties apart: {escape(wanted['text'])}", soft_wrap=True)
+    console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True, highlight=False)
+
+
+def table(console: Console, found: Diagnosis) -> None:
+    """Verdict and effects."""
+    rows = Table(
+        title=f"{plain(str(found.verdict))} ({found.certainty})",
+        title_justify="left",
+    )
+    for name in ("effect", "where", "size, 95 % interval", "explains", "or"):
+        rows.add_column(name)
+    for f in found.findings:
+        rows.add_row(
+            f.family,
+            escape(f.place.name),
+            escape("\n".join(f.sizes)),
+            percent(f.explained),
+            escape(f.rivals),
+        )
+    if found.findings:
+        console.print(rows)
+    else:
+        console.print(rows.title)
+
+
+def shrink_lines(result: Result) -> list[tuple[str, str]]:
+    """How far the gap shrinks, in up to three ways."""
+    found, rolled = result.found, result.rollouts
+    out = []
+    for name, s in (("held-out residual", found.heldout), ("other motion", found.test)):
+        if s is not None:
+            text = f"{s.before:.3g} → {s.after:.3g} {found.unit} (floor {s.noise:.2g})"
+            out.append((name, text))
+    if rolled is not None:
+        sizes = [rolled.shown * x for x in (rolled.before, rolled.after, rolled.floor)]
+        text = "{:.3g} → {:.3g} {} (floor {:.2g})".format(*sizes[:2], rolled.shown_in, sizes[2])
+        out.append((f"{rolled.horizon:g} s rollouts", text))
+    return out

@@ -1,0 +1,84 @@
+"""What a whole-robot diagnosis writes and prints."""
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from jax_inertia.diagnosis.corrected_model import correction
+from jax_inertia.diagnosis.page import page
+from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.result import Diagnosis
+from jax_inertia.gap.words import chance, number, plain, unit
+from jax_inertia.logs.log import Log
+from jax_inertia.model.load import compile_spec, is_urdf, load_spec, model_path, write_urdf
+from jax_inertia.model.robot import Robot
+from jax_inertia.model.write import changed_inertials, loadable
+
+
+def write(
+    folder: Path,
+    found: Diagnosis,
+    robot: Robot,
+    log: Log,
+    paths: tuple[Path, Path],
+    quality,
+) -> dict:
+    """report.json, report.html and corrected.xml (of a URDF corrected.urdf too); the report. `paths`: log and model."""
+    source, model = paths
+    floats = is_urdf(model_path(model)) and robot.has_free_base
+    nominal, wanted = (load_spec(model, floating_base=floats) for _ in range(2))
+    done = correction(wanted, robot, found)
+    report = to_report(found, quality=quality)
+    report["notes"] += list(done.notes)
+    text = json.dumps(report, indent=1, allow_nan=False)
+    (folder / "report.json").write_text(text + "\n")
+    (folder / "corrected.xml").write_text(loadable(done.spec, model))
+    if is_urdf(model_path(model)):
+        before, after = compile_spec(nominal), compile_spec(done.spec)
+        if pi := changed_inertials(before, after):
+            write_urdf(model_path(model), folder / "corrected.urdf", pi)
+    content = page(found, done, log, (source.name, model.name), report)
+    (folder / "report.html").write_text(content)
+    return report
+
+
+def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
+    """Headline, the joints' table, odd effects, what remains."""
+    if as_json:
+        print(json.dumps(report, indent=1, allow_nan=False))
+        return
+    console = Console()
+    sure = f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})"
+    console.print(f"[bold]{sure}[/bold]")
+    console.print(escape(found.headline), highlight=False)
+    table = Table(title="every joint, 95 % interval", title_justify="left")
+    for name in (
+        "joint",
+        "viscous",
+        "dry friction",
+        "rotor inertia",
+        "offset",
+        "error before → after",
+    ):
+        table.add_column(name)
+    for joint, own in found.joints.items():
+        cells = [f"{number(p.value)} ± {number(0.5 * (p.high - p.low))}" for p in own.values()]
+        before, after = found.checked.per_joint[joint]
+        table.add_row(escape(joint), *cells, f"{number(before)} → {number(after)}")
+    console.print(table)
+    for f in found.odd:
+        sizes = "; ".join(
+            f"{plain(n)} {number(p.value)} [{number(p.low)}, {number(p.high)}]{unit(p.unit)}"
+            for n, p in f.parameters.items()
+        )
+        ties = ", ".join(f"{plain(t.family)} at {t.place.name}" for t in f.equivalent)
+        text = f"{plain(f.family)} at {f.place.name}: {sizes}; probability {chance(f.probability)}"
+        console.print(
+            escape(text + (f"; or {ties}" if ties else "")), highlight=False, soft_wrap=True
+        )
+    for note in found.notes:
+        console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
+    console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True, highlight=False)

@@ -1,0 +1,1 @@
+"""Rigid-body dynamics in JAX: kinematics, inverse dynamics, torque regressor, mass matrix."""

@@ -1,0 +1,1 @@
+"""Inertial parameters from logs: filter, batch fit, priors, identifiability, and the motion that excites them."""

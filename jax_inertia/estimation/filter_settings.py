@@ -1,0 +1,121 @@
+"""Settings of the inertial filter: what is taken where nothing is said, and each fault in one line."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jax_inertia.estimation.priors import Uncertainty
+from jax_inertia.maths import charts
+from jax_inertia.maths.argument_checks import is_positive, known, require
+from jax_inertia.maths.gates import ChiSquaredGate, FixedGate, Gate
+from jax_inertia.maths.noise import Noise
+from jax_inertia.model.robot import Robot
+
+
+class Preset(NamedTuple):
+    """What `make_estimator` takes for each argument left out."""
+
+    chart: type[charts.Chart]
+    iterations: int
+    gate: float
+    """Probability of keeping a good sample; 1: no gate."""
+    reopen_after: float
+    """[s]"""
+    weighs_outliers: bool
+    """Whether samples that no gate refuses are made consistent by more noise (`kalman.update`)."""
+
+
+GATE, REOPEN_AFTER = 0.9999, 0.5
+"""Real residuals have bursts (gears at reversal) of a few tenths of a second; a load stays."""
+# In U Uᵀ mass and centre of mass are coordinates of their own, in UᵀU the mass depends on four: there the UR10e's
+# payload comes out at 6 kg or 0, whatever the iterations.
+SAFE = Preset(charts.LogCholeskyUUt, 5, GATE, REOPEN_AFTER, weighs_outliers=True)
+PAPER = Preset(charts.LogCholesky, 1, 1.0, float("inf"), weighs_outliers=False)
+# Sudden changes are the affair of a gate that reopens; drift is for the slow rest. Without one, drift is for both.
+_SLOW, _QUICK = 3600.0, 3.0
+
+
+def gate_of(gate: Gate | float, robot: Robot) -> Gate:
+    """The gate of a probability of keeping a good sample (1: none), or the one given; ValueError for neither."""
+    if isinstance(gate, Gate):
+        return gate
+    if isinstance(gate, bool) or not isinstance(gate, int | float | np.number):
+        raise ValueError(f"gate is {gate!r}; give a probability, or a Gate such as FixedGate(30.0)")
+    if not 0 < gate <= 1:
+        raise ValueError(
+            f"gate probability is {gate}; it must lie above 0, and not above 1 (no gate)"
+        )
+    return ChiSquaredGate(float(gate), robot.nv) if gate < 1 else FixedGate()
+
+
+def drift_seconds(
+    gate: Gate, reopen_after: Float[Array, ""] | float, robot: Robot
+) -> Float[Array, ""]:
+    """Time in which bodies may drift by the prior [s]: long where a gate notices sudden changes and reopens."""
+    closes = jnp.isfinite(gate.threshold(jnp.asarray(float(robot.nv))))
+    return jnp.where(closes & jnp.isfinite(jnp.asarray(reopen_after)), _SLOW, _QUICK)
+
+
+def require_filter(
+    iterations: int, gate: Gate, reopen_after: Float[Array, ""] | float, robot: Robot
+) -> None:
+    """ValueError for settings that no filter of this robot can have."""
+    if not isinstance(iterations, int | np.integer) or iterations < 1:
+        raise ValueError(f"iterations is {iterations!r}; it must be a whole number, at least one")
+    if isinstance(gate, ChiSquaredGate) and gate.max_rows < robot.nv:
+        raise ValueError(
+            f"the gate has max_rows {gate.max_rows}; a sample of this robot has {robot.nv}"
+        )
+    require("reopen_after", reopen_after, lambda x: x > 0, "positive [s], or infinite")
+
+
+def require_physical(
+    robot: Robot, chosen: tuple[int, ...], chart: charts.Chart, mean: Float[Array, "bodies 10"]
+) -> None:
+    """ValueError for a body that has no coordinates in the chart."""
+    numbers = known(mean)
+    if numbers is None or np.all(np.isfinite(numbers)):
+        return
+    body = chosen[int(np.argmin(np.all(np.isfinite(numbers), axis=1)))]
+    raise ValueError(
+        f"body {robot.body_names[body]!r} is not physical (mass {float(robot.pi[body, 0]):.4g} kg): "
+        f"{type(chart).__name__} needs a positive-definite pseudo-inertia; estimate the link that carries it, or "
+        "correct its inertial"
+    )
+
+
+def require_noise(noise: Noise, robot: Robot) -> None:
+    """ValueError for noise of other rows than the robot's, or of none."""
+    if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
+        raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
+    sizes = jnp.sqrt(noise.variances())
+    require("sigma of the noise", sizes, is_positive, "positive in all rows")
+
+
+def covariance(
+    name: str, uncertainty: Uncertainty, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
+) -> Float[Array, "bodies 10 10"]:
+    """Of each body; ValueError for sizes that are none."""
+    for what, size in vars(uncertainty).items():
+        require(f"{what} of {name}", size, _is_size, "finite and not negative")
+    return uncertainty.covariance(chart, nominal)
+
+
+def of_rows(
+    name: str, value: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float, robot: Robot
+) -> Float[Array, " nv"]:
+    """One size for each row, from one for all or one each; ValueError for another count, or for none."""
+    array = jnp.asarray(value, robot.pi.dtype)
+    if array.shape not in ((), (1,), (robot.nv,)):
+        raise ValueError(
+            f"{name} has shape {array.shape}; give one number, or one for each of {robot.nv} rows"
+        )
+    require(name, array, _is_size, "finite and not negative")
+    return jnp.broadcast_to(array, (robot.nv,))
+
+
+def _is_size(x: np.ndarray) -> bool:
+    return bool(np.all(np.isfinite(x) & (x >= 0)))

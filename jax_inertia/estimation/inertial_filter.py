@@ -1,0 +1,338 @@
+"""The inertial Kalman filter of the paper: a belief about a few bodies, updated by one torque sample at a time.
+
+    estimator = make_estimator(robot, ["forearm"], sigma_tau=0.5)
+    state = estimator.initial()
+    state, step = eqx.filter_jit(estimator.step)(state, observation, dt)
+    estimator.estimate(state.belief).pi                                   # (bodies, 10)
+
+Left to itself it is what was measured to work on logs and in simulation loops: coordinates U Uᵀ, five iterations, a χ²
+gate that reopens, little drift. With `paper=True` it is the filter of Foster et al. to the letter: UᵀU, one iteration,
+no gate unless given; with `chart=Linear()` besides, their baseline Kalman filter.
+"""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jax_inertia.dynamics.rigid_body import resolve_bodies
+from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
+from jax_inertia.estimation import filter_settings as settings
+from jax_inertia.estimation.physical_estimate import Estimate, own_blocks, physical_units
+from jax_inertia.estimation.priors import Load, Uncertainty
+from jax_inertia.maths import charts, kalman
+from jax_inertia.maths.argument_checks import floats_as, require
+from jax_inertia.maths.gates import ChiSquaredGate, Gate
+from jax_inertia.maths.noise import IndependentNoise, Noise
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.residual import agreed_residual, torque_residual, torque_residuals
+
+
+class State(eqx.Module):
+    """What is carried from one sample to the next; save it, and the filter goes on bit for bit."""
+
+    belief: kalman.Belief
+    bias: Float[Array, " nv"]
+    """Constant torque that the model lacks, from `calibrate_bias` [N m]."""
+    rejected_for: Float[Array, ""]
+    """How long the gate has rejected every sample [s]."""
+
+
+class Step(eqx.Module):
+    """What one sample gave: the belief after it, and how it compared with the one before."""
+
+    belief: kalman.Belief
+    innovation: kalman.Innovation
+    threshold: Float[Array, ""]
+    """γ of the gate for this sample."""
+    reopened: Bool[Array, ""]
+
+
+class Trace(eqx.Module):
+    """A filter's run over a log, one entry a sample."""
+
+    estimate: Estimate
+    innovation: kalman.Innovation
+    threshold: Float[Array, " T"]
+    reopened: Bool[Array, " T"]
+
+
+class Estimator(eqx.Module):
+    """Filter settings and the robot; immutable. Make one with `make_estimator`."""
+
+    robot: Robot
+    chart: charts.Chart
+    prior: kalman.Belief
+    process_noise: Float[Array, "n n"]
+    """Growth of the covariance per second, in the chart's coordinates."""
+    noise: Noise
+    sigma_a: Float[Array, " nv"] | None
+    """Noise of v̇ [m/s², rad/s²] that is not in `noise`; None: the paper's filter, which takes v̇ for exact."""
+    gate: Gate
+    outliers: Gate | None
+    """Beyond it a sample that the gate lets pass counts as noisier: `kalman.update`."""
+    form: kalman.Form
+    reopen_after: Float[Array, ""]
+    """A gate that has rejected everything for so long [s] is facing a new load, not an impact: see `step`."""
+    bodies: tuple[int, ...] = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)
+    analytic_jacobian: bool = eqx.field(static=True)
+
+    def initial(self) -> State:
+        """State before the first sample."""
+        zero = jnp.zeros((), self.prior.mean.dtype)
+        return State(self.prior, jnp.zeros(self.robot.nv, zero.dtype), zero)
+
+    def step(
+        self, state: State, observation: Observation, dt: Float[Array, ""] | float
+    ) -> tuple[State, Step]:
+        """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement).
+
+        A `dt` that is no positive number is a fault of a clock, and counts as no time at all.
+        """
+        observation = floats_as(observation, self.robot.pi.dtype)
+        known = self.robot, observation, self.bodies, state.bias
+        valid = jnp.asarray(observation.motion.valid)
+        if self.sigma_a is None:
+            return self.update(state, *torque_residual(*known), valid, dt)
+        belief, _ = self._predicted(state, _elapsed(dt, state))
+        own = belief.mean.reshape(-1, 10)
+        g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
+        of_pi = self.chart.to_pi(own), g @ belief.covariance @ g.T
+        *rows, noise = agreed_residual(*known, *of_pi, self.noise, self.sigma_a)
+        return eqx.tree_at(lambda e: e.noise, self, noise).update(state, *rows, valid, dt)
+
+    def update(
+        self,
+        state: State,
+        regressor: Float[Array, "nv bodies 10"],
+        delta: Float[Array, " nv"],
+        valid: Bool[Array, " nv"],
+        dt: Float[Array, ""] | float,
+    ) -> tuple[State, Step]:
+        """`step` for a regressor Y^est and Δτ computed before.
+
+        A χ² gate alone would reject a genuine pick-up for ever. Impacts pass in some 50 ms; where everything is
+        rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
+        the gate opens, and the filter looks anew.
+        """
+        dt = _elapsed(dt, state)
+        belief, reopened = self._predicted(state, dt)
+
+        moved = moved_rows(self.robot, self.bodies)
+
+        def predicted(x):
+            return jnp.einsum("vbp,bp->v", regressor, self._pi(x))
+
+        def jacobian(x):
+            own = x.reshape(-1, 10)
+            g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
+            rows = jnp.einsum("vbp,bpj->vbj", take_rows(regressor, moved), g)
+            return spread_rows(rows.reshape(len(moved), -1), moved, len(delta))
+
+        belief, innovation = kalman.update(
+            belief,
+            delta,
+            predicted,
+            self.noise,
+            jacobian=jacobian,
+            mask=valid & jnp.all(jnp.isfinite(regressor), axis=(1, 2)),
+            gate=self.gate,
+            outliers=self.outliers,
+            iterations=self.iterations,
+            form=self.form,
+            project=lambda x: self.chart.project(x.reshape(-1, 10)).ravel(),
+        )
+        waited = jnp.where(reopened, 0.0, state.rejected_for) + dt
+        waited = jnp.where(innovation.accepted, 0.0, waited)
+        threshold = self.gate.threshold(innovation.rows)
+        out = State(belief, state.bias, waited)
+        return out, Step(belief, innovation, threshold, reopened)
+
+    def run(
+        self,
+        state: State,
+        observations: Observation,
+        *,
+        dt: Float[Array, " T"] | None = None,
+        used: Bool[Array, " T"] | None = None,
+    ) -> tuple[State, Trace]:
+        """`step` over a log: regressors in batches, one scan, then physical units in batches. Jit it.
+
+        `dt` [s] is the time since the sample before, by default that of the log, whose first sample is taken to come
+        one period after `state`. Samples that are not `used` (default: all are) leave no trace in the state.
+        Raises ValueError for fewer than two samples without a `dt`.
+        """
+        if dt is None:
+            dt = jnp.diff(jnp.asarray(observations.motion.time))
+            if not len(dt):
+                count = len(observations.motion.time)
+                raise ValueError(f"a log of {count} samples has no period; give dt, one a sample")
+            dt = jnp.concatenate([dt[:1], dt])
+        # Stamps of a real clock need float64 until they are subtracted.
+        observations = floats_as(observations, self.robot.pi.dtype)
+        follow: Callable[..., tuple[State, Step]] = self.step
+        samples: tuple = (observations,)
+        if self.sigma_a is None:  # else regressors hang on the belief
+            rows = torque_residuals(self.robot, observations, self.bodies, state.bias)
+            follow, samples = self.update, (*rows, observations.motion.valid)
+
+        def one(carry, x):
+            sample, since, use = x
+            after, step = follow(carry, *sample, since)
+            if use is not None:
+                after = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
+            own = (step.belief.mean, own_blocks(step.belief.covariance))
+            return after, (own, step.innovation, step.threshold, step.reopened)
+
+        steps = (samples, dt, used)
+        state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
+        estimate = jax.lax.map(lambda x: physical_units(self.chart, *x), own, batch_size=64)
+        return state, Trace(estimate, innovation, threshold, reopened)
+
+    def calibrate_bias(self, state: State, observations: Observation) -> State:
+        """Take the mean residual over a window into the bias, parameters held (Foster et al., sec. IV-B).
+
+        b ← b + mean(Δτ − h(x)): accumulated, so that a second window refines the first. Rows that are nowhere
+        valid keep their bias. A load carried meanwhile would be calibrated away: call it unloaded.
+        """
+        regressors, deltas = torque_residuals(self.robot, observations, self.bodies, state.bias)
+        left = deltas - jnp.einsum("tvbp,bp->tv", regressors, self._pi(state.belief.mean))
+        used = jnp.asarray(observations.motion.valid) & jnp.isfinite(left)
+        mean = jnp.sum(jnp.where(used, left, 0.0), 0) / jnp.maximum(jnp.sum(used, 0), 1)
+        return eqx.tree_at(lambda s: s.bias, state, state.bias + mean)
+
+    def estimate(self, belief: kalman.Belief) -> Estimate:
+        """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
+        return physical_units(self.chart, belief.mean, belief.covariance)
+
+    def _predicted(
+        self, state: State, dt: Float[Array, ""]
+    ) -> tuple[kalman.Belief, Bool[Array, ""]]:
+        reopened = state.rejected_for >= self.reopen_after
+        extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
+        return kalman.predict(state.belief, self.process_noise * dt + extra), reopened
+
+    def _pi(self, x: Float[Array, " n"]) -> Float[Array, "bodies 10"]:
+        return self.chart.to_pi(x.reshape(-1, 10))
+
+
+def make_estimator(
+    robot: Robot,
+    bodies: Sequence[int | str],
+    *,
+    sigma_tau: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float,
+    prior: Uncertainty | None = None,
+    drift: Uncertainty | Float[Array, ""] | float | None = None,
+    chart: charts.Chart | None = None,
+    noise: Noise | None = None,
+    sigma_a: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float | None = None,
+    gate: Gate | float | None = None,
+    reopen_after: Float[Array, ""] | float | None = None,
+    iterations: int | None = None,
+    form: kalman.Form | None = None,
+    analytic_jacobian: bool = True,
+    paper: bool = False,
+) -> Estimator:
+    """Estimator of the chosen bodies, started at the robot's own parameters.
+
+    `sigma_tau` is the noise of each row [N m, N] (overridden by `noise`); `prior` how far the bodies may be from the
+    model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second, or the seconds
+    in which they may drift by the prior (default: an hour with a gate that reopens, which is what notices a new load;
+    else 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the noise of
+    accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards zero
+    (`residual.agreed_residual`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
+    probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`.
+
+    What is left out is safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate
+    an outlier counts as noisier (`kalman.update`, `outliers`). With `paper` it is the paper's: `LogCholesky`, one
+    iteration, no gate, no reopening, every sample at its word.
+    Numbers may be traced: the whole of it runs under `jit`, `grad` and `vmap`, where they cannot be looked at.
+    Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), noise that is not
+    positive, settings that no filter can have, or a form that leaves rows out beside correlated noise.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation.inertial_filter import make_estimator
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> robot = load_model(double_pendulum())
+    >>> ekf = make_estimator(robot, ["lower"], sigma_tau=0.1)
+    >>> ekf.iterations, make_estimator(robot, ["lower"], sigma_tau=0.1, paper=True).iterations
+    (5, 1)
+    >>> ekf.estimate(ekf.initial().belief).pi[0, :4].round(6) + 0.0
+    Array([ 1. ,  0. ,  0. , -0.5], dtype=float64)
+    """
+    chosen = resolve_bodies(robot, bodies)
+    if not chosen:
+        raise ValueError("no body to estimate; name at least one")
+    preset = settings.PAPER if paper else settings.SAFE
+    iterations = preset.iterations if iterations is None else iterations
+    reopen_after = preset.reopen_after if reopen_after is None else reopen_after
+    gate = settings.gate_of(preset.gate if gate is None else gate, robot)
+    settings.require_filter(iterations, gate, reopen_after, robot)
+    total = jnp.sum(robot.pi[:, 0])
+    prior = Load(0.1 * total) if prior is None else prior
+    chart = preset.chart() if chart is None else chart
+    nominal = robot.pi[np.array(chosen)]
+    mean = chart.from_pi(nominal)
+    settings.require_physical(robot, chosen, chart, mean)
+    if noise is None:
+        noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
+    settings.require_noise(noise, robot)
+    if sigma_a is not None:
+        sigma_a = settings.of_rows("sigma_a", sigma_a, robot)
+    independent = isinstance(noise, IndependentNoise) and sigma_a is None
+    if form is not None and form.leaves_rows_out and not independent:
+        raise ValueError(
+            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
+            "give it all rows"
+        )
+    block_diag = jax.scipy.linalg.block_diag
+    start = kalman.Belief(
+        mean.ravel(), block_diag(*settings.covariance("prior", prior, chart, nominal))
+    )
+    if isinstance(drift, Uncertainty):
+        growth = block_diag(*settings.covariance("drift", drift, chart, nominal))
+    else:
+        # At the body that carries the prior's load. At the bare body, a small load's share of it would be a drift of
+        # the same share of a body grown heavy: a flange of 0.2 kg that takes up 3 kg would then drift by 0.7 kg/√s.
+        if drift is None:
+            drift = settings.drift_seconds(gate, reopen_after, robot)
+        require("drift", drift, lambda x: x > 0, "positive [s], or an Uncertainty")
+        growth = start.covariance / jnp.asarray(drift, start.covariance.dtype)
+    outliers = None
+    if preset.weighs_outliers and not isinstance(gate, ChiSquaredGate):
+        outliers = settings.gate_of(settings.GATE, robot)
+    return Estimator(
+        robot=robot,
+        chart=chart,
+        prior=start,
+        process_noise=growth,
+        noise=noise,
+        sigma_a=sigma_a,
+        gate=gate,
+        outliers=outliers,
+        form=kalman.default_form(robot.pi.dtype) if form is None else form,
+        reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),
+        bodies=chosen,
+        iterations=iterations,
+        analytic_jacobian=analytic_jacobian,
+    )
+
+
+def _elapsed(dt: Float[Array, ""] | float, state: State) -> Float[Array, ""]:
+    """dt as the state counts time; a clock's faults count as none."""
+    since = jnp.asarray(dt, state.rejected_for.dtype)
+    return jnp.where(jnp.isfinite(since) & (since > 0), since, 0.0)
+
+
+def _slopes(chart: charts.Chart, x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10 10"]:
+    """`Chart.jacobian` by autodiff: each body's π hangs on its own coordinates alone, so ten tangents do for all."""
+
+    def along(direction: Float[Array, "10"]) -> Float[Array, "bodies 10"]:
+        return jax.jvp(chart.to_pi, (x,), (jnp.broadcast_to(direction, x.shape),))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(10, dtype=x.dtype))

@@ -1,0 +1,331 @@
+"""From a log to an estimate: the one pipeline that the command line, the demo and the benchmarks share.
+
+    observation = observe(log, robot)                      # resampled, low-passed, differentiated: 100 Hz
+    fit = batch.fit(robot, [observation], ["hand"], prior=prior)
+    noise, changed = residual_noise(robot, observation, ["hand"], prior=prior, whole=fit)
+    estimator = online(robot, ["hand"], noise / stride(observation) ** 0.5, prior=prior)
+    state, trace = run(estimator, estimator.initial(), thinned(observation))
+
+Two rates: differences need samples much denser than the motion, a filter needs samples whose noise is independent.
+So the log is low-passed to 10 Hz, differentiated at ten times that, and filtered at twice that, where neighbours carry
+separate news (a log slower than 100 Hz: `bands`). Fed at the full rate, a χ² gate sees a
+fifth of the innovation that it is entitled to, and sleeps.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.dynamics.rigid_body import resolve_bodies
+from jax_inertia.estimation.batch_fit import BatchFit
+from jax_inertia.estimation.batch_rows import correlation_inflation
+from jax_inertia.estimation.inertial_filter import Estimator, State, Trace, make_estimator
+from jax_inertia.estimation.priors import Load
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths import charts
+from jax_inertia.model.robot import HINGE, Robot
+from jax_inertia.preflight.preflight import require_usable
+from jax_inertia.signals.bands import ESTIMATE, of_estimate
+from jax_inertia.signals.differences import Observation, central_differences
+from jax_inertia.signals.filtering import low_pass, resample
+from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.residual import torque_residuals
+
+_PIECE_SECONDS = 2.0
+# A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
+_CHANGED = 5.0
+
+
+def observe(
+    log: Log,
+    robot: Robot,
+    *,
+    rate: float | None = None,
+    cutoff: float | None = None,
+    any_unit: bool = False,
+) -> Observation:
+    """A log as observations on a uniform grid of `rate` [Hz] (default: ten times `cutoff`, at most the log's own).
+
+    Every channel passes one zero-phase low-pass of `cutoff` [Hz] (default: 10, at most a fifth of `rate`). Torques are
+    in N m; those of `any_unit` stay in the log's own, for `batch_fit.fit(gains=...)` or `in_newton_metres`. One
+    period of the cutoff is cut off at both ends, where the filter rings. Raises LogError for a log that is not of
+    this robot or not measured (`preflight.require_usable`), ValueError for rates that do not fit it, and where too
+    little is left.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> log.a.shape, round(float(log.motion.time[0]), 2)
+    ((378, 2), 0.11)
+    """
+    require_usable(log, robot, any_unit=any_unit)
+    bands = of_estimate(round(log.rate, 6), rate, cutoff)
+    motion = generalised(low_pass(resample(log, bands.grid), bands.before), robot)
+    edge = int(np.ceil(bands.grid / bands.before))
+    if len(motion.time) < 2 * edge + 22:
+        raise LogError(
+            f"{log.duration:.3g} s of log at {bands.grid:g} Hz are too short for a low-pass of {bands.before:g} Hz; "
+            "raise the cutoff or record longer"
+        )
+    observation = jax.tree.map(lambda x: x[edge:-edge], central_differences(motion))
+    if not np.any(observation.motion.valid):
+        raise LogError(
+            "no sample is complete (position, velocity and torque all finite); nothing to fit"
+        )
+    return observation
+
+
+def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0.1) -> Observation:
+    """The same with rows of hinges slower than `slowest` [rad/s] masked: dry friction is below its kinetic level there.
+
+    For robots whose friction was fitted; sensors on the link side do not see it.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> faster = log_filter.without_slow_rows(log, robot, slowest=0.5)
+    >>> bool(faster.motion.valid.sum() < log.motion.valid.sum())
+    True
+    """
+    top = robot.topology
+    hinge = np.array(top.kind)[top.dof_node] == HINGE
+    slow = hinge & (np.abs(np.asarray(observation.motion.v)) < slowest)
+    valid = np.asarray(observation.motion.valid) & ~slow
+    return eqx.tree_at(lambda o: o.motion.valid, observation, valid)
+
+
+def stride(observation: Observation, cutoff: float | None = None) -> int:
+    """How many samples of the grid one independent sample spans: rate / (2 cutoff), at least one.
+
+    `cutoff` as given to `observe` [Hz].
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> log_filter.stride(log)
+    5
+    """
+    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    cutoff = ESTIMATE.on(1.0 / period).cutoff if cutoff is None else cutoff
+    return max(1, int(0.5 / (period * cutoff) + 1e-6))
+
+
+def thinned(observation: Observation, cutoff: float | None = None) -> Observation:
+    """Every `stride`-th observation: twice the cutoff, the rate that filters run at.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> log_filter.thinned(log).a.shape
+    (76, 2)
+    """
+    step = stride(observation, cutoff)
+    return jax.tree.map(lambda x: x[::step], observation)
+
+
+def joint_gains(
+    log: Log, robot: Robot, gains: Sequence[float] | Float[np.ndarray, " n"] | float
+) -> Float[np.ndarray, " nv"]:
+    """Drive gains in the log's order of joints (or one for all) as gains of the robot's rows; 1 on all others.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> log_filter.joint_gains(swing(), load_model(double_pendulum()), [10.0, 4.0])
+    array([10.,  4.])
+    """
+    values = np.asarray(gains, float)
+    if values.size not in (1, len(log.joint_names)):
+        raise ValueError(
+            f"{values.size} gains for {len(log.joint_names)} joints; give one for all, or one each for "
+            + ", ".join(log.joint_names)
+        )
+    if not np.all(np.isfinite(values)) or np.any(values == 0):
+        raise ValueError(f"gains are {values}; each must be a number other than zero")
+    out = np.ones(robot.nv)
+    values = np.broadcast_to(values.ravel(), (len(log.joint_names),))
+    for name, gain in zip(log.joint_names, values, strict=True):
+        out[robot.joint_dofadr[robot.joint_index(name)]] = gain
+    return out
+
+
+def in_newton_metres(observation: Observation, gains: Float[np.ndarray, " nv"]) -> Observation:
+    """Observations with torques τ = gain · logged.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> import numpy as np
+    >>> twice = log_filter.in_newton_metres(log, np.array([2.0, 2.0]))
+    >>> bool(np.allclose(twice.motion.tau, 2 * log.motion.tau))
+    True
+    """
+    return eqx.tree_at(
+        lambda o: o.motion.tau, observation, np.asarray(observation.motion.tau) * gains
+    )
+
+
+# A log is filtered in a tenth of a second; compiling takes ten. Without optimisation it takes two thirds of that.
+_QUICK = {"xla_backend_optimization_level": 0}
+_residuals = eqx.filter_jit(torque_residuals, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def regressors(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    bias: Float[np.ndarray, " nv"] | None = None,
+) -> tuple[Float[np.ndarray, "T nv n"], Float[np.ndarray, "T nv"], np.ndarray]:
+    """(Y^est with n = 10 × bodies, Δτ, which rows to use) of every observation, zero where not to be used.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> y, missing, valid = log_filter.regressors(robot, log, ["lower"])
+    >>> y.shape, missing.shape, bool(valid.all())
+    ((378, 2, 10), (378, 2), True)
+    """
+    chosen = resolve_bodies(robot, bodies)
+    bias = np.zeros(robot.nv) if bias is None else bias
+    y, delta = (np.asarray(x) for x in _residuals(robot, observation, chosen, jnp.asarray(bias)))
+    y = y.reshape(*delta.shape, -1)
+    valid = np.asarray(observation.motion.valid) & np.isfinite(delta) & np.isfinite(y).all(-1)
+    return np.where(valid[..., None], y, 0.0), np.where(valid, delta, 0.0), valid
+
+
+def residual_noise(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    *,
+    prior: Load,
+    whole: BatchFit,
+    bias: Float[np.ndarray, " nv"] | None = None,
+) -> tuple[Float[np.ndarray, " nv"], bool]:
+    """Noise of one observation [N m, N], its correlation time taken in, and whether the bodies changed meanwhile.
+
+    `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
+    residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
+    enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import batch_fit, log_filter
+    >>> from jax_inertia.estimation.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> found = batch_fit.fit(robot, [log], ["lower"], prior=Load(1.0))
+    >>> noise, changed = log_filter.residual_noise(robot, log, ["lower"], prior=Load(1.0), whole=found)
+    >>> bool((noise < 0.05).all()), changed
+    (True, False)
+    """
+    y, delta, valid = regressors(robot, observation, bodies, bias)
+    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    length = int(_PIECE_SECONDS / period)
+    nominal = np.asarray(robot.pi)[list(resolve_bodies(robot, bodies))].ravel()
+    left = delta - y @ nominal
+    sigma = np.broadcast_to(np.asarray(prior.sigma_pi()), (len(nominal) // 10, 10)).ravel()
+    starts = range(0, len(delta) - length + 1, length)
+    if len(starts) < 3:
+        return whole.noise, False
+    parts = [slice(k, k + length) for k in starts]
+    fits = [_fit_piece(y[p], left[p], valid[p], sigma, whole.rms_after) for p in parts]
+    rms, noise = (np.nanmedian(x, axis=0) for x in zip(*fits, strict=True))
+    changed = bool(np.any(whole.rms_after > _CHANGED * np.where(rms > 0, rms, np.inf)))
+    use = changed & np.isfinite(noise)
+    return np.where(use, np.minimum(noise, whole.noise), whole.noise), changed
+
+
+def _fit_piece(
+    y: np.ndarray, left: np.ndarray, valid: np.ndarray, sigma: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rms, noise) of each row after a ridge regression of one piece, NaN for rows hardly measured."""
+    noise, after = np.maximum(noise, 1e-9), left
+    count = valid.sum(axis=0)
+    for _ in range(3):
+        rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
+        normal = rows.T @ rows + np.eye(len(sigma))
+        x = np.linalg.solve(normal, rows.T @ (left / noise).ravel())
+        after = np.where(valid, left - y @ (sigma * x), 0.0)
+        noise = np.sqrt(np.sum(after**2, axis=0) / np.maximum(count, 1)).clip(1e-9)
+    rms = np.where(count > len(valid) // 2, noise, np.nan)
+    return rms, rms * correlation_inflation(after, valid)
+
+
+def online(
+    robot: Robot,
+    bodies: Sequence[int | str],
+    noise: Float[np.ndarray, " nv"],
+    *,
+    prior: Load,
+    chart: charts.Chart | None = None,
+    gate: float | None = None,
+    reopen_after: float | None = None,
+    iterations: int | None = None,
+    drift_seconds: float | None = None,
+) -> Estimator:
+    """The filter of a log: `make_estimator` with its defaults.
+
+    `noise` is that of one sample as the filter gets it (see `thinned`), `prior` the load expected. Raises ValueError as
+    `make_estimator` does.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.estimation.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> ekf = log_filter.online(robot, ["lower"], np.full(2, 0.02), prior=Load(1.0))
+    >>> ekf.bodies, ekf.iterations
+    ((1,), 5)
+    """
+    return make_estimator(
+        robot,
+        bodies,
+        sigma_tau=jnp.asarray(noise),
+        prior=prior,
+        drift=drift_seconds,
+        chart=chart,
+        gate=gate,
+        reopen_after=reopen_after,
+        iterations=iterations,
+    )
+
+
+_run = eqx.filter_jit(Estimator.run, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def run(estimator: Estimator, state: State, observations: Observation) -> tuple[State, Trace]:
+    """`Estimator.run`, compiled.
+
+    >>> import numpy as np
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.estimation.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> ekf = log_filter.online(robot, ["lower"], np.full(2, 0.05), prior=Load(1.0), gate=1.0)
+    >>> state, trace = log_filter.run(ekf, ekf.initial(), log_filter.thinned(log))
+    >>> mass, sigma = trace.estimate.pi[-1, 0, 0], trace.estimate.sigma_pi[-1, 0, 0]
+    >>> bool(abs(mass - 1.5) < 2 * sigma < 1.0)  # 1 kg of link, 0.5 kg of load
+    True
+    """
+    return _run(estimator, state, observations)

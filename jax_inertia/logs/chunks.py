@@ -1,0 +1,99 @@
+"""A log from a file, chunk by chunk: a day of it goes through the filter in bounded memory.
+
+for part in Stream(estimator).run(read_chunks("day.parquet", names=robot)):
+    print(part.time[-1], part.trace.estimate.pi[-1, 0, 0])
+"""
+
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jax_inertia.logs.log import JointNames, Log, LogError, _log_of, _naming
+from jax_inertia.logs.readers import columns
+from jax_inertia.logs.readers.delimited import csv_parts
+from jax_inertia.logs.readers.options import Options
+from jax_inertia.logs.readers.parquet import parquet_parts
+
+_KINDS = (".csv", ".tsv", ".parquet")
+_Part = tuple[columns.Plan, Mapping[str, np.ndarray]]
+
+
+def read_chunks(
+    path: str | os.PathLike[str],
+    *,
+    rows: int = 1 << 16,
+    options: Options | None = None,
+    names: JointNames | None = None,
+) -> Iterator[Log]:
+    """Read a .csv or .parquet file as logs of `rows` samples each, in order; the last has one more or fewer.
+
+    Names, units and every sample are checked as `read_log` does, chunk by chunk, and stamps and `sigma_*` also from
+    chunk to chunk; only the first chunk carries notes. Raises `LogError` with one line, where the chunk is reached
+    that is at fault: what came before it was sound. Other kinds of files: `jax-inertia convert` makes a .parquet.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import write_log
+    >>> from jax_inertia.logs.chunks import read_chunks
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> path = Path(tempfile.mkdtemp()) / "swing.csv"
+    >>> write_log(swing(seconds=0.5), path)
+    >>> [len(chunk.time) for chunk in read_chunks(path, rows=20)]
+    [20, 20, 10]
+    """
+    path, options = Path(path), options or Options()
+    if rows < 2:
+        raise ValueError(f"rows is {rows}; a chunk holds two samples at least")
+    before: Log | None = None
+    with _naming(path):
+        if not path.is_file():
+            raise LogError("no such file")
+        if (kind := path.suffix.lower()) not in _KINDS:
+            raise LogError(
+                f"{kind or 'such a file'} is not read in chunks; {', '.join(_KINDS)} are"
+            )
+        parts = (
+            parquet_parts(path, options, rows) if kind == ".parquet" else csv_parts(path, options)
+        )
+        for plan, table in _recut(parts, rows):
+            log = _log_of(columns.arrays(plan, table), options, names)
+            if before is not None:
+                _check_follows(before, log)
+                log = dataclasses.replace(log, notes=())
+            yield log
+            before = log
+
+
+def _recut(parts: Iterable[_Part], rows: int) -> Iterator[_Part]:
+    """Tables of `rows` rows from tables of any; a single row at the end goes with the one before."""
+    plan, texts, waiting, count = None, {}, [], 0
+    for plan, part in parts:
+        texts = {name: x for name, x in part.items() if x.ndim == 0} or texts
+        waiting.append({name: x for name, x in part.items() if x.ndim})
+        count += len(next(iter(waiting[-1].values()), ()))
+        while count >= rows + 2:
+            whole = _joined(waiting)
+            yield plan, {name: x[:rows] for name, x in whole.items()} | texts
+            waiting, count = [{name: x[rows:] for name, x in whole.items()}], count - rows
+    if plan is None:
+        raise LogError("holds no rows")
+    yield plan, _joined(waiting) | texts
+
+
+def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def _check_follows(before: Log, log: Log) -> None:
+    """What the chunks, each sound, could still contradict each other in."""
+    if not log.time[0] > before.time[-1]:
+        raise LogError(
+            f"time {log.time[0]:.9g} s does not come after {before.time[-1]:.9g} s; stamps must strictly increase"
+        )
+    for name in ("sigma_qpos", "sigma_tau"):
+        one, other = getattr(before, name), getattr(log, name)
+        if one is not None and not np.array_equal(one, other):
+            raise LogError(f"{name} changes over time; it is one value, repeated")

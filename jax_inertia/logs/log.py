@@ -1,0 +1,385 @@
+"""A robot's log: time, joint positions, velocities and torques, and what is known about them.
+
+`Log` is a pytree, so that simulated and measured logs go through the same code. `read_log` and
+`write_log` hold it in an .npz without pickles. What is structurally wrong raises `LogError`; what
+is only suspicious is for `jax_inertia.preflight.preflight` to say. Units: s, rad (m on slide joints), rad/s,
+N m; base as in MuJoCo (position and linear velocity in the world, quaternion wxyz, angular velocity
+in the body).
+"""
+
+import contextlib
+import dataclasses
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.logs.atomic_files import check_target, whole_file
+from jax_inertia.logs.npz import LogError, read_npz
+from jax_inertia.logs.readers.bag import bag_parts, read_bag
+from jax_inertia.logs.readers.delimited import read_csv
+from jax_inertia.logs.readers.export import write_table
+from jax_inertia.logs.readers.options import Contents, Options, applied
+from jax_inertia.logs.readers.parquet import read_dataset, read_parquet
+from jax_inertia.logs.schema import (
+    CHANNELS,
+    SHAPES,
+    TEXTS,
+    check_declared,
+    check_finite,
+    check_structure,
+    check_time,
+    fields_of,
+)
+from jax_inertia.logs.torque_unit import TorqueKind, TorqueUnit
+from jax_inertia.text.closest_names import listed
+from jax_inertia.text.notebook_page import has_numbers, line, table
+
+__all__ = ["Log", "LogError", "TorqueKind", "TorqueUnit", "read_log", "write_log"]
+
+# A name in a file may be of any length.
+_LONGEST = 1000
+
+AnyArray = np.ndarray | jax.Array
+
+
+def _unit(unit: TorqueUnit | str) -> TorqueUnit:
+    parsed = TorqueUnit.parse(str(unit))
+    if parsed is TorqueUnit.UNKNOWN and unit != TorqueUnit.UNKNOWN:
+        raise LogError(
+            f"tau_unit is {str(unit)[:60]!r}; expected {listed(list(TorqueUnit))} (other words go into "
+            "tau_unit_text)"
+        )
+    return parsed
+
+
+def _kind(kind: TorqueKind | str) -> TorqueKind:
+    if kind not in list(TorqueKind):
+        raise LogError(f"tau_kind is {str(kind)[:60]!r}; expected {listed(list(TorqueKind))}")
+    return TorqueKind(kind)
+
+
+def _tuple(field: str, texts: Iterable[str]) -> tuple[str, ...]:
+    if isinstance(texts, str):
+        raise LogError(f"{field} is the text {texts[:60]!r}; expected a tuple: ({texts[:60]!r},)")
+    return tuple(map(str, texts))
+
+
+class Log(eqx.Module):
+    """One log of T samples and n joints, every joint column in the order of `joint_names`.
+
+    `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
+    moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
+    touch something, and nobody measured how. `sigma_*` are standard deviations of one sample.
+    `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or units
+    do not fit together, or a stamp is not finite; other values are not looked at, and it may be
+    traced.
+
+    >>> import numpy as np
+    >>> from jax_inertia import Log
+    >>> time = np.arange(200) * 0.01
+    >>> angle = np.sin(time)[:, None]
+    >>> Log(time=time, joint_names=("elbow",), qpos=angle, tau=-2.0 * angle).between(0.5, 1.0)
+    Log(0.5 s at 100 Hz, 51 samples; joints elbow; qpos, tau; torque unknown in N m)
+    """
+
+    time: Float[AnyArray, "T"]
+    joint_names: tuple[str, ...] = eqx.field(static=True, converter=partial(_tuple, "joint_names"))
+    qpos: Float[AnyArray, "T n"]
+    tau: Float[AnyArray, "T n"]
+    qvel: Float[AnyArray, "T n"] | None = None
+    tau_kind: TorqueKind = eqx.field(static=True, converter=_kind, default=TorqueKind.UNKNOWN)
+    tau_unit: TorqueUnit = eqx.field(static=True, converter=_unit, default=TorqueUnit.NEWTON_METRE)
+    tau_unit_text: str = eqx.field(static=True, default="")
+    tau_command: Float[AnyArray, "T n"] | None = None
+    qpos_target: Float[AnyArray, "T n"] | None = None
+    sigma_qpos: Float[AnyArray, "n"] | None = None
+    sigma_tau: Float[AnyArray, "n"] | None = None
+    base_pos: Float[AnyArray, "T 3"] | None = None
+    base_quat: Float[AnyArray, "T 4"] | None = None
+    base_linvel: Float[AnyArray, "T 3"] | None = None
+    base_angvel: Float[AnyArray, "T 3"] | None = None
+    contact_wrench: Float[AnyArray, "T C 6"] | None = None
+    contact_bodies: tuple[str, ...] = eqx.field(
+        static=True, converter=partial(_tuple, "contact_bodies"), default=()
+    )
+    notes: tuple[str, ...] = eqx.field(static=True, converter=partial(_tuple, "notes"), default=())
+
+    def __post_init__(self) -> None:
+        self.tau_unit_text = self.tau_unit_text or str(self.tau_unit)
+
+    def __check_init__(self) -> None:
+        check_structure(vars(self))
+        if has_numbers(self.time):
+            # Stamps that do not increase are for `preflight` to report.
+            check_finite(np.asarray(self.time))
+        if (said := TorqueUnit.parse(self.tau_unit_text)) is not self.tau_unit:
+            raise LogError(
+                f"tau_unit is {self.tau_unit}, but tau_unit_text {self.tau_unit_text[:60]!r} says "
+                f"{said}; give both alike"
+            )
+
+    @property
+    def duration(self) -> float:
+        """From the first stamp to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, from the median period: gaps do not count.
+
+        Raises `LogError` naming the first stamp that does not come after the one before.
+        """
+        time = np.asarray(self.time, dtype=float)
+        check_time(time)
+        return float(1.0 / np.median(np.diff(time)))
+
+    def between(self, start: float | int, stop: float | int) -> "Log":
+        """Keep the samples with start ≤ time ≤ stop [s]; raises `ValueError` where fewer than two
+        remain.
+        """
+        time = np.asarray(self.time)
+        rows = np.flatnonzero((time >= start) & (time <= stop))
+        if rows.size < 2:
+            raise ValueError(
+                f"{rows.size} samples lie between {start} and {stop} s; "
+                f"the log spans {time[0]:g} to {time[-1]:g} s"
+            )
+        return self.map_channels(lambda x: x[rows], time=self.time[rows])
+
+    def select(self, joints: Sequence[str]) -> "Log":
+        """Keep the named joints, in the order given; raises `ValueError` for one that the log does
+        not have.
+        """
+        if missing := [name for name in joints if name not in self.joint_names]:
+            raise ValueError(f"the log has no joint {missing}; it has {list(self.joint_names)}")
+        columns = np.array([self.joint_names.index(name) for name in joints], dtype=int)
+        per_joint = [name for name, spec in SHAPES.items() if spec[-1] == "n"]
+        return dataclasses.replace(
+            self,
+            joint_names=tuple(joints),
+            **{
+                name: value[..., columns]
+                for name in per_joint
+                if (value := getattr(self, name)) is not None
+            },
+        )
+
+    def with_torque_gains(
+        self, gains: Float[AnyArray, "n"] | Sequence[float] | float | int
+    ) -> "Log":
+        """Turn currents or counts into torques, τ = g · i, by one gain per joint in N m per logged
+        unit.
+
+        Raises `ValueError` where the torque is in N m already, or the gains are not one per joint.
+        """
+        if self.tau_unit is TorqueUnit.NEWTON_METRE:
+            raise ValueError("tau is in N m already; gains are for currents and counts")
+        gain = gains if isinstance(gains, jax.Array) else np.asarray(gains, dtype=float)
+        if gain.shape not in ((), (len(self.joint_names),)):
+            raise ValueError(
+                f"gains have shape {gain.shape}; expected one for each of the joints "
+                f"{list(self.joint_names)}"
+            )
+        return dataclasses.replace(
+            self,
+            tau=self.tau * gain,
+            sigma_tau=None if self.sigma_tau is None else self.sigma_tau * abs(gain),
+            tau_unit=TorqueUnit.NEWTON_METRE,
+            tau_unit_text=f"N m (gains applied to: {self.tau_unit_text})",
+        )
+
+    def map_channels(self, function: Callable[[Any], AnyArray], **changes) -> "Log":
+        """Apply one function to every channel over time alike (not to `time`), and replace other
+        fields.
+        """
+        mapped = {
+            name: function(value) for name in CHANNELS if (value := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **{**mapped, **changes})
+
+    @property
+    def _span(self) -> str:
+        if not has_numbers(self.time):
+            return "traced"
+        if len(self.time) < 2:
+            return "no duration"
+        period = float(np.median(np.diff(np.asarray(self.time, dtype=float))))
+        rate = f"{1.0 / period:.4g} Hz" if period > 0 else "stamps that do not increase"
+        return f"{self.duration:.4g} s at {rate}"
+
+    def __repr__(self) -> str:
+        has = ", ".join(name for name in CHANNELS if getattr(self, name) is not None)
+        text = (
+            f"Log({self._span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
+            f"torque {self.tau_kind} in {self.tau_unit_text}"
+        )
+        if self.contact_bodies:
+            text += f"; contacts {', '.join(self.contact_bodies)}"
+        return text + (f"; {len(self.notes)} notes)" if self.notes else ")")
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the range of each joint's channels, and what the reader noted."""
+        if not has_numbers(self.time):
+            return line(repr(self))
+        names = [n for n in CHANNELS if SHAPES[n][-1] == "n" and getattr(self, n) is not None]
+        rows = [
+            (joint, *(_range_of(np.asarray(getattr(self, name))[:, j]) for name in names))
+            for j, joint in enumerate(self.joint_names)
+        ]
+        notes = "".join(line(note) for note in self.notes)
+        return line(repr(self)) + table(("joint", *names), rows) + notes
+
+
+def _range_of(x: np.ndarray) -> str:
+    """Least and most of what is finite, and how much is not."""
+    ok = x[np.isfinite(x)]
+    lost = f" ({x.size - ok.size} missing)" if ok.size < x.size else ""
+    return (f"{ok.min():.3g} … {ok.max():.3g}" if ok.size else "–") + lost
+
+
+@runtime_checkable
+class JointNames(Protocol):
+    """What a robot calls its joints; `Robot` satisfies it."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+    @property
+    def joint_type(self) -> tuple[str, ...]: ...
+
+
+def read_log(
+    path: str | os.PathLike[str],
+    *,
+    options: Options | None = None,
+    names: JointNames | None = None,
+    max_bytes: int = 4 << 30,
+) -> Log:
+    """Read a log of any kind that people have: .npz, .csv, .parquet, .bag, .mcap, .db3, or the folder of a ROS 2 bag
+    or of a LeRobot dataset. `options` say what the file does not; see `jax_inertia.logs.readers`.
+
+    With `names` (a `Robot`), joints that the robot does not have are left out where all those that it needs are
+    there. Nothing in the file is trusted: no pickles, no memory beyond `max_bytes`. Raises `LogError` with one line
+    (what, where, what would be right) for a file that is not a sound log: missing or misshapen arrays, other dtypes,
+    repeated names, stamps that do not increase. Samples may be NaN (a sensor that dropped out); stamps and noise may
+    not. What is outside the contract is left alone and named in `Log.notes`.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import read_log, write_log
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> path = Path(tempfile.mkdtemp()) / "swing.csv"
+    >>> write_log(swing(seconds=0.5), path)
+    >>> read_log(path)
+    Log(0.49 s at 100 Hz, 50 samples; joints shoulder, elbow; qpos, tau, qvel; torque sensor in N m)
+    """
+    path, options = Path(path), options or Options()
+    with _naming(path):
+        return _log_of(_reader(path)(path, options, max_bytes), options, names)
+
+
+def _log_of(contents: Contents, options: Options, names: JointNames | None) -> Log:
+    """What a reader found as a log, checked; raises LogError as `read_log`."""
+    contents = applied(contents, options)
+    log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
+    return log if names is None else _of_robot(log, names)
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong with a file into one printable line that names the file."""
+    try:
+        yield
+    except (LogError, OSError) as error:
+        # Names from the file are quoted in messages; they may hold line breaks or move the terminal's cursor.
+        text = " ".join(f"{path}: {str(error)[:_LONGEST]}".split())
+        raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
+
+
+def _of_robot(log: Log, names: JointNames) -> Log:
+    """Leave out what the robot has no joint for, where all of its joints are there: else it may be misspelt."""
+    kinds = zip(names.joint_names, names.joint_type, strict=True)
+    wanted = {name for name, kind in kinds if kind != "free"}
+    extra = [name for name in log.joint_names if name not in wanted]
+    if not extra or not wanted <= set(log.joint_names):
+        return log
+    note = f"left out, not in the model: {listed(extra)}"
+    kept = log.select([name for name in log.joint_names if name in wanted])
+    return dataclasses.replace(kept, notes=(*log.notes, note))
+
+
+def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
+    options.check("an .npz file", ())
+    # What is wrong with names and stamps is known before the channels are unfolded.
+    arrays, others = read_npz(
+        path,
+        (*SHAPES, *TEXTS),
+        max_bytes,
+        declared=check_declared,
+        first={"time": check_time},
+    )
+    return Contents(arrays, others)
+
+
+# A reader yields the contract's arrays by name (numbers float64, text str) and the names of all others.
+_READERS: Mapping[str, Callable[[Path, Options, int], Contents]] = {
+    ".npz": _npz,
+    ".csv": read_csv,
+    ".tsv": read_csv,
+    ".parquet": read_parquet,
+    ".bag": read_bag,
+    ".mcap": read_bag,
+    ".db3": read_bag,
+}
+
+
+def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
+    if path.is_dir():
+        if (path / "meta" / "info.json").is_file():
+            return read_dataset
+        if bag_parts(path):
+            return read_bag
+        raise LogError("no such file, but a folder without a ROS 2 bag or a LeRobot dataset in it")
+    if not path.is_file():
+        raise LogError("no such file")
+    if path.suffix.lower() not in _READERS:
+        raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
+    return _READERS[path.suffix.lower()]
+
+
+def write_log(log: Log, path: str | os.PathLike[str]) -> None:
+    """Write a log that `read_log` reads back, as .npz, .csv or .parquet: whole or not at all (a temporary file takes
+    the name at the end). Raises ValueError for another suffix, and for a folder that is not there.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from jax_inertia import read_log, write_log
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> path = Path(tempfile.mkdtemp()) / "swing.csv"
+    >>> write_log(swing(seconds=0.5), path)
+    >>> path.read_text().splitlines()[0]
+    'time,qpos.shoulder,qpos.elbow,tau.shoulder,tau.elbow,qvel.shoulder,qvel.elbow,tau_unit,tau_kind'
+    """
+    path = Path(path)
+    check_target(path)
+    arrays = {
+        name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
+    }
+    arrays |= {
+        "joint_names": np.array(log.joint_names),
+        "tau_kind": np.array(str(log.tau_kind)),
+        "tau_unit": np.array(log.tau_unit_text),
+    }
+    if log.contact_bodies:
+        arrays["contact_bodies"] = np.array(log.contact_bodies)
+    if path.suffix.lower() == ".npz":
+        with whole_file(path) as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+    else:
+        write_table(arrays, path)

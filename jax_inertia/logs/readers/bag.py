@@ -1,0 +1,156 @@
+"""ROS 1 and ROS 2 bags and MCAP to the arrays of the log contract.
+
+The stamps of `sensor_msgs/JointState` are the log's; odometry and wrenches have stamps of their own and are
+interpolated linearly onto them.
+"""
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers.bag_collect import (
+    FIELDS,
+    JOINTS,
+    ODOMETRY,
+    WRENCH,
+    Collected,
+    Publisher,
+)
+from jax_inertia.logs.readers.bag_messages import messages
+from jax_inertia.logs.readers.options import Contents, Options, WrenchAxes
+from jax_inertia.logs.readers.streams import Stream, onto
+from jax_inertia.text.closest_names import listed, suggestion
+
+_ARRAYS = dict(zip(FIELDS, ("qpos", "qvel", "tau"), strict=True))
+
+
+def bag_parts(folder: Path) -> list[Path]:
+    """The files of a ROS 2 bag, in the order they were written."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in (".mcap", ".db3") and p.is_file()]
+    return sorted(found, key=lambda p: [int(k) for k in re.findall(r"\d{1,18}", p.name)])
+
+
+def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
+    """Read joint states, and where topics for them are given the base's odometry and contact wrenches.
+
+    Time counts from the first joint state. Raises `LogError` for a damaged file, topics that are not there, joint
+    states without effort, and wrenches in other axes than the options say.
+    """
+    topics = ("topic_joints", "topic_base", "topic_wrenches", "wrench_axes", "flip_wrenches")
+    options.check("a bag", topics)
+    collected = Collected(options, max_bytes)
+    for part in bag_parts(path) if path.is_dir() else [path]:
+        for message in messages(part):
+            collected.take(message)
+    _check_topics(collected, options)
+    out, stream, notes = _joints(collected)
+    start = int(stream.time_ns[0])
+    out["time"] = (stream.time_ns - start) * 1e-9
+    notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
+    if options.topic_base is not None:
+        notes += _add_base(out, collected, options.topic_base, stream)
+    if options.topic_wrenches:
+        notes += _add_wrenches(out, collected, options, stream)
+    if collected.unstamped:
+        notes.append(f"{collected.unstamped} messages without a stamp have the time of recording")
+    others = [f"{topic} ({kind})" for topic, kind in collected.seen if not collected.uses(topic)]
+    return Contents(out, others, notes)
+
+
+def _check_topics(collected: Collected, options: Options) -> None:
+    """Raise where a topic that is asked for is not there, or none was chosen among several."""
+
+    def topics(kind: str) -> list[str]:
+        return [topic for topic, its in collected.seen if its == kind]
+
+    asked = [(options.topic_joints, JOINTS), (options.topic_base, ODOMETRY)]
+    asked += [(topic, WRENCH) for topic in options.topic_wrenches.values()]
+    for topic, kind in asked:
+        if topic is not None and topic not in (own := topics(kind)):
+            hint = suggestion(topic, own) if own else "the bag has none"
+            raise LogError(f"no {kind} on topic {topic!r}; {hint}")
+    found = topics(JOINTS)
+    if not found:
+        there = listed([f"{topic} ({kind})" for topic, kind in collected.seen], 20) or "no messages"
+        raise LogError(f"no {JOINTS}; the bag has {there}")
+    if len(found) > 1 and options.topic_joints is None:
+        raise LogError(
+            f"joint states on several topics, {listed(found)}; choose with --topic-joints"
+        )
+
+
+def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[str]]:
+    """Arrays of all joints at the stamps of the publisher that gave most, that publisher's stream, and notes."""
+    publishers = sorted(collected.publishers.values(), key=lambda one: -one.size)
+    publishers = [one for one in publishers if one.names]
+    if not publishers:
+        raise LogError("the joint states name no joints")
+    names = [name for one in publishers for name in one.names]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise LogError(f"joint {twice[0]!r} comes in joint states with different sets of joints")
+    stream = _stream(publishers[0])
+    notes, streams = [*stream.notes], [stream]
+    for one in publishers[1:]:
+        moved, note = onto(stream.time_ns, _stream(one), f"joint states of {listed(one.names)}")
+        notes.append(note)
+        streams.append(moved)
+    out = {"joint_names": np.array(names, dtype=np.str_), "tau_unit": np.array("N m")}
+    for k, field in enumerate(FIELDS):
+        parts = [s.values[:, k :: len(FIELDS)] for s in streams]
+        lacking = [one for one, p in zip(publishers, parts, strict=True) if np.isnan(p).all()]
+        if not lacking:
+            out[_ARRAYS[field]] = np.concatenate(parts, axis=1)
+        elif field == "velocity":
+            notes.append(f"qvel is left out: no velocity of {listed(lacking[0].names)}")
+        else:
+            raise LogError(
+                f"the joint states on {lacking[0].topic} of {listed(lacking[0].names, 6)} hold no {field}; "
+                "a log needs position and effort of every joint"
+            )
+    return out, stream, notes
+
+
+def _stream(publisher: Publisher) -> Stream:
+    return publisher.rows.stream(f"joint states on {publisher.topic}")
+
+
+def _add_base(
+    out: dict[str, np.ndarray], collected: Collected, topic: str, joints: Stream
+) -> list[str]:
+    """Pose and twist of the base: the quaternion as wxyz, the linear velocity in the world's axes."""
+    name = f"odometry on {topic}"
+    stream = collected.base.stream(name)
+    quat = stream.values[:, 3:7]
+    # From one quaternion to the next the sign must not jump; both signs are the same attitude.
+    with np.errstate(invalid="ignore", over="ignore"):
+        turns = np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)
+    quat[1:] *= np.cumprod(turns)[:, None]
+    moved, note = onto(joints.time_ns, stream, name)
+    # What is infinite or zero in the messages is NaN here, and masked later.
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        quat = moved.values[:, 3:7] / np.linalg.norm(moved.values[:, 3:7], axis=1, keepdims=True)
+        w, u, v = quat[:, :1], quat[:, 1:], moved.values[:, 7:10]
+        world = v + 2 * np.cross(u, np.cross(u, v) + w * v)
+    out |= {"base_pos": moved.values[:, :3], "base_quat": quat}
+    out |= {"base_linvel": world, "base_angvel": moved.values[:, 10:]}
+    ((parent, child),) = collected.base_frames
+    return [f"the base is {child[:80]!r} in {parent[:80]!r}", note]
+
+
+def _add_wrenches(
+    out: dict[str, np.ndarray], collected: Collected, options: Options, joints: Stream
+) -> list[str]:
+    notes, parts = [], []
+    for body, topic in options.topic_wrenches.items():
+        name = f"wrenches on {topic}"
+        moved, note = onto(joints.time_ns, collected.wrenches[body].stream(name), name)
+        parts.append(moved.values)
+        notes.append(note)
+    out["contact_wrench"] = np.stack(parts, axis=1)
+    out["contact_bodies"] = np.array(list(options.topic_wrenches), dtype=np.str_)
+    if options.wrench_axes is WrenchAxes.BODY:
+        notes.append("contact wrenches are in the axes of their bodies")
+    return notes

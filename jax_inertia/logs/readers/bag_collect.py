@@ -1,0 +1,153 @@
+"""What is wanted of a bag's messages, taken out one by one."""
+
+import dataclasses
+import functools
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers.bag_messages import Message
+from jax_inertia.logs.readers.options import Options, WrenchAxes, required
+from jax_inertia.logs.readers.streams import Rows
+from jax_inertia.text.closest_names import listed
+
+JOINTS = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
+FIELDS = ("position", "velocity", "effort")
+"""Of a joint state, in the order in which every joint's three columns lie in a row."""
+
+_WORLD = ("world", "map", "odom")
+_MOST_TOPICS, _MOST_JOINTS, _MOST_PUBLISHERS = 10_000, 1000, 100
+
+
+@functools.cache
+def _typestores() -> tuple[Any, Any]:
+    """The types of ROS 1 and ROS 2 as we know them, never those that a bag brings along: from those, code would be
+    made.
+    """
+    rosbags = required("rosbags.typesys", "ROS bags")
+    known = rosbags.Stores.ROS1_NOETIC, rosbags.Stores.ROS2_HUMBLE
+    return rosbags.get_typestore(known[0]), rosbags.get_typestore(known[1])
+
+
+@dataclasses.dataclass
+class Publisher:
+    """Joint states that name the same joints on the same topic."""
+
+    topic: str
+    names: tuple[str, ...]
+    rows: Rows = dataclasses.field(default_factory=Rows)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it gave."""
+        return len(self.rows) * len(self.names)
+
+
+class Collected:
+    """The rows taken so far, and which topics there are."""
+
+    def __init__(self, options: Options, max_bytes: int) -> None:
+        self._ros1, self._ros2 = _typestores()
+        self._options, self._max_bytes, self._bytes = options, max_bytes, 0
+        self._bodies = {topic: body for body, topic in options.topic_wrenches.items()}
+        self.seen: Counter[tuple[str, str]] = Counter()
+        """How many messages of which topic and type."""
+        self.publishers: dict[tuple[str, frozenset[str]], Publisher] = {}
+        self.base = Rows()
+        self.base_frames: set[tuple[str, str]] = set()
+        self.wrenches: dict[str, Rows] = {body: Rows() for body in options.topic_wrenches}
+        self.unstamped = 0
+
+    def take(self, message: Message) -> None:
+        """Keep what is wanted of one message; `LogError` where it is not sound."""
+        topic, kind = message.topic, message.kind
+        self.seen[topic, kind] += 1
+        if len(self.seen) > _MOST_TOPICS:
+            raise LogError(f"holds more than {_MOST_TOPICS} topics")
+        if kind == JOINTS and self._options.topic_joints in (None, topic):
+            self._joint_state(message, self._decoded(message))
+        elif kind == ODOMETRY and topic == self._options.topic_base:
+            self._odometry(message, self._decoded(message))
+        elif kind == WRENCH and topic in self._bodies:
+            self._wrench(message, self._decoded(message))
+
+    def uses(self, topic: str) -> bool:
+        """Whether anything of this topic was wanted."""
+        joints = any(one.topic == topic for one in self.publishers.values())
+        return joints or topic in self._bodies or topic == self._options.topic_base
+
+    def _decoded(self, message: Message) -> Any:
+        try:
+            if message.encoding == "ros1":
+                return self._ros1.deserialize_ros1(message.data, message.kind)
+            if message.encoding == "cdr":
+                return self._ros2.deserialize_cdr(message.data, message.kind)
+        except Exception as error:
+            text = " ".join(str(error).split())[:200]
+            raise LogError(f"a message on {message.topic} cannot be decoded: {text}") from None
+        raise LogError(
+            f"messages on {message.topic} are encoded as {message.encoding[:20]!r}; expected cdr or ros1"
+        )
+
+    def _add(
+        self, rows: Rows, message: Message, header: Any, values: Sequence[float] | np.ndarray
+    ) -> None:
+        stamp = int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+        if stamp == 0:
+            self.unstamped += 1
+            stamp = int(message.received_ns)
+        rows.add(stamp, np.asarray(values, dtype=float))
+        self._bytes += 8 * len(values) + 8
+        if self._bytes > self._max_bytes:
+            raise LogError(f"holds more than the limit of {self._max_bytes} bytes; cut the bag")
+
+    def _joint_state(self, message: Message, state: Any) -> None:
+        names, topic = tuple(state.name), message.topic
+        key = topic, frozenset(names)
+        if len(names) > _MOST_JOINTS or len(key[1]) != len(names):
+            raise LogError(
+                f"a joint state on {topic} names {len(names)} joints, too many or one twice"
+            )
+        row = np.full((len(names), len(FIELDS)), np.nan)
+        for k, field in enumerate(FIELDS):
+            values = getattr(state, field)
+            if len(values) not in (0, len(names)):
+                raise LogError(
+                    f"a joint state on {topic} has {len(names)} names but {len(values)} values of {field}"
+                )
+            if len(values):
+                row[:, k] = values
+        known = self.publishers.setdefault(key, Publisher(topic, names))
+        if len(self.publishers) > _MOST_PUBLISHERS:
+            raise LogError(f"joint states on {topic} name other joints again and again")
+        if known.names != names:
+            row = row[[names.index(name) for name in known.names]]
+        self._add(known.rows, message, state.header, row.ravel())
+
+    def _odometry(self, message: Message, odometry: Any) -> None:
+        self.base_frames.add((odometry.header.frame_id, odometry.child_frame_id))
+        if len(self.base_frames) > 1:
+            frames = [f"{child!r} in {parent!r}" for parent, child in sorted(self.base_frames)]
+            raise LogError(f"odometry on {message.topic} is of several frames: {listed(frames)}")
+        p, o = odometry.pose.pose.position, odometry.pose.pose.orientation
+        v, w = odometry.twist.twist.linear, odometry.twist.twist.angular
+        values = [p.x, p.y, p.z, o.w, o.x, o.y, o.z, v.x, v.y, v.z, w.x, w.y, w.z]
+        self._add(self.base, message, odometry.header, values)
+
+    def _wrench(self, message: Message, wrench: Any) -> None:
+        body, axes = self._bodies[message.topic], self._options.wrench_axes
+        frame = wrench.header.frame_id.lstrip("/")
+        if frame and (frame in _WORLD) != (axes is WrenchAxes.WORLD):
+            raise LogError(
+                f"wrenches on {message.topic} are in the axes of {frame!r}, not of the {axes}; give --wrench-axes "
+                "body where that frame is the body's own, else turn them into the world's axes first"
+            )
+        f, m = wrench.wrench.force, wrench.wrench.torque
+        sign = -1.0 if self._options.flip_wrenches else 1.0
+        values = sign * np.array([f.x, f.y, f.z, m.x, m.y, m.z])
+        self._add(self.wrenches[body], message, wrench.header, values)

@@ -1,0 +1,176 @@
+"""CSV and TSV, block by block: a heading row, then numbers."""
+
+import csv
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers import columns
+from jax_inertia.logs.readers.options import Contents, Options
+from jax_inertia.logs.schema import TEXTS
+
+_BLOCK = 1 << 22
+_LONGEST_LINE = 1 << 20
+_NOTHING = ("", "na", "n/a", "null", "none")
+
+
+def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
+    """Read comma, semicolon or tab separated columns named as in `readers.columns`.
+
+    Empty fields are NaN. Raises `LogError` with the line for what is no number, for rows of another length, and for a
+    file whose numbers would need more than `max_bytes`.
+    """
+    size, growing = os.path.getsize(path), _growing(path, options)
+    table, _ = next(growing)
+    for _, taken in growing:
+        _check_budget(table, size / max(taken, 1), max_bytes)
+    return columns.arrays(table.plan, table.values())
+
+
+def csv_parts(path: Path, options: Options) -> Iterator[tuple[columns.Plan, dict[str, np.ndarray]]]:
+    """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same."""
+    for table, _ in _growing(path, options):
+        yield table.plan, table.values()
+        table.blocks.clear()
+
+
+def _growing(path: Path, options: Options) -> Iterator[tuple["_Table", int]]:
+    """One table, before its first block and after each, and how many characters went into it."""
+    options.check("a CSV file", ("columns",))
+    try:
+        # A byte order mark is not part of the first heading.
+        with open(path, encoding="utf-8-sig") as file:
+            headings, delimiter, first_line = _header(file)
+            plan = columns.plan(headings, options)
+            if not plan.columns:
+                columns.arrays(plan, {})
+            table, taken = _Table(headings, plan, delimiter, first_line), 0
+            yield table, taken
+            for lines in _blocks(file):
+                table.add(lines)
+                taken += sum(map(len, lines)) + len(lines)
+                yield table, taken
+    except UnicodeDecodeError:
+        raise LogError("not text in UTF-8; is it a CSV file?") from None
+    except csv.Error as error:
+        raise LogError(f"cannot be read as CSV: {error}") from None
+
+
+class _Table:
+    """The numbers read so far, and the first row's words."""
+
+    def __init__(
+        self, headings: Sequence[str], plan: columns.Plan, delimiter: str, line: int
+    ) -> None:
+        self.headings, self.plan, self.delimiter, self.line = headings, plan, delimiter, line
+        wanted = [headings.index(heading) for heading in plan.columns]
+        self.words = [k for k in wanted if plan.columns[headings[k]].array in TEXTS]
+        self.numbers = [k for k in wanted if k not in self.words]
+        self.said: dict[int, str] = {}
+        self.blocks: list[np.ndarray] = []
+        self.rows = 0
+
+    def add(self, lines: list[str]) -> None:
+        if not any(line.strip() for line in lines):
+            self.line += len(lines)
+            return
+        fields = None
+        if any('"' in line for line in lines):
+            fields = list(csv.reader(lines, delimiter=self.delimiter))
+            if len(fields) != len(lines):
+                raise LogError(f"a quoted field after line {self.line - 1} runs over its line")
+        for k, line in enumerate(lines):
+            count = len(fields[k]) if fields else line.count(self.delimiter) + 1
+            if count != len(self.headings) and line.strip():
+                raise LogError(
+                    f"line {self.line + k} has {count} fields, the heading {len(self.headings)}; "
+                    "is the file cut off, or has it decimal commas?"
+                )
+        if not self.said:
+            k = next(k for k, line in enumerate(lines) if line.strip())
+            first = fields[k] if fields else lines[k].split(self.delimiter)
+            self.said = {k: first[k].strip() for k in self.words}
+        try:
+            block = np.loadtxt(
+                [line for line in lines if line.strip()],
+                delimiter=self.delimiter,
+                usecols=self.numbers,
+                comments=None,
+                quotechar='"',
+                ndmin=2,
+            )
+        except ValueError:
+            block = self._slowly(lines)
+        self.line += len(lines)
+        self.rows += len(block)
+        self.blocks.append(block)
+
+    def _slowly(self, lines: list[str]) -> np.ndarray:
+        """Field by field: empty ones are NaN, and what is no number is named with its line."""
+        rows = []
+        for k, row in enumerate(csv.reader(lines, delimiter=self.delimiter)):
+            if not row:
+                continue
+            values = []
+            for column in self.numbers:
+                text = row[column].strip()
+                try:
+                    values.append(np.nan if text.lower() in _NOTHING else float(text))
+                except ValueError:
+                    raise LogError(
+                        f"line {self.line + k}, column {self.headings[column]!r}: {text[:40]!r} is no number"
+                    ) from None
+            rows.append(values)
+        return np.array(rows, dtype=float).reshape(len(rows), len(self.numbers))
+
+    def values(self) -> dict[str, np.ndarray]:
+        whole = np.concatenate(self.blocks) if self.blocks else np.zeros((0, len(self.numbers)))
+        out = {self.headings[k]: whole[:, i] for i, k in enumerate(self.numbers)}
+        return out | {self.headings[k]: np.array(text) for k, text in self.said.items()}
+
+
+def _header(file: TextIO) -> tuple[list[str], str, int]:
+    """Headings, the delimiter, and the number of the line that follows."""
+    number, text = 0, ""
+    while not text:
+        line = file.readline(_LONGEST_LINE)
+        if not line:
+            raise LogError("the file is empty; a log starts with a row of column names")
+        if len(line) >= _LONGEST_LINE or "\0" in line:
+            raise LogError("the first line is no heading; is it a CSV file?")
+        # NumPy writes its heading as a comment.
+        number, text = number + 1, line.strip().lstrip("#").strip()
+    delimiter = max(",;\t", key=text.count)
+    headings = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+    if repeated := [name for name, count in Counter(headings).items() if name and count > 1]:
+        raise LogError(f"two columns are named {repeated[0][:60]!r}; keep one")
+    return headings, delimiter, number + 1
+
+
+def _blocks(file: TextIO) -> Iterator[list[str]]:
+    """The lines that follow, many at a time, and no line without bound."""
+    rest = ""
+    while block := file.read(_BLOCK):
+        *lines, rest = (rest + block).split("\n")
+        if len(rest) > _LONGEST_LINE:
+            raise LogError(f"a line is longer than {_LONGEST_LINE} characters; is it a CSV file?")
+        if lines:
+            yield lines
+    if rest:
+        yield [rest]
+
+
+def _check_budget(table: _Table, left: float, max_bytes: int) -> None:
+    """Refuse early: `left` is how many times as long as what was read the whole file is."""
+    so_far = table.rows * max(len(table.numbers), 1) * 8
+    if so_far * max(left, 1.0) > max_bytes:
+        rows = int(table.rows * max(left, 1.0))
+        raise LogError(
+            f"about {rows} rows of {len(table.numbers)} columns need more than the limit of "
+            f"{max_bytes} bytes; cut the log or raise max_bytes"
+        )

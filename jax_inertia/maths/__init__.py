@@ -1,0 +1,1 @@
+"""Arrays only: spatial algebra, inertial parameters, charts, Kalman filtering, least squares. No robot, no log."""

@@ -1,0 +1,344 @@
+"""Kalman filtering of one measurement at a time; knows no robot.
+
+The update is the paper's (Foster et al., eq. predict and eq. update, with H = ∂h/∂x at the prior for the extended
+filter). In exact arithmetic the forms below are that update; `Standard` is its literal text, `SquareRoot` (the
+default in float32) computes the same through a QR factorisation, so that the covariance stays symmetric positive, and
+`Information` (the default in float64) through a Cholesky factorisation, which is faster.
+
+Beyond the paper, each by one argument of `update`: iterations (Gauss–Newton from the prior: the iterated EKF of Bell
+and Cathey 1993, which counts the observation once; steps that raise its cost are shortened), a gate on the *prior*
+innovation, a mask of rows to leave out, noise enlarged for outliers.
+Numerical trouble is returned as data (`Innovation.accepted`), never raised: an update that is not finite is not made.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_solve, solve_triangular
+from jaxtyping import Array, Bool, Float
+
+from jax_inertia.maths.gates import Gate
+from jax_inertia.maths.noise import Noise
+
+
+class Belief(eqx.Module):
+    """A Gaussian: what the filter believes of the state."""
+
+    mean: Float[Array, " n"]
+    covariance: Float[Array, "n n"]
+
+
+class Innovation(eqx.Module):
+    """What one measurement said, before it was believed."""
+
+    residual: Float[Array, " m"]
+    """ν = z − h(x⁻); zero on masked rows."""
+    sigma: Float[Array, " m"]
+    """Standard deviation of ν by the filter's own account, √diag(S); exact for independent noise."""
+    nis: Float[Array, ""]
+    """Normalised innovation squared νᵀ S⁻¹ ν over the rows used."""
+    rows: Float[Array, ""]
+    """Number of rows used: the degrees of freedom of `nis`."""
+    log_likelihood: Float[Array, ""]
+    """log N(ν; 0, S) over the rows used."""
+    accepted: Bool[Array, ""]
+
+
+class Correction(eqx.Module):
+    """What a form makes of whitened rows, for S = H P Hᵀ + 1."""
+
+    step: Float[Array, " n"]
+    """K ν."""
+    covariance: Float[Array, "n n"]
+    """P⁺."""
+    nis: Float[Array, ""]
+    """νᵀ S⁻¹ ν."""
+    log_det: Float[Array, ""]
+    """log det S."""
+    rows: Float[Array, "m n"]
+    """H L with P = L Lᵀ, so that S = H L (H L)ᵀ + 1."""
+
+
+class Form(eqx.Module):
+    """How gain and posterior covariance are computed from whitened rows (unit noise)."""
+
+    @property
+    def leaves_rows_out(self) -> bool:
+        """Whether some rows of H are taken for zero: whitening must not mix rows then, noise be independent."""
+        return False
+
+    @abc.abstractmethod
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
+        """The correction of covariance `p` by rows `h` with innovation `nu`."""
+
+
+class Standard(Form):
+    """The paper's text: K = P Hᵀ S⁻¹, P⁺ = (1 − K H) P (eq. update). Loses symmetry and sign in float32."""
+
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
+        ph = p @ h.T
+        s = h @ ph + jnp.eye(len(nu), dtype=p.dtype)
+        factor = jnp.linalg.cholesky(s)
+        gain = cho_solve((factor, True), ph.T).T
+        return Correction(
+            step=gain @ nu,
+            covariance=p - gain @ ph.T,
+            nis=nu @ cho_solve((factor, True), nu),
+            log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(factor))),
+            rows=h @ cholesky(p),
+        )
+
+
+class SquareRoot(Form):
+    """The same from one QR factorisation; P⁺ is positive by construction.
+
+    With P = L Lᵀ, QR of [[H L, ν], [1, 0]] gives R, u and ρ in [[R, u], [0, ρ]]: RᵀR = 1 + (H L)ᵀ H L without
+    squaring the condition number, P⁺ = L (RᵀR)⁻¹ Lᵀ, K ν = L R⁻¹ u, and νᵀ S⁻¹ ν = ρ², the least-squares cost at
+    its minimum, where Woodbury's formula would subtract.
+    """
+
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
+        n = len(p)
+        factor = cholesky(p)
+        rows = h @ factor
+        below = jnp.eye(n, n + 1, dtype=p.dtype)
+        stacked = jnp.concatenate([jnp.concatenate([rows, nu[:, None]], axis=1), below])
+        r = jnp.asarray(jnp.linalg.qr(stacked, mode="r"))
+        root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
+        return Correction(
+            step=r[:n, n] @ root,
+            covariance=positive(root.T @ root),
+            nis=r[n, n] ** 2,
+            log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
+            rows=rows,
+        )
+
+
+class Information(Form):
+    """The same from the Cholesky factor of 1 + (H L)ᵀ H L: a third cheaper, for float64.
+
+    Squares the condition number: what a sharp measurement says of a wide prior is right to ε (σ prior/σ after)².
+    """
+
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
+        return _by_information(p, h, nu)
+
+
+@jax.custom_jvp
+def _by_information(
+    p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+) -> Correction:
+    """`Information.correct`."""
+    n = len(p)
+    factor = cholesky(p)
+    rows = h @ factor
+    lower = jnp.linalg.cholesky(rows.T @ rows + jnp.eye(n, dtype=p.dtype))
+    right = jnp.concatenate([(rows.T @ nu)[:, None], factor.T], axis=1)
+    solved = solve_triangular(lower, right, lower=True)
+    u, root = solved[:, 0], solved[:, 1:]
+    return Correction(
+        step=u @ root,
+        covariance=positive(root.T @ root),
+        nis=jnp.maximum(nu @ nu - u @ u, 0.0),
+        log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(lower))),
+        rows=rows,
+    )
+
+
+@_by_information.defjvp
+def _along(primals: tuple, tangents: tuple) -> tuple[Correction, Correction]:
+    """With the derivative of `SquareRoot`: that of a Cholesky factor divides by its pivots once more, and where the
+    condition number squared has passed 1/ε it is noise, or NaN.
+    """
+    _, change = jax.jvp(SquareRoot().correct, primals, tangents)
+    return _by_information(*primals), change
+
+
+def default_form(dtype: jnp.dtype) -> Form:
+    """`Information` where float64 leaves digits to square the condition number, `SquareRoot` elsewhere.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import default_form
+    >>> default_form(jnp.dtype("float32"))
+    SquareRoot()
+    """
+    return Information() if jnp.finfo(dtype).bits >= 64 else SquareRoot()
+
+
+def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
+    """Random walk: the mean stays, P⁻ = P + Q (Foster et al., eq. predict with F = 1).
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import Belief, predict
+    >>> predict(Belief(jnp.zeros(1), jnp.eye(1)), 0.5 * jnp.eye(1)).covariance
+    Array([[1.5]], dtype=float64)
+    """
+    return Belief(belief.mean, belief.covariance + q)
+
+
+def update(
+    belief: Belief,
+    measurement: Float[Array, " m"],
+    model: Callable[[Float[Array, " n"]], Float[Array, " m"]],
+    noise: Noise,
+    *,
+    jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None,
+    mask: Bool[Array, " m"] | None = None,
+    gate: Gate | None = None,
+    outliers: Gate | None = None,
+    iterations: int = 1,
+    form: Form | None = None,
+    project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
+) -> tuple[Belief, Innovation]:
+    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
+
+    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
+    False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
+    is returned unchanged where the gate rejects or the result would not be finite.
+
+    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
+    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
+    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
+    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
+    certainty to match, for ever. The innovation is told by the noise as given.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import Belief, update
+    >>> from jax_inertia.maths.noise import IndependentNoise
+    >>> before = Belief(jnp.zeros(1), jnp.eye(1))
+    >>> after, seen = update(before, jnp.array([2.0]), lambda x: x, IndependentNoise(jnp.ones(1)))
+    >>> after.mean.round(6), after.covariance.round(6)
+    (Array([1.], dtype=float64), Array([[0.5]], dtype=float64))
+    """
+    form = default_form(belief.mean.dtype) if form is None else form
+    jacobian = jax.jacfwd(model) if jacobian is None else jacobian
+    prior, p = belief.mean, belief.covariance
+    used = jnp.isfinite(measurement) if mask is None else jnp.isfinite(measurement) & mask
+    z = jnp.where(used, measurement, 0.0)
+    used = used.astype(prior.dtype)
+
+    def linearise(x: Float[Array, " n"]) -> tuple[Array, Array, Array, Array]:
+        # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
+        h: Array = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
+        left: Array = jnp.where(used > 0, z - model(x), 0.0)
+        nu = left - h @ (prior - x)
+        white = noise.whiten(jnp.concatenate([h, nu[:, None], left[:, None]], axis=1), used)
+        return left, white[:, :-2], white[:, -2], white[:, -1]
+
+    rows = jnp.sum(used)
+    residual, h_white, nu_white, left_white = linearise(prior)
+    first = form.correct(p, h_white, nu_white)
+    step, covariance = first.step, first.covariance
+    weight = jnp.ones_like(first.nis)
+    if outliers is not None:
+        weight = _weight(form, p, h_white, nu_white, first.nis, outliers.threshold(rows))
+        weighed = form.correct(p, weight * h_white, weight * nu_white)
+        step, covariance = weighed.step, weighed.covariance
+        left_white = weight * left_white
+    mean = project(prior + step)
+    if iterations > 1:
+        root = cholesky(p)
+
+        def cost(x: Float[Array, " n"], left: Float[Array, " m"]) -> Float[Array, ""]:
+            away = solve_triangular(root, x - prior, lower=True)
+            value = left @ left + away @ away
+            return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+        def again(_, state):
+            """Linearise at the trial point; back to the best one with a shorter step where the cost has risen."""
+            x, best, step, covariance, share = state
+            trial = project(x + share * (prior + step - x))
+            h, nu, left = (weight * part for part in linearise(trial)[1:])
+            value, new = cost(trial, left), form.correct(p, h, nu)
+            better = (value <= best) & jnp.all(jnp.isfinite(new.step))
+            moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
+            stayed = (x, best, step, covariance, 0.25 * share)
+            return jax.tree.map(lambda a, b: jnp.where(better, a, b), moved, stayed)
+
+        start = (prior, cost(prior, left_white), step, covariance, jnp.ones_like(prior[0]))
+        state: tuple[Array, ...] = jax.lax.fori_loop(0, iterations - 1, again, start)
+        x, best, step, covariance, share = state
+        last = project(x + share * (prior + step - x))
+        left = noise.whiten(jnp.where(used > 0, z - model(last), 0.0)[:, None], used)[:, 0]
+        mean = jnp.where(cost(last, weight * left) <= best, last, x)
+
+    limit = jnp.inf if gate is None else gate.threshold(rows)
+    # The step too, since `project` may make a number of what is none.
+    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, covariance)]
+    accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
+    out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, covariance, p))
+    # The log-density of ν itself: whitening scaled it by √det R.
+    log_det = first.log_det + noise.log_det(used)
+    likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
+    sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
+    return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
+
+
+def _weight(
+    form: Form,
+    p: Float[Array, "n n"],
+    h: Float[Array, "m n"],
+    nu: Float[Array, " m"],
+    nis: Float[Array, ""],
+    limit: Float[Array, ""],
+) -> Float[Array, ""]:
+    """1/s, s ≥ 1, with νᵀ (H P Hᵀ + s² 1)⁻¹ ν = `limit` for whitened rows; 1 where s = 1 is below it already.
+
+    By Newton on the reciprocal, as trust regions do (Moré and Sorensen 1983): N(t) with t = s² is the least cost
+    |ν − H x|²/t + xᵀP⁻¹x, so N′ = −|ν − H x|²/t², and 1/N rises and is concave: from N(1)/γ, which is never too large,
+    it goes up and never beyond. Two steps, since all that hangs on them is how far off the limit an outlier ends.
+    """
+    # Zero where all rows are left out; and a threshold of no rows may be infinite.
+    t = jnp.maximum(nis / limit, 1.0)
+    for _ in range(2):
+        root = jax.lax.rsqrt(t)
+        seen = form.correct(p, root * h, root * nu)
+        left = root * (nu - h @ seen.step)
+        excess = jnp.maximum(seen.nis / limit - 1.0, 0.0)
+        most = jnp.maximum(left @ left, jnp.finfo(p.dtype).tiny)
+        t = t * (1.0 + excess * seen.nis / most)
+    return jax.lax.rsqrt(t)
+
+
+def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """p as it can be stored: symmetric to the last bit, and positive in spite of rounding and underflow.
+
+    A Gram matrix rounded entry by entry is indefinite by up to n ε of its diagonal, so that much is added there,
+    and so little that its own square would vanish.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import positive
+    >>> singular = jnp.ones((2, 2))  # what rounding leaves of it need not have a root
+    >>> bool(jnp.isfinite(jnp.linalg.cholesky(positive(singular))).all())
+    True
+    """
+    info = jnp.finfo(p.dtype)
+    margin = len(p) * info.eps * jnp.diagonal(p) + info.tiny**0.5
+    return 0.5 * (p + p.T) + jnp.diag(margin)
+
+
+def cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import cholesky
+    >>> cholesky(4.0 * jnp.eye(2))
+    Array([[2., 0.],
+           [0., 2.]], dtype=float64)
+    """
+    diagonal: Array = jnp.diagonal(p)
+    scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    unit = p / (scale[:, None] * scale[None, :])
+    jitter = 8.0 * jnp.finfo(p.dtype).eps
+    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(len(p), dtype=p.dtype))

@@ -1,0 +1,260 @@
+"""MuJoCo models to `Robot`, and inertial parameters back into a model.
+
+MuJoCo's own loader reads MJCF and URDF. What the rigid-body model cannot represent is refused (`ModelError`) or named
+in a `ModelWarning`, element by element, never dropped in silence.
+"""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from jax_inertia.model.file_safety import ModelError
+from jax_inertia.model.finite_numbers import require_finite, require_finite_robot
+from jax_inertia.model.geometry import rotation_of, surface_of
+from jax_inertia.model.mujoco_types import MjModel
+from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
+from jax_inertia.model.spec import compile_spec, load_spec, model_path, set_inertials
+from jax_inertia.model.urdf_repair import ModelWarning
+from jax_inertia.model.urdf_write import is_urdf, write_urdf
+
+__all__ = [
+    "ModelError",
+    "ModelWarning",
+    "body_pi",
+    "compile_spec",
+    "is_urdf",
+    "load_model",
+    "load_spec",
+    "model_path",
+    "set_inertials",
+    "write_urdf",
+]
+
+_KIND = {
+    mujoco.mjtJoint.mjJNT_FREE: FREE,
+    mujoco.mjtJoint.mjJNT_BALL: BALL,
+    mujoco.mjtJoint.mjJNT_SLIDE: SLIDE,
+    mujoco.mjtJoint.mjJNT_HINGE: HINGE,
+}
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_DISABLE = mujoco.mjtDisableBit
+
+
+def load_model(model: str | Path | MjModel, *, floating_base: bool = False) -> Robot:
+    """Read an MJCF or URDF file (or take a compiled `MjModel`) as a `Robot`.
+
+    `floating_base` lets the root link of a URDF move freely, which the file has no usual way to say (unless that link
+    is called "world"); an MJCF and an `MjModel` say so themselves.
+
+    `robot_descriptions:NAME` is a model of that package, where it is on this machine already: nothing is fetched.
+    Meshes may be missing where every body has explicit inertials. Bodies fixed to the world are left out, bodies
+    welded to a moving one are kept. Raises ModelError for what cannot be used, and for a number that is not finite, by
+    its element; warns (ModelWarning) of what the model has and rigid-body dynamics does not: tendon forces, equality
+    constraints, fluid. Forces that the model's own flags disable are not there.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> load_model(double_pendulum())  # or load_model("arm.urdf")
+    Robot(fixed base, 2 bodies, nq=2, nv=2, 3 kg; joints shoulder, elbow)
+    """
+    _check_kind(model, floating_base)
+    if isinstance(model, str | Path):
+        where = model
+        compiled = compile_spec(load_spec(model, floating_base=floating_base), model)
+    else:
+        where, compiled = "MjModel", model
+    if not compiled.nv:
+        raise ModelError(
+            f"{where}: nothing in it moves; a robot has joints (and a xacro file is expanded first)"
+        )
+    require_finite(compiled, where)
+    for line in _left_out(compiled):
+        warnings.warn(line, ModelWarning, stacklevel=2)
+    # What overflows, or comes of a quaternion of no length, is named below.
+    with np.errstate(all="ignore"):
+        robot = _to_robot(compiled)
+    require_finite_robot(robot, where)
+    return robot
+
+
+def body_pi(model: MjModel, body: int) -> np.ndarray:
+    """π (10,) of one body of a compiled model, about its frame origin.
+
+    >>> from jax_inertia.model.load import body_pi
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> model = double_pendulum()
+    >>> body_pi(model, model.body("lower").id).round(3) + 0.0
+    array([ 1.  ,  0.  ,  0.  , -0.5 ,  0.27,  0.  ,  0.  ,  0.27,  0.  ,
+            0.01])
+    """
+    r = rotation_of(model.body_iquat[body])
+    m, c = model.body_mass[body], model.body_ipos[body]
+    i = r @ np.diag(model.body_inertia[body]) @ r.T + m * (c @ c * np.eye(3) - np.outer(c, c))
+    return np.array([m, *(m * c), i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+
+
+def _check_kind(model: object, floating_base: bool) -> None:
+    """Raise `ModelError` for what cannot be loaded, whatever it holds."""
+    if isinstance(model, str) and model.lstrip().startswith("<"):
+        raise ModelError(
+            f"{model.strip()[:60]!r} is a model's text, not its file; save it, or give "
+            "mujoco.MjModel.from_xml_string(text)"
+        )
+    if isinstance(model, mujoco.MjSpec):
+        raise ModelError(
+            "a model is a file or a compiled MjModel, not an MjSpec; give spec.compile()"
+        )
+    if not isinstance(model, str | Path | mujoco.MjModel):
+        raise ModelError(f"a model is a file or a compiled MjModel, not {type(model).__name__}")
+    if floating_base and isinstance(model, mujoco.MjModel):
+        raise ModelError(
+            "an MjModel says itself whether its base floats; give its base a <freejoint/>"
+        )
+
+
+# --- from a compiled model to arrays -----------------------------------------------------------------------------
+
+
+def _to_robot(model: MjModel) -> Robot:
+    parent, kind, qpos_adr, body_node, bodies = [], [], [], [], []
+    place_r, place_p, anchor, axis, reference = [], [], [], [], []
+    # Last node of each MuJoCo body (−1: fixed to the world), and the pose of fixed ones in the world.
+    node_of = np.full(model.nbody, -1)
+    fixed = {0: (np.eye(3), np.zeros(3))}
+
+    def add(parent_node, kind_, rotation, position, qadr=0, at=None, along=None, ref=0.0):
+        parent.append(int(parent_node))
+        kind.append(kind_)
+        qpos_adr.append(int(qadr))
+        place_r.append(rotation)
+        place_p.append(position)
+        anchor.append(np.zeros(3) if at is None else at)
+        axis.append(np.array([0.0, 0.0, 1.0]) if along is None else along)
+        reference.append(ref)
+        return len(parent) - 1
+
+    for b in range(1, model.nbody):
+        up = model.body_parentid[b]
+        rotation, position = rotation_of(model.body_quat[b]), model.body_pos[b].copy()
+        if up in fixed:
+            base_r, base_p = fixed[up]
+            rotation, position = base_r @ rotation, base_p + base_r @ position
+        node, joints = node_of[up], model.body_jntadr[b] + np.arange(model.body_jntnum[b])
+        if len(joints) == 0 and up in fixed:
+            fixed[b] = (rotation, position)
+            continue
+        for j in joints:
+            type_ = _KIND[mujoco.mjtJoint(model.jnt_type[j])]
+            adr = model.jnt_qposadr[j]
+            if type_ == FREE:
+                node = add(node, FREE, np.eye(3), np.zeros(3), adr)
+            else:
+                scalar = type_ in (HINGE, SLIDE)
+                ref = model.qpos0[adr] if scalar else 0.0
+                at = model.jnt_pos[j].copy()
+                along = model.jnt_axis[j].copy() if scalar else None
+                node = add(node, type_, rotation, position, adr, at, along, ref)
+            rotation, position = np.eye(3), np.zeros(3)
+        if len(joints) == 0:
+            node = add(node, WELD, rotation, position)
+        node_of[b] = node
+        body_node.append(int(node))
+        bodies.append(b)
+
+    joints = range(model.njnt)
+    dof_joint = model.dof_jntid
+    scalar = np.isin(model.jnt_type[dof_joint], _SCALAR)
+    armature, damping = _joint_side(model)
+    spring = np.where(scalar, model.qpos_spring[model.jnt_qposadr[dof_joint]], 0.0)
+    stacked = {
+        "pi": np.array([body_pi(model, b) for b in bodies]).reshape(-1, 10),
+        "placement_rotation": np.array(place_r).reshape(-1, 3, 3),
+        "placement_position": np.array(place_p).reshape(-1, 3),
+        "joint_position": np.array(anchor).reshape(-1, 3),
+        "joint_axis": np.array(axis).reshape(-1, 3),
+        "joint_reference": np.array(reference),
+        "armature": armature,
+        "damping": damping * _enabled(model, _DISABLE.mjDSBL_DAMPER),
+        "frictionloss": model.dof_frictionloss * _enabled(model, _DISABLE.mjDSBL_FRICTIONLOSS),
+        "stiffness": np.where(scalar, model.jnt_stiffness[dof_joint], 0.0)
+        * _enabled(model, _DISABLE.mjDSBL_SPRING),
+        "spring_reference": spring,
+        "gravity": model.opt.gravity * _enabled(model, _DISABLE.mjDSBL_GRAVITY),
+    }
+    return Robot(
+        topology=Topology(tuple(parent), tuple(kind), tuple(qpos_adr), tuple(body_node)),
+        body_names=tuple(model.body(b).name or f"body_{b}" for b in bodies),
+        joint_names=tuple(model.joint(j).name or f"joint_{j}" for j in joints),
+        joint_type=tuple(_KIND[mujoco.mjtJoint(model.jnt_type[j])] for j in joints),
+        joint_qposadr=tuple(int(i) for i in model.jnt_qposadr),
+        joint_dofadr=tuple(int(i) for i in model.jnt_dofadr),
+        nq=model.nq,
+        nv=model.nv,
+        surface=surface_of(model, bodies),
+        compensated=_compensated(model, bodies),
+        **{name: jnp.asarray(value) for name, value in stacked.items()},
+    )
+
+
+def _compensated(model: MjModel, bodies: list[int]) -> jax.Array | None:
+    """What of each body's mass and first moment gravity compensation lifts; None where it lifts nothing."""
+    share = model.body_gravcomp[bodies]
+    if not share.any():
+        return None
+    return jnp.asarray(share[:, None] * np.array([body_pi(model, b)[:4] for b in bodies]))
+
+
+def _enabled(model: MjModel, flag: mujoco.mjtDisableBit) -> bool:
+    return not model.opt.disableflags & int(flag)
+
+
+def _reflected(model: MjModel) -> np.ndarray:
+    """Whether each actuator's armature and damping are those of one degree of freedom (nu,)."""
+    on_joint = np.isin(model.actuator_trntype, _ON_JOINT)
+    joint = np.where(on_joint, model.actuator_trnid[:, 0], 0)
+    return on_joint & np.isin(model.jnt_type[joint], _SCALAR)
+
+
+def _joint_side(model: MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Armature and damping of every degree of freedom, its actuators' included: gear² times theirs."""
+    armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
+    for u in np.flatnonzero(_reflected(model)):
+        d, gear = model.jnt_dofadr[model.actuator_trnid[u, 0]], model.actuator_gear[u, 0]
+        armature[d] += gear**2 * model.actuator_armature[u]
+        damping[d] += gear**2 * model.actuator_damping[u]
+    return armature, damping
+
+
+def _left_out(model: MjModel) -> Iterator[str]:
+    """One line for each element whose force the rigid-body dynamics does not have."""
+    if model.nflex:
+        raise ModelError(f"{model.nflex} flex element(s): deformable bodies cannot be represented")
+    for i in np.flatnonzero(model.eq_active0 * _enabled(model, _DISABLE.mjDSBL_EQUALITY)):
+        equality = model.equality(i)
+        kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
+        yield f"{kind} equality {equality.name or int(i)!r}: its constraint force is left out"
+    for i in range(model.ntendon):
+        tendon = model.tendon(i)
+        acts = (model.tendon_stiffness[i], model.tendon_damping[i], model.tendon_frictionloss[i])
+        if any(acts) or model.tendon_armature[i]:
+            yield f"tendon {tendon.name or i!r}: its spring, damping, friction or armature is left out"
+    for j in range(model.njnt):
+        name = model.joint(j).name or str(j)
+        d = model.jnt_dofadr[j]
+        if model.jnt_stiffness[j] and model.jnt_type[j] not in _SCALAR:
+            yield f"joint {name!r}: the spring of a free or ball joint is left out"
+        if np.any(model.jnt_stiffnesspoly[j]) or np.any(model.dof_dampingpoly[d]):
+            yield f"joint {name!r}: the nonlinear terms of its spring or damping are left out"
+    for u in np.flatnonzero(~_reflected(model)):
+        if model.actuator_armature[u] or model.actuator_damping[u]:
+            yield f"actuator {model.actuator(u).name or int(u)!r}: its armature or damping is left out"
+    for u in np.flatnonzero(np.any(model.actuator_dampingpoly, axis=1)):
+        yield f"actuator {model.actuator(u).name or int(u)!r}: its nonlinear damping is left out"
+    if model.opt.density or model.opt.viscosity:
+        yield "fluid forces (option density, viscosity) are left out"

@@ -1,0 +1,72 @@
+"""Inertials of a URDF that other programs read and MuJoCo refuses: no mass, or moments that no body has."""
+
+import mujoco
+import numpy as np
+
+from jax_inertia.text.closest_names import listed
+
+# Far below what any robot weighs, far above what MuJoCo takes for nothing (1e-15).
+_MASS, _MOMENT = 1e-9, 1e-12
+_EPS = 1e-14
+
+
+class ModelWarning(UserWarning):
+    """A part of a model that the rigid-body dynamics leaves out, or reads otherwise than it stands, by name."""
+
+
+def repair(spec: mujoco.MjSpec) -> list[str]:
+    """Make inertials of a URDF's links such that MuJoCo compiles them; a line for what that changes, with names.
+
+    A moment of inertia that is negative is raised to the least that a body can have. A link that states no inertial
+    beside others that do has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
+    move and have no mass (three hinges in one place stand for a ball joint) are given a nanogram.
+    """
+    raised, weightless = [], []
+    some = any(body.explicitinertial for body in spec.bodies)
+    for body in spec.bodies:
+        if some and body.name != "world" and not body.explicitinertial:
+            for geom in body.geoms:
+                geom.mass = 0.0
+        if body.explicitinertial and _without_negative(body):
+            raised.append(body.name)
+        if body.name == "world" or not body.joints:
+            continue
+        if not body.explicitinertial and not any(_has_mass(geom) for geom in body.geoms):
+            body.explicitinertial, body.ipos = True, np.zeros(3)
+            body.mass = 0.0
+        if body.explicitinertial and np.isnan(body.fullinertia[0]):
+            if body.mass < _MASS:
+                weightless.append(body.name)
+            body.mass = max(body.mass, _MASS)
+            body.inertia = np.maximum(body.inertia, _MOMENT)
+    told = {
+        "moments of inertia that no body has were raised": raised,
+        "links that move and have no mass were given a nanogram": weightless,
+    }
+    return [f"{what}: {listed(names, 20)}" for what, names in told.items() if names]
+
+
+def _without_negative(body: mujoco.MjsBody) -> bool:
+    """Replace an inertia that is not positive definite by its moments and axes; whether a moment was negative."""
+    if np.isnan(body.fullinertia[0]):
+        return False
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.isfinite(moments).all() or moments[0] >= _EPS:
+        return False
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    turn, whole = np.zeros(4), np.zeros(4)
+    mujoco.mju_mat2Quat(turn, axes.ravel())
+    mujoco.mju_mulQuat(whole, np.asarray(body.iquat), turn)
+    negative = bool(moments[0] < -1e-9 * np.abs(moments).max())
+    # The least that makes a body of it: no moment is larger than the sum of the others.
+    moments = np.maximum(moments, 0.0)
+    moments[0] = max(moments[0], moments[2] - moments[1])
+    body.iquat, body.inertia = whole, moments
+    body.fullinertia = np.full(6, np.nan)
+    return negative
+
+
+def _has_mass(geom) -> bool:
+    """Whether MuJoCo takes mass from a shape."""
+    return geom.mass > 0 or (np.isnan(geom.mass) and geom.density > 0)

@@ -1,0 +1,1 @@
+"""What is wrong with a log, said before anything is fitted to it."""

@@ -1,0 +1,231 @@
+"""Look at a log before anything is fitted to it: what would make results wrong, and what would make
+them poor.
+
+Each finding is one line: what, where, what would be right. Errors are for logs that give wrong
+answers (a velocity of the wrong sign, joints the model does not have); warnings for what an
+engineer would look at first.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+import numpy as np
+
+from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.logs.log import Log, LogError, TorqueUnit
+from jax_inertia.logs.schema import check_time
+from jax_inertia.preflight import cross_channel as consistency
+from jax_inertia.preflight import single_channel as channels
+from jax_inertia.signals.filtering import gap_limit, mask
+from jax_inertia.text.closest_names import suggestion
+
+__all__ = ["Finding", "Names", "Preflight", "Severity", "preflight", "require_usable"]
+
+_GAP_PERIODS = 3.0
+_JITTER_NOTE, _JITTER_WARNING = 0.05, 0.3
+_FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
+_SLOWEST, _FASTEST = 10.0, 2e4
+_NO_MOTION = 0.5
+
+
+@runtime_checkable
+class Names(Protocol):
+    """What a robot calls its joints and bodies; `Robot` satisfies it."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+    @property
+    def joint_type(self) -> tuple[str, ...]: ...
+    @property
+    def body_names(self) -> tuple[str, ...]: ...
+
+
+class Preflight(eqx.Module):
+    """The findings on one log, the gravest first."""
+
+    findings: tuple[Finding, ...] = eqx.field(static=True)
+
+    def of(self, severity: Severity) -> tuple[Finding, ...]:
+        """The findings of one severity."""
+        return tuple(finding for finding in self.findings if finding.severity is severity)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found that makes results wrong."""
+        return not self.of(Severity.ERROR)
+
+    def raise_for_errors(self) -> None:
+        """Raise `LogError` with the first error, and how many more there are."""
+        errors = self.of(Severity.ERROR)
+        if len(errors) > 0:
+            others = len(errors) - 1
+            more = f" (and {others} more error{'s' * (others > 1)})" if others else ""
+            raise LogError(errors[0].message + more)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.findings)) or "nothing found"
+
+
+def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -> Preflight:
+    """Check a log, and where a robot is given its names against it.
+
+    `fixed` names joints of the robot that the log may lack. Values are looked at after bridging
+    what is not finite, so that one dropout is one finding. Raises nothing.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.preflight.preflight import preflight
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = preflight(swing().select(["elbow"]), load_model(double_pendulum()))
+    >>> found.ok, found.findings[0].check
+    (False, 'joint_missing')
+    """
+    findings = [Finding(Severity.NOTE, "reader", note) for note in log.notes]
+    findings += _unit(log)
+    if robot is not None:
+        findings += _names(log, robot, fixed)
+    time = np.asarray(log.time, dtype=float)
+    stamps = list(_stamps(time))
+    findings += stamps
+    # Rates and intervals mean nothing while the stamps are wrong.
+    if not any(finding.severity is Severity.ERROR for finding in stamps):
+        # Absurd values may overflow; what is then not a number fails its check's comparison.
+        with np.errstate(all="ignore"):
+            findings += list(_values(log, time, robot))
+    order = list(Severity)
+    return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
+
+
+def require_usable(
+    log: Log, robot: Names, *, any_unit: bool = False, of_many: bool = False
+) -> None:
+    """Raise `LogError` where a log is not of this robot, or its numbers cannot be reckoned with.
+
+    What every way from a log to a result asks of it, in Python as on the command line: torques in N m (unless
+    `any_unit`: gains are to be applied), joints and contacts of the model, stamps that increase, and channels that
+    were measured for the most part. One chunk `of_many` may be short, and miss a channel.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.preflight.preflight import require_usable
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> require_usable(swing(), load_model(double_pendulum()))
+    """
+    if not any_unit and log.tau_unit is not TorqueUnit.NEWTON_METRE:
+        raise LogError(
+            f"tau is in {log.tau_unit_text[:60]!r}, not N m; apply one gain per joint first: "
+            "log.with_torque_gains(N m per unit)"
+        )
+    time = np.asarray(log.time, dtype=float)
+    findings = list(_names(log, robot, ()))
+    if not of_many:
+        findings += [*_stamps(time), *channels.dropped(log, time)]
+    elif time.size > 1:
+        check_time(time)
+    Preflight(tuple(findings)).raise_for_errors()
+
+
+def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding]:
+    yield from channels.dropped(log, time)
+    log = mask(log).log
+    kinds = {} if robot is None else dict(zip(robot.joint_names, robot.joint_type, strict=True))
+    yield from channels.frozen(log, time)
+    yield from channels.repeated(log, time)
+    yield from channels.saturated(log, time)
+    yield from channels.spikes(log, time)
+    yield from channels.degrees(log, kinds)
+    yield from channels.wrapped(log, time, kinds)
+    yield from channels.still(log)
+    yield from consistency.velocity(log, time)
+    yield from consistency.quaternion(log)
+    yield from consistency.base_frames(log, time)
+
+
+def _unit(log: Log) -> Iterator[Finding]:
+    if log.tau_unit is not TorqueUnit.NEWTON_METRE:
+        message = (
+            f"tau is in {log.tau_unit_text!r}, not N m; give one gain per joint in N m per unit, "
+            "or have gains estimated"
+        )
+        yield Finding(Severity.WARNING, "torque_unit", message)
+
+
+def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
+    kinds = dict(zip(robot.joint_names, robot.joint_type, strict=True))
+    scalar = [name for name, kind in kinds.items() if kind in ("slide", "hinge")]
+    for name in log.joint_names:
+        if name not in scalar:
+            message = f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}"
+            yield Finding(Severity.ERROR, "joint_name", message)
+    for name in (name for name, kind in kinds.items() if kind == "ball" and name not in fixed):
+        message = f"joint {name!r} of the model is a ball, and a log holds hinges and slides: use three hinges for it"
+        yield Finding(Severity.ERROR, "joint_kind", message)
+    needed = [name for name in scalar if name not in fixed]
+    if missing := [name for name in needed if name not in log.joint_names]:
+        message = (
+            f"the log lacks joints of the model: {', '.join(missing)}; log them, or give the "
+            "positions they were fixed at"
+        )
+        yield Finding(Severity.ERROR, "joint_missing", message)
+    floating = [name for name, kind in kinds.items() if kind == "free" and name not in fixed]
+    floats = bool(floating)
+    posed = log.base_pos is not None and log.base_quat is not None
+    if floats and not posed:
+        message = (
+            f"the model's base floats (joint {floating[0]!r}) but the log lacks base_pos or base_quat; log both, or "
+            "take what floats out of the model"
+        )
+        yield Finding(Severity.ERROR, "base", message)
+    if posed and not floats:
+        message = "the log has a base pose but the model's base is fixed; the pose is not used"
+        yield Finding(Severity.WARNING, "base", message)
+    for name in log.contact_bodies:
+        if name not in robot.body_names:
+            message = (
+                f"the model has no body {name!r} (contact); {suggestion(name, robot.body_names)}"
+            )
+            yield Finding(Severity.ERROR, "contact_body", message)
+
+
+def _stamps(time: np.ndarray) -> Iterator[Finding]:
+    if time.size < _FEW_SAMPLES:
+        message = f"the log holds {time.size} samples; at least {_FEW_SAMPLES}, better thousands"
+        yield Finding(Severity.ERROR, "short", message)
+        return
+    period = np.diff(time)
+    if (back := ~(period > 0)).any():
+        k = int(np.argmax(back)) + 1
+        message = (
+            f"time does not increase at sample {k} ({time[k]:.6g} s after {time[k - 1]:.6g} s), "
+            f"{back.sum()} times in all; sort the rows and drop repeated stamps"
+        )
+        yield Finding(Severity.ERROR, "stamps", message)
+        return
+    typical = float(np.median(period))
+    if time[-1] - time[0] < _SHORT_SECONDS:
+        message = f"the log lasts {time[-1] - time[0]:.3g} s; a fit needs some seconds of motion"
+        yield Finding(Severity.WARNING, "short", message)
+    if not _SLOWEST <= 1 / typical <= _FASTEST:
+        message = (
+            f"the median period is {typical:.3g}; expected seconds: are stamps in another unit?"
+        )
+        # A sample a second or fewer holds no motion of a robot.
+        grave = typical >= _NO_MOTION
+        yield Finding(Severity.ERROR if grave else Severity.WARNING, "rate", message)
+    gaps = period > _GAP_PERIODS * typical
+    if gaps.any():
+        k = int(np.argmax(period))
+        masked = int(np.sum(period > gap_limit(time)))
+        fate = f"{masked} of them will be masked" if masked else "short enough to be bridged"
+        message = (
+            f"time has {gaps.sum()} gap{'s' * bool(gaps.sum() > 1)} above three periods, "
+            f"the longest {1e3 * period[k]:.3g} ms at {time[k]:.4g} s (period {1e3 * typical:.3g} ms); {fate}"
+        )
+        yield Finding(Severity.WARNING if masked else Severity.NOTE, "gap", message)
+    low, high = np.percentile(period, [5, 95])
+    if (high - low) > _JITTER_NOTE * typical:
+        grave = (high - low) > _JITTER_WARNING * typical
+        message = (
+            f"stamps jitter: 5-95 % of the periods lie in {1e3 * low:.3g}-{1e3 * high:.3g} ms "
+            f"(median {1e3 * typical:.3g}); resample to a uniform grid before differentiating"
+        )
+        yield Finding(Severity.WARNING if grave else Severity.NOTE, "jitter", message)

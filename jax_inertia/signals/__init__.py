@@ -1,0 +1,1 @@
+"""From a log to generalised motion and to the torque that the model leaves unexplained."""

@@ -1,0 +1,119 @@
+"""What a torque in a log stands for, moment by moment, where a drive holds something from one sample to the next.
+
+A value that is held over a period acts half a period late, as seen from its stamp. In a log slower than its drive it is
+the targets q* of a position loop that are held, not its torque: τ = kp (q* − q) − kd q̇ follows the joint many times
+a sample. Put off as a whole, by 10 ms at 50 Hz, kp q would pass for a damping of kp · 10 ms. And each new target jolts
+the joint; the log, which sees every jolt at the same moment, takes the jolt's torque for a part of the mean.
+
+So near a target that moves at a steady V, with the joints' inertia M between jolts and r the part of q that repeats
+with the period h,
+
+    M r̈ + kd ṙ + kp r = kp V (h/2 − t),  0 ≤ t < h,        τ(0) − τ̄ = M r̈(0) = kp V h/2 − kp r(0) − kd ṙ(0)
+
+is by how much the sampled torque exceeds the mean one. A loop that is slow beside h leaves kp V h/2, half a period; one
+that settles within it leaves more. The loop itself holds its torque for some δ, and so is late by d = δ/2: its mean is
+kp V d more, and the jolts are those of kd − kp d and M − kd d.
+"""
+
+import equinox as eqx
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+from scipy import interpolate
+
+from jax_inertia.logs.log import AnyArray, Log
+from jax_inertia.maths.finite_difference import derivative
+
+FASTER = 100.0
+"""Logs of this rate [Hz] and more are taken to be as fast as their loop: what they hold, they hold for a period."""
+LOOP_LATE, LOOP_LATE_ERROR = 1e-3, 0.7e-3
+"""How late the loop itself is, and how well that is known [s]: half the hold of loops of 250 Hz to 1 kHz and more."""
+# Of a torque's variance that targets, positions and velocities must explain for it to be a position loop's.
+_LOOP = 0.9
+
+
+class PositionLoop(eqx.Module):
+    """τ = kp (q* − q) − kd q̇ of each joint of a log; zero where none shows [N m/rad, N m s/rad]."""
+
+    kp: Float[np.ndarray, " n"]
+    kd: Float[np.ndarray, " n"]
+
+
+def later(x: AnyArray, share: float) -> Float[np.ndarray, "T *c"]:
+    """Samples put off by a share of their period, along the cubic through four of them.
+
+    Along straight lines a half would lose (ω h)² / 8 of a torque of angular rate ω, as a slow drive does.
+    """
+    x, s = np.asarray(x, float), share
+    # Lagrange's weights of the sample after, its own, the one before and the one before that.
+    after, own = -s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2
+    before, long_before = -(s + 1) * s * (s - 2) / 2, (s + 1) * s * (s - 1) / 6
+    far = np.concatenate([x[:1], x[:1], x, x[-1:]])
+    return after * far[3:] + own * far[2:-1] + before * far[1:-2] + long_before * far[:-3]
+
+
+def position_loop(log: Log) -> PositionLoop | None:
+    """The position loop behind the torques of a slow log, by least squares; None where the log shows none.
+
+    A joint has one where nine tenths of its torque's variance are kp (q* − q) − kd q̇. Every value must be finite.
+    """
+    if log.qpos_target is None or log.rate >= FASTER:
+        return None
+    target, q, tau = (np.asarray(x, float) for x in (log.qpos_target, log.qpos, log.tau))
+    v = derivative(np.asarray(log.time), q) if log.qvel is None else np.asarray(log.qvel, float)
+    gains = np.zeros((tau.shape[1], 2))
+    for j, torque in enumerate(tau.T):
+        columns = np.stack([target[:, j] - q[:, j], -v[:, j], np.ones(len(q))], axis=1)
+        fit = np.linalg.lstsq(columns, torque, rcond=None)[0]
+        if fit[0] > 0 and np.var(torque - columns @ fit) <= (1.0 - _LOOP) * np.var(torque):
+            gains[j] = fit[0], max(fit[1], 0.0)
+    return PositionLoop(*gains.T) if gains.any() else None
+
+
+def of_loop(
+    log: Log,
+    loop: PositionLoop,
+    at: Float[np.ndarray, " m"],
+    inertia: Float[np.ndarray, "m n n"],
+) -> Float[np.ndarray, "T n"]:
+    """Mean torque about each stamp of the joints that have a loop, the others' as logged [N m].
+
+    `inertia`: of the log's joints, rotors included, at the times `at`; between them jolts are interpolated.
+    """
+    target, q = np.asarray(log.qpos_target, float), np.asarray(log.qpos, float)
+    time = np.asarray(log.time)
+    late = _late(loop, inertia)
+    jolts = np.stack([_jolt(loop, x, 1.0 / log.rate, late) for x in inertia])
+    jolt = interpolate.make_interp_spline(at, jolts, k=1)(time) if len(at) > 1 else jolts
+    # −V h/2, also where V changes.
+    held = later(target, 0.5) - target
+    v = derivative(time, q)
+    follows = (loop.kp * v + loop.kd * derivative(time, v)) * (loop.kp > 0)
+    return np.asarray(log.tau) + np.einsum("tij,tj->ti", jolt, held) + late * follows
+
+
+def _late(loop: PositionLoop, inertia: Float[np.ndarray, "m n n"]) -> float:
+    """How late the loop is [s]; a loop of d > M / kd would not be stable, and one of half that hardly is."""
+    own = np.diagonal(inertia, axis1=1, axis2=2).min(axis=0)
+    return float(np.min(0.5 * own / np.maximum(loop.kd, 1e-9), initial=LOOP_LATE))
+
+
+def _jolt(
+    loop: PositionLoop, inertia: Float[np.ndarray, "n n"], period: float, late: float
+) -> Float[np.ndarray, "n n"]:
+    """By how much the torque at a new target exceeds the mean one, for each V h/2 of the targets [N m/rad]."""
+    kp, kd, h = np.diag(loop.kp), np.diag(loop.kd), period
+    one, none, n = np.eye(len(kp)), np.zeros_like(kp), len(kp)
+    inverse = np.linalg.inv(inertia - late * kd)
+    # d/dt of r, ṙ, the torque kp V (h/2 − t), and V.
+    rates = [
+        [none, one, none, none],
+        [-inverse @ kp, -inverse @ (kd - late * kp), inverse, none],
+        [none, none, none, -kp],
+        [none, none, none, none],
+    ]
+    after = scipy.linalg.expm(h * np.block(rates))[: 2 * n]
+    forced = after[:, 2 * n : 3 * n] @ kp * (h / 2) + after[:, 3 * n :]
+    # Joints without a loop have nothing that makes them return.
+    start = np.linalg.lstsq(np.eye(2 * n) - after[:, : 2 * n], forced, rcond=None)[0]
+    return kp - (kp @ start[:n] + kd @ start[n:]) * (2 / h)
