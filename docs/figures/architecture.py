@@ -21,12 +21,12 @@ FOLDERS = {
     "dynamics": ("rigid bodies", ROBOT, 2, 3),
     "signals": ("log → motion, residual", ROBOT, 1, 4),
     "preflight": ("is the log sound?", ANSWERS, 0, 5),
-    "estimation": ("inertial parameters", ANSWERS, 2, 5),
-    "gap": ("diagnosis, until parity", ANSWERS, 0, 6),
-    "diagnosis": ("whole-robot diagnosis", ANSWERS, 1, 7),
-    "control": ("whole-body controller", LEAVES, 3, 5),
+    "estimation": ("inertial parameters", ANSWERS, 2, 6),
+    "gap": ("diagnosis, until parity", ANSWERS, 0, 7),
+    "diagnosis": ("whole-robot diagnosis", ANSWERS, 1, 8),
+    "control": ("whole-body controller", LEAVES, 3, 7),
     "robots": ("models for examples", LEAVES, 3, 3),
-    "cli": ("the commands", LEAVES, 2, 8),
+    "cli": ("the commands", LEAVES, 2, 9),
 }
 
 
