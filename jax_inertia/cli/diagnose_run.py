@@ -110,7 +110,7 @@ def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) 
 def whole_robot(
     inputs: Inputs, exclude: Sequence[str], stage: Callable[[str], None]
 ) -> WholeRobot | None:
-    """The diagnosis of every joint at once, for a model that lacks ordinary physics at half of its joints or more.
+    """The diagnosis of every joint at once, for a model that lacks ordinary physics all over (`ordinary_is_missing`).
 
     None where the model has it: then one effect is sought on a good model. None too for what the former does not do
     yet: floating bases, and rows that are no hinge's or slide's.
@@ -121,7 +121,7 @@ def whole_robot(
     found = whole_robot_diagnosis(
         robot, inputs.log, test_log=inputs.test_log, exclude=exclude, progress=stage
     )
-    return found if ordinary_is_missing(found, robot.joint_names) else None
+    return found if ordinary_is_missing(found) else None
 
 
 def diagnosed(

@@ -105,12 +105,14 @@ def hypothesis(
     residual: Residual, effect: Effect, place: Place, shape: Shape, odds: float
 ) -> Hypothesis:
     """An effect's columns on the residual's rows."""
-    columns, row = residual.rows_of(effect.columns(residual.context, place, shape))
-    scale = effect.scale(residual.context, place, shape)
+    context = residual.context_of(effect)
+    columns, row = residual.rows_of(effect.columns(context, place, shape))
+    scale = effect.scale(context, place, shape)
     return Hypothesis(effect, place, shape, columns, row, scale, odds)
 
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
     """The same hypothesis on another log, with the first one's prior."""
-    columns, row = residual.rows_of(h.effect.columns(residual.context, h.place, h.shape))
+    context = residual.context_of(h.effect)
+    columns, row = residual.rows_of(h.effect.columns(context, h.place, h.shape))
     return dataclasses.replace(h, columns=columns, row=row)

@@ -8,7 +8,7 @@ from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.diagnosis.search import select
+from jax_inertia.diagnosis.search import Selection, ordinary_of, select
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.families import NAMES as FORMER
 from jax_inertia.logs.log import Log
@@ -40,13 +40,15 @@ def diagnose(
     selection = select(residual, library, settings, progress)
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
-    other = (
-        None
-        if test_log is None
-        else OtherRun(Residual(robot, test_log, settings), selection.evidence)
-    )
+    other = None if test_log is None else _other_run(robot, test_log, selection, settings)
     selection, dropped = gated(selection, heldout if other is None else other, settings)
     return summary.summarised(selection, heldout, other, dropped, settings)
+
+
+def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:
+    ordinary = ordinary_of(selection.residual, selection.posterior)
+    residual = Residual(robot, log, settings).calibrated(ordinary)
+    return OtherRun(residual, selection.evidence)
 
 
 LEAST_ROWS = 50
@@ -62,11 +64,10 @@ def _require_rows(residual: Residual, log: Log) -> None:
         )
 
 
-def ordinary_is_missing(found: Diagnosis, joints: Sequence[str]) -> bool:
-    """Whether the model lacks ordinary physics at half of its joints or more: a robot as it is bought."""
-    lacking = {
-        f.place.name
-        for f in found.found
-        if f.ordinary and f.family in ("viscous_friction", "coulomb_friction", "armature")
-    }
-    return len(lacking) >= max(1, (len(joints) + 1) // 2)
+WHOLE_ROBOT = 4
+"""Ordinary numbers that a model lacks from which it is the whole robot's: a search for single effects lists three."""
+
+
+def ordinary_is_missing(found: Diagnosis) -> bool:
+    """Whether the model lacks ordinary physics all over: a robot as it is bought."""
+    return sum(f.ordinary for f in found.found) >= WHOLE_ROBOT

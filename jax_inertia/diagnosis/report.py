@@ -65,6 +65,7 @@ def _effect(f: Found) -> dict[str, Any]:
         "ordinary": f.ordinary,
         "parameters": {name: _number(p) for name, p in f.parameters.items()},
         "share": f.share,
+        "evidence": f.evidence,
         "probability": f.probability,
         "equivalent": [
             {"family": t.family, "location": _place(t.place), "kind": t.kind} for t in f.equivalent

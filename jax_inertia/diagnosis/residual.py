@@ -1,11 +1,13 @@
 """A log as rows of missing torque: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
 
+import copy
 import dataclasses
 import functools
 
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.context import Context
@@ -16,6 +18,18 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT
 
 REPLICAS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Ordinary:
+    """Ordinary numbers of each row beyond the model's own."""
+
+    viscous: Float[np.ndarray, " n"]
+    """N m s/rad."""
+    coulomb: Float[np.ndarray, " n"]
+    """N m."""
+    armature: Float[np.ndarray, " n"]
+    """kg m²."""
 
 
 class Residual:
@@ -31,8 +45,33 @@ class Residual:
         self.log, self.robot, self.settings, self.band = log, robot, settings, band
         self.prepared: Prepared = prepare(robot, log, band)
         self.context = Context(self.prepared)
+        self.beside = self.context
+        """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)
         """Missing torque (R, n) [N m]."""
+
+    def calibrated(self, ordinary: Ordinary) -> "Residual":
+        """The same rows, beside a model that has each joint's friction and rotor inertia."""
+        out = copy.copy(self)
+        c, robot = self.context, self.robot
+        dry = ordinary.coulomb * c.side
+        prepared = dataclasses.replace(
+            self.prepared,
+            robot=dataclasses.replace(
+                robot,
+                armature=robot.armature + ordinary.armature,
+                damping=robot.damping + ordinary.viscous,
+                frictionloss=robot.frictionloss + ordinary.coulomb,
+            ),
+            inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
+            dry=self.prepared.dry + dry,
+        )
+        out.beside = Context(prepared)
+        return out
+
+    def context_of(self, effect: Effect) -> Context:
+        """What an effect's columns are made of."""
+        return self.beside if effect.calibrated else self.context
 
     @property
     def time(self) -> Float[np.ndarray, " R"]:

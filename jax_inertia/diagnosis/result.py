@@ -38,6 +38,8 @@ class Found:
     parameters: dict[str, Interval]
     share: float
     """Of the gap's energy in N² m²: what returns when it alone is left out."""
+    evidence: float
+    """Log evidence that it brings, prior odds taken off, nats."""
     probability: float
     """That it, or one that it is tied with, is there."""
     equivalent: tuple[Tie, ...]

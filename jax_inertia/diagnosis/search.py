@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -17,7 +18,7 @@ from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.pushes import FLANK, windows
-from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.gap.families.base import Place
 
@@ -103,6 +104,7 @@ def select(
     now = _bounded(residual, evidence, now)
     forms = _forms(residual, now, turning, settings)
     now = _learned(evidence, (*now.chosen, *forms), 2)
+    residual = residual.calibrated(ordinary_of(residual, now))
     progress("columns of every other effect at every place")
     candidates = tuple(_candidates(residual, library, turning, settings))
     progress("odd effects by their evidence")
@@ -165,21 +167,28 @@ def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
             continue
         rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
         best, gain = h, float(evidence.gains(rest, (h,))[0])
-        for halving in range(5):
-            moved = True
-            while moved:
-                moved = False
-                for k, step in enumerate(steps):
-                    for sign in (-1.0, 1.0):
-                        shape = list(best.shape)
-                        shape[k] += sign * step * 0.5**halving
-                        trial = hypothesis(residual, h.effect, h.place, tuple(shape), h.odds)
-                        got = float(evidence.gains(rest, (trial,))[0])
-                        if step and np.isfinite(got) and got > gain + 0.01:
-                            best, gain, moved = trial, got, True
+        for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
+            for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+                shape = list(best.shape)
+                shape[k] += float(sign * step[k])
+                if shape[k] * best.shape[k] <= 0:
+                    continue
+                trial = hypothesis(residual, h.effect, h.place, tuple(shape), h.odds)
+                got = float(evidence.gains(rest, (trial,))[0])
+                if np.isfinite(got) and got > gain:
+                    best, gain = trial, got
         if best is not h:
             now = evidence.posterior((*rest.chosen, best))
     return _learned(evidence, now.chosen, 1)
+
+
+def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
+    """Ordinary numbers at the posterior mean, by row."""
+    values = {family: np.zeros(residual.robot.nv) for family in (*FRICTION, "armature")}
+    for h in now.chosen:
+        if h.family in values:
+            values[h.family][h.place.index] = now.of(h)[0][0]
+    return Ordinary(*(np.maximum(x, 0.0) for x in values.values()))
 
 
 def _forms(residual, now: Posterior, turning: dict[int, float], settings) -> list[Hypothesis]:
@@ -314,6 +323,8 @@ def _excluded(h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
     return False
 
 
+HALVINGS = 6
+"""Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 MANY = frozenset({"push", "cogging"})
 """Effects that may be at a place more than once."""
 

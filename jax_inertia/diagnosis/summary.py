@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rivals, rms, rows
+from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace
@@ -109,6 +110,12 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     return bool(distinct and matters and worths[id(h)] > h.odds)
 
 
+def _systematic(h: Hypothesis, mean: np.ndarray) -> np.ndarray:
+    """Covariance of a friction's number by its own equation: a law of another form has no one level."""
+    known_to = FORM_TOLERANCE if h.family in ("viscous_friction", "coulomb_friction") else 0.0
+    return np.diag((known_to * mean) ** 2)
+
+
 def _share(selection: Selection, h: Hypothesis) -> float:
     """Of the gap's energy, what returns when it alone is left out."""
     now, residual = selection.posterior, selection.residual
@@ -120,7 +127,7 @@ def _share(selection: Selection, h: Hypothesis) -> float:
 
 def _found(selection, h: Hypothesis, listed, shares, worths, settings: Settings) -> Found:
     mean, covariance = selection.posterior.of(h)
-    covariance = covariance + selection.jackknife(h)
+    covariance = covariance + selection.jackknife(h) + _systematic(h, mean)
     others = () if h.ordinary else rivals(selection, h, settings)
     own = worths[id(h)] - h.odds
     reach = max(settings.tie, settings.tie_share * abs(own))
@@ -138,6 +145,7 @@ def _found(selection, h: Hypothesis, listed, shares, worths, settings: Settings)
         place=h.place,
         parameters=intervals(selection, h, mean, covariance),
         share=shares[id(h)],
+        evidence=float(own),
         probability=probability,
         equivalent=ties,
         ordinary=h.ordinary,
@@ -221,7 +229,9 @@ def _joints(selection: Selection, settings: Settings) -> dict[str, dict[str, Int
                 own[family] = Interval(0.0, 0.0, 0.0, unit)
                 continue
             mean, covariance = now.of(h)
-            (p,) = intervals(selection, h, mean, covariance + selection.jackknife(h)).values()
+            (p,) = intervals(
+                selection, h, mean, covariance + selection.jackknife(h) + _systematic(h, mean)
+            ).values()
             low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
             own[family] = Interval(p.value + nominal, low, p.high + nominal, p.unit)
         out[name] = own

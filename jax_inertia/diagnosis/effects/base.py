@@ -39,6 +39,8 @@ class Effect(abc.ABC):
     secant: ClassVar[bool] = False
     """Whether the shape is the value of θ about which the columns are the secant: e(θ) = A(θ) θ exactly."""
 
+    calibrated: ClassVar[bool] = False
+    """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
     law: ClassVar[str] = ""
     """What it is one law of, where a place has but one: a torque is late by one law."""
 

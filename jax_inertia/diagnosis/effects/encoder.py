@@ -6,9 +6,11 @@ carries: y = ∂ID/∂q δ + ∂ID/∂q̇ δ̇ + ∂ID/∂q̈ δ̈.
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, peak_of
+from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.gap.families.base import Columns, Parameter
-from jax_inertia.gap.families.encoder import off_path
+from jax_inertia.gap.families.encoder import Backlash as Play
+from jax_inertia.gap.families.encoder import JointElasticity as SoftJoint
+from jax_inertia.gap.families.encoder import TwoMass, off_path
 
 
 class EncoderOffset(Effect):
@@ -56,38 +58,45 @@ def carried(context, row: int) -> np.ndarray:
     return context.below(context.prepared.bands.cutoff, context.link_torque[:, [row]])
 
 
-class JointElasticity(Effect):
-    name, equation, form_error = "joint_elasticity", "q_motor = q + τ_link/K", 0.1
+class _TwoMass(Effect):
+    """Motor and link apart, by the two-mass observer: the whole effect of one set of couplings, θ near one.
+
+    What the coupling carries is the logged torque less what the motor takes for itself, so the joint's own friction and
+    rotor inertia have to be known: columns are of the calibrated model.
+    """
+
+    calibrated = True
+    family: TwoMass
+
+    def shapes(self, context, place):
+        own = list(self.family.first(context, place))
+        self.family.prepare(context, place, own)
+        return [tuple(float(x) for x in shape) for shape in own]
 
     def columns(self, context, place, shape):
-        return off_path(context, place.index, carried(context, place.index))
+        return self.family.columns(context, place, shape)
 
     def scale(self, context, place, shape):
-        return np.array([0.02 / peak_of(context, place.index)])
-
-    def lower(self, context, place):
-        return 0.0
-
-    def numbers(self, context, place, shape, theta):
-        return {"stiffness": Parameter(1.0 / max(float(theta[0]), 1e-9), "N m/rad", 0.0)}
-
-
-class Backlash(Effect):
-    name, equation, form_error = "backlash", "q_motor = q + ½ b sign(τ_link)", 0.3
-
-    def columns(self, context, place, shape):
-        torque = carried(context, place.index)
-        half = 0.5 * np.tanh(torque / (0.03 * np.percentile(np.abs(torque), 99.5) + 1e-9))
-        return off_path(context, place.index, half)
-
-    def scale(self, context, place, shape):
-        return np.array([0.02])
-
-    def lower(self, context, place):
-        return 0.0
+        return np.array([1.0])
 
     def possible(self, context, place, theta):
-        return bool(0.0 <= theta[0] < 0.1)
+        return bool(0.6 < theta[0] < 1.6)
 
     def numbers(self, context, place, shape, theta):
-        return {"dead_zone": Parameter(float(theta[0]), "rad", 0.0)}
+        return self.family.parameters(context, place, shape, theta)
+
+
+class JointElasticity(_TwoMass):
+    name, equation, form_error = "joint_elasticity", "q_motor = q + τ_link/K", 0.1
+    family = SoftJoint()
+
+    def steps(self, context, place, shape):
+        return (0.2 * shape[0], 0.0, 0.0, 0.0)
+
+
+class Backlash(_TwoMass):
+    name, equation, form_error = "backlash", "nothing transmitted while |q_motor − q| < b/2", 0.3
+    family = Play()
+
+    def steps(self, context, place, shape):
+        return (0.3 * shape[0], 0.3 * shape[1], 0.0, 0.0, 0.0, 0.0)
