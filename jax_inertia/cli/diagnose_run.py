@@ -121,7 +121,7 @@ def whole_robot(
     found = whole_robot_diagnosis(
         robot, inputs.log, test_log=inputs.test_log, exclude=exclude, progress=stage
     )
-    return found if ordinary_is_missing(found) else None
+    return found if ordinary_is_missing(found, robot) else None
 
 
 def diagnosed(

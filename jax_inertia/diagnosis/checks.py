@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.search import Selection
+from jax_inertia.diagnosis.search import Selection, relinearised
 from jax_inertia.diagnosis.settings import Settings
 
 PASSING = frozenset({"push"})
@@ -173,6 +173,12 @@ def gated(
     return dataclasses.replace(selection, posterior=now), tuple(dropped)
 
 
+NEAR = 10.0
+"""Nats beyond a tie up to which another hypothesis counts against a probability."""
+BEYOND_SECANT = 0.3
+"""Share of the evidence that a secant at the wrong value may miss."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Rival:
     """Another hypothesis that explains about as much in the place of one that was chosen."""
@@ -193,16 +199,20 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     )
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
     gains = evidence.gains(rest, others) - np.array([c.odds for c in others])
+    reach = max(settings.tie, settings.tie_share * abs(own)) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}
     for k in np.argsort(-gains):
         c, behind = others[k], own - float(gains[k])
-        if behind > max(settings.tie, settings.tie_share * abs(own)) + 10.0:
-            break
-        best.setdefault(c.key, Rival(c, behind))
-    out = []
-    for r in best.values():
-        with_it = evidence.posterior((*rest.chosen, r.hypothesis))
-        theta = with_it.of(with_it.chosen[-1])[0]
-        if r.hypothesis.effect.possible(selection.residual.context, r.hypothesis.place, theta):
-            out.append(r)
+        if behind > reach + (BEYOND_SECANT * abs(own) if c.effect.secant else 0.0):
+            continue
+        if c.key in best:
+            continue
+        with_it = relinearised(selection.residual, evidence, rest, c)
+        c = with_it.chosen[-1]
+        if c.effect.secant:
+            behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds
+        possible = c.effect.possible(selection.residual.context, c.place, with_it.of(c)[0])
+        if behind <= reach and possible:
+            best[c.key] = Rival(c, behind)
+    out = sorted(best.values(), key=lambda r: r.behind)
     return tuple(out)

@@ -10,6 +10,7 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search import Selection, ordinary_of, select
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.summary import DRY_FORMS
 from jax_inertia.gap.families import NAMES as FORMER
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
@@ -66,8 +67,19 @@ def _require_rows(residual: Residual, log: Log) -> None:
 
 WHOLE_ROBOT = 4
 """Ordinary numbers that a model lacks from which it is the whole robot's: a search for single effects lists three."""
+LACKING = 0.5
+"""A model lacks a number of which it has less than this share: masses and frictions of a good model are within 10 %."""
 
 
-def ordinary_is_missing(found: Diagnosis) -> bool:
+def ordinary_is_missing(found: Diagnosis, robot: Robot) -> bool:
     """Whether the model lacks ordinary physics all over: a robot as it is bought."""
-    return sum(f.ordinary for f in found.found) >= WHOLE_ROBOT
+    own = {"viscous_friction": robot.damping, "armature": robot.armature}
+    lacking = 0
+    for f in found.found:
+        if f.family == "torque_bias" or not (f.ordinary or f.family in DRY_FORMS):
+            continue
+        dof = robot.joint_dofadr[robot.joint_index(f.place.name)]
+        family = f.family if f.ordinary else "coulomb_friction"
+        nominal = float(own.get(family, robot.frictionloss)[dof])
+        lacking += nominal < LACKING * found.joints[f.place.name][family].value
+    return lacking >= WHOLE_ROBOT

@@ -331,7 +331,7 @@ MANY = frozenset({"push", "cogging"})
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    after = _relinearised(residual, evidence, evidence.posterior((*now.chosen, h)), h)
+    after = relinearised(residual, evidence, now, h)
     added = after.chosen[-1]
     possible = added.effect.possible(residual.context, added.place, after.of(added)[0])
     return after if possible else None
@@ -344,8 +344,9 @@ def _settled(residual, evidence, now: Posterior) -> Posterior:
     return _pruned(evidence, _bounded(residual, evidence, now))
 
 
-def _relinearised(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior:
-    """Secant columns at the value found: exact for an offset of degrees, a delay of many samples."""
+def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> Posterior:
+    """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
+    now = evidence.posterior((*now.chosen, h))
     if not h.effect.secant:
         return now
     for _ in range(4):

@@ -32,6 +32,9 @@ class Settings:
     """Of a nominal centre of mass [m], on links of 0.15 to 1 m."""
     inertia_tolerance: float = 0.10
     """Of a nominal rotational inertia, relative."""
+    ordinary_tolerance: float = 0.2
+    """Change of a joint's friction or rotor inertia that is none beside the model's own number, relative: dampings of a
+    good model are 5 to 10 % off; two of those."""
     rest_speed: float = 0.02
     """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""
     distinct: float = 3.0

@@ -56,7 +56,7 @@ def summarised(
     found = _one_dry_law(found)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
-    generic_share = sum(max(shares[id(h)], 0.0) for h in generic)
+    generic_share = float(sum(max(shares[id(h)], 0.0) for h in generic))
     judged = verdict(checked, tolerated, bool(found), generic_share, settings)
     sure = confidence(checked, judged, [f.probability for f in found if not f.ordinary], settings)
     remainder = _remainder(checked, names, generic)
@@ -104,9 +104,13 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     mean, covariance = selection.posterior.of(h)
     distinct = abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0])
     row = h.place.index
+    attribute = ORDINARY_NUMBERS[h.family][0]
+    own = 0.0 if attribute is None else float(getattr(selection.residual.context, attribute)[row])
+    if abs(mean[0]) < settings.ordinary_tolerance * own:
+        return False
     torque = selection.posterior.torque(h)
-    own = rows(torque, selection.residual.weight)[row]
-    matters = own**2 > settings.material * selection.evidence.gap[row] ** 2
+    size = rows(torque, selection.residual.weight)[row]
+    matters = size**2 > settings.material * selection.evidence.gap[row] ** 2
     return bool(distinct and matters and worths[id(h)] > h.odds)
 
 

@@ -1,0 +1,107 @@
+"""The one score against a brute-force marginal likelihood, and the verdict's table row by row."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from jax_inertia.diagnosis.checks import Check
+from jax_inertia.diagnosis.effects.joint import ViscousFriction
+from jax_inertia.diagnosis.evidence import Evidence
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.verdict import verdict
+from jax_inertia.gap.families.base import Place
+
+ROWS, JOINTS = 30, 2
+
+
+def hypotheses(rng, count):
+    out = []
+    for k in range(count):
+        row = None if k % 2 else k % JOINTS
+        shape = (ROWS, 2) if row is not None else (ROWS, JOINTS, 2)
+        place = Place("joint", f"j{k}", k % JOINTS)
+        scale = rng.uniform(0.3, 3.0, 2)
+        out.append(
+            Hypothesis(ViscousFriction(), place, (), rng.normal(size=shape), row, scale, 0.0)
+        )
+    return tuple(out)
+
+
+def log_marginal(evidence, chosen):
+    """Of y with every number integrated out, as one Gaussian of all rows."""
+    covariance = np.diag((evidence.variance * evidence.correlation).ravel())
+    for h in chosen:
+        wide = np.zeros((ROWS, JOINTS, h.count))
+        wide[:, slice(None) if h.row is None else h.row] = h.columns
+        flat = wide.reshape(-1, h.count) * h.scale
+        covariance = covariance + flat @ flat.T
+    return multivariate_normal(np.zeros(ROWS * JOINTS), covariance).logpdf(evidence.y.ravel())
+
+
+@pytest.fixture
+def problem():
+    rng = np.random.default_rng(3)
+    chosen = hypotheses(rng, 5)
+    y = rng.normal(size=(ROWS, JOINTS)) + chosen[1].columns @ [1.0, -2.0]
+    evidence = Evidence(y, np.ones_like(y), np.full(JOINTS, 1e-6))
+    evidence.correlation = np.array([1.0, 2.5])
+    return evidence, chosen
+
+
+def test_adding_changes_the_log_marginal_likelihood_by_the_gain(problem):
+    evidence, (a, b, *others) = problem
+    now = evidence.posterior((a, b))
+    before = log_marginal(evidence, (a, b))
+    expected = [log_marginal(evidence, (a, b, h)) - before for h in others]
+    np.testing.assert_allclose(evidence.gains(now, tuple(others)), expected, rtol=1e-8)
+
+
+def test_deleting_changes_it_by_the_worth(problem):
+    evidence, chosen = problem
+    whole = log_marginal(evidence, chosen)
+    expected = [
+        whole - log_marginal(evidence, tuple(x for x in chosen if x is not h)) for h in chosen
+    ]
+    np.testing.assert_allclose(evidence.worths(evidence.posterior(chosen)), expected, rtol=1e-8)
+
+
+def test_a_row_that_weighs_nothing_tells_nothing(problem):
+    evidence, chosen = problem
+    evidence.weight[:10] = 0.0
+    before = evidence.posterior(chosen).mean
+    evidence.y[:10] = 1e6
+    np.testing.assert_allclose(evidence.posterior(chosen).mean, before)
+
+
+def check(before, after, noise, expected=1.0, joints=2):
+    rows = np.full(joints, after)
+    return Check(
+        before, after, after, noise, np.full(joints, before), rows, rows[None], rows * 0 + expected
+    )
+
+
+@pytest.mark.parametrize(
+    ("case", "listed", "generic", "wanted"),
+    [
+        (check(1.0, 1.0, 0.6), False, 0.0, Verdict.NO_GAP),
+        (check(5.0, 5.0, 0.6), False, 0.0, Verdict.UNKNOWN),
+        (check(5.0, 0.5, 0.1), True, 0.0, Verdict.EXPLAINED),
+        (check(5.0, 0.9, 0.6, expected=0.25), True, 0.0, Verdict.PARTLY),
+        (check(5.0, 0.5, 0.1), True, 0.2, Verdict.PARTLY),
+        (check(5.0, 2.0, 0.1), True, 0.0, Verdict.PARTLY),
+        (check(5.0, 4.5, 0.1), True, 0.0, Verdict.UNKNOWN),
+        (check(0.5, 0.7, 0.6), True, 0.0, Verdict.UNKNOWN),
+    ],
+)
+def test_the_verdict_is_its_table(case, listed, generic, wanted):
+    tolerated = case.before
+    assert verdict(case, tolerated, listed, generic, Settings()) == wanted
+
+
+def test_settings_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Settings().gate = 0.5

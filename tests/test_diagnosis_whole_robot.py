@@ -1,0 +1,199 @@
+"""The whole robot: what closed-form logs were made with comes back, and nothing else."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis_robot import (
+    ARMATURE,
+    BIAS,
+    COULOMB,
+    NOMINAL,
+    VISCOUS,
+    log_of,
+    motion,
+    needed,
+    ordinary,
+)
+
+from jax_inertia.diagnosis.effects.registry import EFFECTS
+from jax_inertia.diagnosis.pipeline import diagnose, ordinary_is_missing
+from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.model.load import load_model
+
+MODEL = mujoco.MjModel.from_xml_string(NOMINAL)
+MOTIONS = {seed: motion(seed) for seed in (0, 1)}
+NEEDED = {seed: needed(MODEL, *MOTIONS[seed][1:]) for seed in MOTIONS}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(MODEL)
+
+
+def found(robot, effect=lambda model, t, q, v, a, tau: tau, model=MODEL, level=1.0):
+    """The diagnosis of a robot that has ordinary physics everywhere, and an effect of its own on the logged torque."""
+    logs = []
+    for seed, (t, q, v, a) in MOTIONS.items():
+        tau = NEEDED[seed] if model is MODEL else needed(model, q, v, a)
+        tau = tau + ordinary(v, a, level)
+        logs.append(log_of(t, q, effect(model, t, q, v, a, tau), seed))
+    return diagnose(robot, logs[0], test_log=logs[1])
+
+
+@pytest.fixture(scope="module")
+def plain(robot):
+    return found(robot)
+
+
+def test_every_joint_s_ordinary_physics_comes_back(plain):
+    for k, name in enumerate(("shoulder", "elbow", "wrist")):
+        own = plain.joints[name]
+        for family, true in (
+            ("viscous_friction", VISCOUS[k]),
+            ("coulomb_friction", COULOMB[k]),
+            ("armature", ARMATURE[k]),
+        ):
+            assert own[family].value == pytest.approx(true, rel=0.03), (name, family)
+            assert own[family].low < true < own[family].high
+        assert own["torque_bias"].value == pytest.approx(BIAS[k], abs=0.03)
+
+
+def test_nothing_odd_is_invented_and_the_gap_goes(plain):
+    assert [f.family for f in plain.odd] == []
+    assert plain.verdict == "explained"
+    assert plain.test.after < 0.02 * plain.test.before
+    assert "no dry friction, damping and rotor inertia" in plain.headline
+
+
+def test_a_model_that_lacks_ordinary_physics_is_told_from_a_good_one(robot, plain):
+    assert ordinary_is_missing(plain, robot)
+    assert not ordinary_is_missing(found(robot, level=0.0), robot)
+
+
+def test_a_sound_robot_has_no_gap(robot):
+    sound = found(robot, level=0.0)
+    assert sound.verdict == "no_gap"
+    assert sound.found == ()
+
+
+def with_load():
+    spec = mujoco.MjSpec.from_string(NOMINAL)
+    load = spec.body("hand").add_body(name="load", pos=[0.03, 0.0, -0.1])
+    load.add_geom(size=[0.02, 0, 0], mass=0.8)
+    return spec.compile()
+
+
+def tilted():
+    spec = mujoco.MjSpec.from_string(NOMINAL)
+    spec.option.gravity = 9.81 * np.array([-np.sin(0.03), 0.0, -np.cos(0.03)])
+    return spec.compile()
+
+
+def weak(model, t, q, v, a, tau):
+    # The motor gives 0.9 of what is logged.
+    return tau / np.array([1.0, 0.9, 1.0])
+
+
+def sprung(model, t, q, v, a, tau):
+    return tau + np.array([0.0, 1.5, 0.0]) * q
+
+
+def early(model, t, q, v, a, tau):
+    """Logged 8 ms before it acts; a sensor's sample is taken for a quarter of its 5 ms later, so 6.8 ms are left."""
+    seed = next(k for k in MOTIONS if np.array_equal(q, MOTIONS[k][1]))
+    _, q, v, a = motion(seed, late=0.008)
+    return needed(model, q, v, a) + ordinary(v, a)
+
+
+def pushed(model, t, q, v, a, tau):
+    """A hand pulls at the hand, 12 N along x for 0.6 s of the first log."""
+    if not np.array_equal(q, MOTIONS[0][1]):
+        return tau
+    data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
+    out = tau.copy()
+    for k in np.flatnonzero((t > 5.0) & (t < 5.6)):
+        data.qpos[:] = q[k]
+        mujoco.mj_forward(model, data)
+        body = model.body("hand").id
+        mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+        out[k] -= jacobian.T @ [12.0, 0.0, 0.0]
+    return out
+
+
+@pytest.mark.parametrize(
+    ("family", "place", "number", "true", "effect", "model"),
+    [
+        ("payload", "hand", "mass", 0.8, None, with_load),
+        ("torque_gain", "elbow", "gain", 0.9, weak, None),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("gravity_tilt", "global", "tilt_y", 0.03, None, tilted),
+                ("joint_spring", "elbow", "stiffness", 1.5, sprung, None),
+                ("time_delay", "global", "delay", 0.0068, early, None),
+                ("push", "hand", "force_x", 12.0, pushed, None),
+            )
+        ),
+    ],
+)
+def test_one_odd_effect_beside_ordinary_physics(robot, family, place, number, true, effect, model):
+    keep = effect or (lambda model, t, q, v, a, tau: tau)
+    diagnosis = found(robot, keep, model() if model else MODEL)
+    first = diagnosis.odd[0]
+    named = {
+        (first.family, first.place.name),
+        *((t.family, t.place.name) for t in first.equivalent),
+    }
+    assert (family, place) in named
+    if first.family == family:
+        # A push with sudden ends is drawn with flanks, and larger by as much as they take.
+        close = 0.2 if family == "push" else 0.1
+        assert first.parameters[number].value == pytest.approx(true, rel=close)
+    assert diagnosis.test.after < 0.05 * diagnosis.test.before
+
+
+def test_a_report_is_json_of_the_contract(plain):
+    report = json.loads(json.dumps(to_report(plain), allow_nan=False))
+    assert {"verdict", "effects", "joints", "shrink", "remainder", "explained_share"} <= set(report)
+    assert all(e["ordinary"] for e in report["effects"])
+    assert report["shrink"]["test_log"]["after"] < report["shrink"]["test_log"]["before"]
+    assert set(report["remainder"]["where"]) == set(report["joints"])
+
+
+def test_an_unknown_family_is_one_line(robot):
+    t, q, *_ = MOTIONS[0]
+    with pytest.raises(ValueError, match="unknown families \\['gremlins'\\]; valid: "):
+        diagnose(robot, log_of(t, q, NEEDED[0]), exclude=["gremlins"])
+
+
+@pytest.fixture(scope="module")
+def residual(robot):
+    t, q, v, a = MOTIONS[0]
+    return Residual(robot, log_of(t, q, NEEDED[0] + ordinary(v, a)), Settings())
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_every_effect_keeps_the_interface(residual, effect):
+    """Finite columns, a positive prior of as many numbers, and a report of them, at every place that it has."""
+    for place in effect.places(residual.context)[:2]:
+        for shape in list(effect.shapes(residual.context_of(effect), place))[:2]:
+            columns, row = residual.rows_of(
+                effect.columns(residual.context_of(effect), place, shape)
+            )
+            scale = effect.scale(residual.context, place, shape)
+            assert columns.shape[-1] == len(scale)
+            assert columns.ndim == (2 if row is not None else 3)
+            assert np.all(np.isfinite(columns))
+            assert np.all(scale > 0)
+            numbers = effect.numbers(residual.context, place, shape, 0.5 * scale)
+            assert all(np.isfinite(p.value) for p in numbers.values())
+            assert numbers or not effect.named
+
+
+def test_names_are_distinct():
+    names = [e.name for e in EFFECTS]
+    assert len(set(names)) == len(names)
