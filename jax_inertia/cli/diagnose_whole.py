@@ -54,7 +54,10 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
     sure = f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})"
     console.print(f"[bold]{sure}[/bold]")
     console.print(escape(found.headline), highlight=False)
-    table = Table(title="every joint, 95 % interval", title_justify="left")
+    table = Table(
+        title="every joint with 95 % interval: viscous and dry friction, rotor inertia, offset",
+        title_justify="left",
+    )
     for name in (
         "joint",
         "viscous",
@@ -65,9 +68,9 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
     ):
         table.add_column(name)
     for joint, own in found.joints.items():
-        cells = [f"{number(p.value)} ± {number(0.5 * (p.high - p.low))}" for p in own.values()]
+        cells = [f"{p.value:.3g} ± {0.5 * (p.high - p.low):.1g}" for p in own.values()]
         before, after = found.checked.per_joint[joint]
-        table.add_row(escape(joint), *cells, f"{number(before)} → {number(after)}")
+        table.add_row(escape(joint), *cells, f"{before:.2g} → {after:.2g}")
     console.print(table)
     for f in found.odd:
         sizes = "; ".join(

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.gap.figures import _BLUE, _GREY, _ORANGE, _STYLE, embedded
@@ -23,6 +24,9 @@ def joints(found: Diagnosis) -> str:
         axes.plot(before, at, "o", color=_ORANGE, label="nominal model")
         axes.plot(after, at, "s", color=_BLUE, label="with what was found")
         axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        # Mathematics is off, since names come from files.
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axes.set_yticks(at, names)
         axes.invert_yaxis()
         axes.set_xlabel("torque error, rms of moving rows [N m]")
@@ -46,5 +50,5 @@ def along_time(found: Diagnosis, joint: str) -> str:
             axes.plot(trace.time, y, color=colour, linewidth=1.0, label=label)
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"missing torque [{found.units[joint]}]")
-        axes.legend(loc="upper right", ncols=2)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.2), ncols=2)
     return embedded(figure)

@@ -3,7 +3,6 @@
 from importlib.metadata import version
 
 import jinja2
-import numpy as np
 
 from jax_inertia.diagnosis import figures
 from jax_inertia.diagnosis.result import Diagnosis
@@ -30,9 +29,9 @@ def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, s
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
-    after = {n: a for n, (_, a) in found.checked.per_joint.items()}
     worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
+    shown = remains != worst and found.remainder.where[remains] > 0
     return environment.get_template("report.html").render(
         found=found,
         correction=correction,
@@ -46,7 +45,5 @@ def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, s
         worst=worst,
         worst_figure=figures.along_time(found, worst),
         remains=remains,
-        remains_figure=figures.along_time(found, remains) if remains != worst else None,
-        rest=sum(after.values()),
-        moving=float(np.mean(found.trace.moving > 0.5)),
+        remains_figure=figures.along_time(found, remains) if shown else None,
     )

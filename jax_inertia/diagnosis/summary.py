@@ -9,7 +9,7 @@ from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rivals, rms, 
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace
+from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace, Verdict
 from jax_inertia.diagnosis.search import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
@@ -58,6 +58,11 @@ def summarised(
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     generic_share = float(sum(max(shares[id(h)], 0.0) for h in generic))
     judged = verdict(checked, tolerated, bool(found), generic_share, settings)
+    trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
+    found = tuple(
+        f if f.ordinary else dataclasses.replace(f, probability=trust * f.probability)
+        for f in found
+    )
     sure = confidence(checked, judged, [f.probability for f in found if not f.ordinary], settings)
     remainder = _remainder(checked, names, generic)
     gap = evidence.gap
