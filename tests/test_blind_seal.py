@@ -197,15 +197,21 @@ def main(arguments):
 """
 
 
-def probe_package(hidden: list[str]):
-    """A stand-in for the package that tries to cheat, for `Diagnoser`."""
+def stand_in(main: str):
+    """Puts a package into an empty folder whose command is `main`, a module's text, for `Diagnoser`."""
 
     def put(folder: Path) -> None:
-        (folder / "jax_inertia").mkdir()
-        (folder / "jax_inertia" / "__init__.py").write_text("")
-        (folder / "jax_inertia" / "cli.py").write_text(PROBE % hidden)
+        (folder / "jax_inertia" / "cli").mkdir(parents=True)
+        (folder / "jax_inertia" / "__init__.py").touch()
+        (folder / "jax_inertia" / "cli" / "__init__.py").touch()
+        (folder / "jax_inertia" / "cli" / "main.py").write_text(main)
 
     return put
+
+
+def probe_package(hidden: list[str]):
+    """A stand-in for the package that tries to cheat."""
+    return stand_in(PROBE % hidden)
 
 
 def test_the_diagnoser_sees_its_log_and_nothing_of_the_examination(sealed, tmp_path):
@@ -246,19 +252,14 @@ def test_a_stopped_run_goes_on_where_it_was(sealed, tmp_path, monkeypatch):
 
 def test_an_interrupted_log_has_no_result(sealed, tmp_path, monkeypatch):
     logs, _, _ = sealed
-
-    def put(folder):
-        (folder / "jax_inertia").mkdir()
-        (folder / "jax_inertia" / "__init__.py").write_text("")
-        text = "import pathlib, time\ndef main(a):\n    pathlib.Path('begun').touch()\n    time.sleep(60)\n"
-        (folder / "jax_inertia" / "cli.py").write_text(text)
+    slow = "import pathlib, time\ndef main(a):\n    pathlib.Path('begun').touch()\n    time.sleep(60)\n"
 
     def interrupt():
         while not all((tmp_path / "work" / k / "job" / "begun").exists() for k in ("00", "01")):
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(solve, "copy_package", put)
+    monkeypatch.setattr(solve, "copy_package", stand_in(slow))
     began = time.monotonic()
     # Workers of pytest-xdist ignore it otherwise.
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -274,14 +275,8 @@ def test_an_interrupted_log_has_no_result(sealed, tmp_path, monkeypatch):
 
 def test_a_command_that_hangs_or_dies_is_an_answer_of_its_own(sealed, tmp_path):
     logs, _, _ = sealed
-
-    def put(folder):
-        (folder / "jax_inertia").mkdir()
-        (folder / "jax_inertia" / "__init__.py").write_text("")
-        text = "import os, time\ndef main(a):\n    os._exit(3) if len(a) < 9 else time.sleep(60)\n"
-        (folder / "jax_inertia" / "cli.py").write_text(text)
-
-    diagnoser = solve.Diagnoser(tmp_path / "d", None, 5, 3.0, put)
+    bad = "import os, time\ndef main(a):\n    os._exit(3) if len(a) < 9 else time.sleep(60)\n"
+    diagnoser = solve.Diagnoser(tmp_path / "d", None, 5, 3.0, stand_in(bad))
     one, two, _ = sorted(logs.iterdir())
     diagnoser.diagnose(one, tmp_path, [])
     diagnoser.diagnose(two, tmp_path, ["payload"])

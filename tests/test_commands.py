@@ -392,6 +392,6 @@ def test_what_the_readme_names_is_there():
     modules = [m.name for m in pkgutil.walk_packages(jax_inertia.__path__, "jax_inertia.")]
     for module, name in re.findall(r"`(\w+)\.(\w+)", table):
         if module != "Estimator":
-            (full,) = (m for m in modules if m.endswith(f".{module}"))
-            assert hasattr(importlib.import_module(full), name), (module, name)
+            full = [importlib.import_module(m) for m in modules if m.endswith(f".{module}")]
+            assert any(hasattr(one, name) for one in full), (module, name)
     assert hasattr(Estimator, "calibrate_bias")

@@ -690,8 +690,8 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
 def test_the_second_writer_to_a_folder_is_told(tmp_path):
     """Another process, as it is in earnest: locks are of processes."""
     program = (
-        "import sys, pathlib; from jax_inertia import _console\n"
-        "with _console.output_folder(pathlib.Path(sys.argv[1])) as part:\n"
+        "import sys, pathlib; from jax_inertia.cli import console\n"
+        "with console.output_folder(pathlib.Path(sys.argv[1])) as part:\n"
         "    (part / 'report.json').write_text('first'); print('in', flush=True); sys.stdin.readline()\n"
     )
     out = tmp_path / "out"

@@ -462,7 +462,8 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real logs (../shared/data) are not here")
 def test_reads_every_real_log():
-    paths = sorted(SHARED.glob("*/*.npz"))
+    # Beside them lie logs of commanded positions without torque, which are no logs of this format.
+    paths = [p for p in sorted(SHARED.glob("*/*.npz")) if "tau" in np.load(p).files]
     assert paths
     for path in paths:
         log = read_log(path)
