@@ -13,13 +13,13 @@ ORDER: dict[str, str] = {
     "": """text maths logs model dynamics signals preflight estimation gap diagnosis
         control robots cli __main__""",
     "text": "closest_names notebook_page",
-    "maths": """argument_checks batch_last vectors spatial finite_difference inertial_parameters
+    "maths": """argument_checks batch_last spatial finite_difference inertial_parameters
         charts noise gates kalman least_squares""",
-    "logs": "npz atomic_files torque_unit schema readers log chunks findings",
+    "logs": "npz atomic_files schema readers log chunks findings",
     "logs.readers": """options streams bag_messages bag_collect bag columns delimited arrow_columns
         parquet export""",
     "model": """mujoco_types mujoco_warnings robot geometry file_safety finite_numbers
-        urdf_floating_base urdf_repair descriptions spec urdf_write load write log_match""",
+        urdf_read descriptions spec urdf_write load write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
     "signals": "bands held filtering generalised_motion differences residual wrench_axes",
     "preflight": "single_channel cross_channel preflight",
@@ -28,7 +28,7 @@ ORDER: dict[str, str] = {
         identifiability motion_limits excitation""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "cli": """completion console convert diagnose_whole diagnose_run diagnose estimate_run
+    "cli": """console convert diagnose_whole diagnose_run diagnose estimate_run
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """effects result figures page report settings residual hypothesis evidence pushes

@@ -19,7 +19,7 @@ from jax_inertia.model.geometry import rotation_of, surface_of
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
 from jax_inertia.model.spec import compile_spec, load_spec, model_path, set_inertials
-from jax_inertia.model.urdf_repair import ModelWarning
+from jax_inertia.model.urdf_read import ModelWarning
 from jax_inertia.model.urdf_write import is_urdf, write_urdf
 
 __all__ = [
