@@ -25,14 +25,14 @@ ORDER: dict[str, str] = {
     "preflight": "single_channel cross_channel preflight",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
         innovation_tests batch_rows batch_solve batch_fit log_filter stream checkpoint
-        identifiability motion_limits excitation""",
+        identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "cli": """console convert diagnose_whole diagnose_run diagnose estimate_run
+    "cli": """console convert diagnose_whole diagnose_run diagnose
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """effects result figures page report settings residual hypothesis evidence pushes
-        search checks verdict wording summary corrected_model pipeline""",
+        search checks verdict wording summary corrected_model pipeline either""",
     "diagnosis.effects": """base actuator dry_friction encoder environment external_force generic inertial
         joint tolerances transmission registry""",
 }
