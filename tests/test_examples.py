@@ -22,6 +22,7 @@ MODULES = (
         "estimation.identifiability",
         "maths.inertial_parameters",
         "maths.kalman",
+        "maths.precision",
     ),
     *(
         "maths.least_squares",

@@ -13,7 +13,7 @@ ORDER: dict[str, str] = {
     "": """text maths logs model dynamics signals preflight estimation gap diagnosis
         control robots cli __main__""",
     "text": "closest_names notebook_page",
-    "maths": """argument_checks batch_last spatial finite_difference inertial_parameters
+    "maths": """argument_checks precision batch_last spatial finite_difference inertial_parameters
         charts noise gates kalman least_squares""",
     "logs": "npz atomic_files schema readers log chunks findings",
     "logs.readers": """options streams bag_messages bag_collect bag columns delimited arrow_columns

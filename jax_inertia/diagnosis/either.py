@@ -11,16 +11,20 @@ from typing import Any, NamedTuple
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis import report as whole_report
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
+from jax_inertia.estimation import log_estimate
+from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import diagnosis as single
 from jax_inertia.gap import report as single_report
 from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import Finding, Severity, preflight
 
 
+@in_double_precision
 def diagnose(
     robot: Robot,
     log: Log,
@@ -35,8 +39,8 @@ def diagnose(
     Both results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of either.
     `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
     effects; `max_effects` holds where single effects are sought. Torques that are no N m get one drive gain per joint
-    from the log itself, and a note says so. Raises ValueError for an unknown family, and LogError for a log that
-    cannot be used.
+    from the log itself, and a note says so. Computed in double precision, whatever JAX is set to. Raises ValueError
+    for an unknown family, and LogError for a log that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -49,6 +53,7 @@ def diagnose(
     if max_effects < 1:
         raise ValueError(f"max_effects is {max_effects}; at least one")
     progress("looking at the log")
+    robot = robot.astype("float64")
     notes, drives = [], None
     logs = {"log": log} | ({} if test_log is None else {"test_log": test_log})
     for name, one in logs.items():
@@ -131,8 +136,8 @@ def whole_robot(
     return found if pipeline.ordinary_is_missing(found, robot.joint_names) else None
 
 
-def to_report(found: Diagnosis | WholeRobot) -> dict[str, Any]:
-    """report.json of a diagnosis, schema 1: only JSON's own types, no NaN.
+def to_report(found: Diagnosis | WholeRobot | LogEstimate) -> dict[str, Any]:
+    """report.json of what `diagnose` or `estimate` found: only JSON's own types, no NaN.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -140,6 +145,8 @@ def to_report(found: Diagnosis | WholeRobot) -> dict[str, Any]:
     >>> ji.to_report(found)["effects"][0]["location"]["name"]
     'lower'
     """
+    if isinstance(found, LogEstimate):
+        return log_estimate.to_report(found)
     if isinstance(found, WholeRobot):
         return whole_report.to_report(found)
     return single_report.to_report(found)

@@ -115,13 +115,11 @@ def checked(
 
     `found` is what is known of the log already; `told` hears of each finding, with its log's name, as it is found.
     """
-    if isinstance(references, Log):
-        raise ValueError("calibrate is one log; give a list of logs")
     if names is None:
         names = Names(calibrate=[f"calibrate[{k}]" for k in range(len(references))])
     chosen = resolve_bodies(robot, bodies)
     if not chosen:
-        raise ValueError("bodies is empty; name at least one body to estimate")
+        raise ValueError("no body to estimate; name at least one")
     findings = [*found]
     for name, one in zip((names.log, *names.calibrate), (log, *references), strict=True):
         seen = preflight(one, robot)

@@ -18,6 +18,7 @@ from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.maths.inertial_parameters import PI_NAMES, is_physical
+from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.text.notebook_page import line, table
@@ -131,6 +132,7 @@ def interval_text(value: Mapping[str, Any]) -> str:
     return f"{value['value']:.3f} ± {0.5 * (value['ci95'][1] - value['ci95'][0]):.3f}"
 
 
+@in_double_precision
 def to_report(
     found: LogEstimate, *, log: str = "", model: str = "", settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:

@@ -22,16 +22,18 @@ from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.logs.log import Log
 from jax_inertia.maths import charts
 from jax_inertia.maths.inertial_parameters import is_physical
+from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 
 
+@in_double_precision
 def estimate(
     robot: Robot,
     log: Log,
     bodies: Sequence[int | str],
     *,
-    calibrate: Sequence[Log] = (),
+    calibrate: Sequence[Log] | Log = (),
     gains: Sequence[float] | float | None = None,
     gain_sigma: float | None = None,
     trust: Sequence[float] = (0.1, 0.05),
@@ -65,8 +67,8 @@ def estimate(
     times the cutoff, or the log's); the mean residual of the first `bias_window` seconds, when nothing is carried, is
     the torques' offset.
 
-    Raises ValueError for a body or a setting that cannot be, LogError for a log that cannot be used. In single
-    precision, JAX's default, intervals are rough: `jax.config.update("jax_enable_x64", True)` before the model is read.
+    Computed in double precision, whatever JAX is set to. Raises ValueError for a body or a setting that cannot be, and
+    LogError for a log that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -90,7 +92,8 @@ def estimate(
         rate=rate,
         bias_window=bias_window,
     )
-    return run(checked(robot, log, bodies, calibrate, settings), progress)
+    references = [calibrate] if isinstance(calibrate, Log) else calibrate
+    return run(checked(robot.astype("float64"), log, bodies, references, settings), progress)
 
 
 def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
