@@ -148,9 +148,9 @@ class _Tree:
         reference: float = 0.0,
     ) -> int:
         """Append a node at a pose in its parent; its index."""
-        self.parent.append(int(parent))
+        self.parent.append(parent)
         self.kind.append(kind)
-        self.qpos_adr.append(int(qpos_adr))
+        self.qpos_adr.append(qpos_adr)
         self.rotation.append(pose[0])
         self.position.append(pose[1])
         self.anchor.append(np.zeros(3) if anchor is None else anchor)
@@ -162,7 +162,7 @@ class _Tree:
         self, model: MjModel, j: int, parent: int, pose: tuple[np.ndarray, np.ndarray]
     ) -> int:
         """Append a joint's node; its index."""
-        kind, adr = _KIND[mujoco.mjtJoint(model.jnt_type[j])], model.jnt_qposadr[j]
+        kind, adr = _KIND[mujoco.mjtJoint(model.jnt_type[j])], int(model.jnt_qposadr[j])
         if kind == FREE:
             return self.add(parent, FREE, _HERE, adr)
         scalar = kind in (HINGE, SLIDE)
@@ -185,17 +185,17 @@ def _tree(model: MjModel) -> _Tree:
         if up in fixed:
             base_r, base_p = fixed[up]
             pose = base_r @ pose[0], base_p + base_r @ pose[1]
-        node, joints = node_of[up], model.body_jntadr[b] + np.arange(model.body_jntnum[b])
+        node, joints = int(node_of[up]), model.body_jntadr[b] + np.arange(model.body_jntnum[b])
         if len(joints) == 0 and up in fixed:
             fixed[b] = pose
             continue
         for j in joints:
-            node = tree.add_joint(model, j, node, pose)
+            node = tree.add_joint(model, int(j), node, pose)
             pose = _HERE
         if len(joints) == 0:
             node = tree.add(node, WELD, pose)
         node_of[b] = node
-        tree.body_node.append(int(node))
+        tree.body_node.append(node)
         tree.bodies.append(b)
     return tree
 
