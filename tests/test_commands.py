@@ -377,8 +377,9 @@ def test_the_readme_s_example_runs_as_it_stands(capsys):
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     low, high = 2.9, 3.1
-    assert low < float(capsys.readouterr().out.split()[0]) < high
-    mass = np.asarray(names["trace"].estimate.pi[:, 0, 0])
+    said = re.findall(r"hand: .* filter (\S+) .* batch fit (\S+)", capsys.readouterr().out)
+    assert [low < float(mass) < high for mass in said[0]] == [True, True]
+    mass = np.asarray(names["found"].trace.estimate.pi[:, 0, 0])
     assert np.all((low < mass[10:]) & (mass[10:] < high))
 
 
@@ -392,6 +393,6 @@ def test_what_the_readme_names_is_there():
     modules = [m.name for m in pkgutil.walk_packages(jax_inertia.__path__, "jax_inertia.")]
     for module, name in re.findall(r"`(\w+)\.(\w+)", table):
         if module != "Estimator":
-            (full,) = (m for m in modules if m.endswith(f".{module}"))
-            assert hasattr(importlib.import_module(full), name), (module, name)
+            full = [importlib.import_module(m) for m in modules if m.endswith(f".{module}")]
+            assert any(hasattr(one, name) for one in full), (module, name)
     assert hasattr(Estimator, "calibrate_bias")
