@@ -128,7 +128,11 @@ def reader(kind: str, path: Path, package) -> Callable[[bytes], None]:
     import warnings
 
     warnings.simplefilter("ignore")
-    errors = (package.logs.log.LogError, package.model.load.ModelError, package.estimation.checkpoint.StateError)
+    errors = (
+        package.logs.log.LogError,
+        package.model.load.ModelError,
+        package.estimation.checkpoint.StateError,
+    )
     bag = package.logs.readers.Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})
     options = bag if kind in ("bag", "db3", "mcap") else package.logs.readers.Options()
     if kind in LOGS:

@@ -1,7 +1,7 @@
 """A URDF's root link moves freely where its caller, or its log, says so."""
 
+import argparse
 import dataclasses
-from argparse import Namespace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
-from jax_inertia.cli import estimate_run
+from jax_inertia.cli import estimate
 from jax_inertia.cli.diagnose_run import read
 from jax_inertia.dynamics.rigid_body import inverse_dynamics
 from jax_inertia.logs.log import Log, write_log
@@ -134,8 +134,10 @@ def test_who_weighs_a_robot_that_floats_is_told_to_log_what_carries_it(tmp_path,
         "with": dataclasses.replace(log, contact_wrench=wrench, contact_bodies=("foot",)),
     }.items():
         write_log(one, tmp_path / f"{name}.npz")
-        asked = {"model": path, "log": tmp_path / f"{name}.npz", "bodies": ["trunk"]}
-        inputs = estimate_run.read(Namespace(**asked, calibrate=None, gains=None))
+        parser = argparse.ArgumentParser()
+        estimate.add_parser(parser.add_subparsers())
+        files = [str(tmp_path / f"{name}.npz"), "--model", str(path)]
+        inputs = estimate.read(parser.parse_args(["estimate", *files, "--bodies", "trunk"]))
         told = [finding.check for finding in inputs.findings]
         assert ("contact_wrench" in told) == (name == "without")
         assert ("no contact_wrench: unless the robot flies" in capsys.readouterr().err) == (

@@ -11,8 +11,8 @@ from chain_log import JOINTS, chain_xml
 from chain_log import simulate as simulate_chain
 
 from jax_inertia import load_model
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.conventions import require_conventions
+from jax_inertia.signals.torque_residual import prepare
 
 
 @pytest.fixture(scope="module")

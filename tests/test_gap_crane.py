@@ -9,7 +9,7 @@ import pytest
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.logs.log import Log, TorqueKind
-from jax_inertia.preflight.single_channel import torque_spikes
+from jax_inertia.signals.spikes import torque_spikes
 
 RATE, STEPS = 250, 20
 GEAR, ROTOR, BRISTLE = 1.5e6, 2500.0, 1e-4

@@ -9,7 +9,6 @@ from scipy import signal
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose, select
 from jax_inertia.gap.block import Beside
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.finder import finder
@@ -17,6 +16,7 @@ from jax_inertia.gap.loudness import QUIETEST, Loudness
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find
 from jax_inertia.gap.together import stacked
+from jax_inertia.signals.torque_residual import prepare
 
 LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
 

@@ -18,8 +18,8 @@ from strata import STRATA
 
 from jax_inertia import load_model, read_log
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.chain import prepare
 from jax_inertia.logs.log import Log, LogError
+from jax_inertia.signals.torque_residual import prepare
 
 FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
 

@@ -11,7 +11,6 @@ from chain_log import DAMPING, FRICTION, JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import effects_of
@@ -22,6 +21,7 @@ from jax_inertia.gap.propose import propose
 from jax_inertia.gap.rollout import rollouts
 from jax_inertia.gap.search import search
 from jax_inertia.gap.turning import CREEPS
+from jax_inertia.signals.torque_residual import prepare
 
 NOMINAL = chain_xml(FRICTION)
 

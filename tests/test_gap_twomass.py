@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.families import LIBRARY
@@ -17,6 +16,7 @@ from jax_inertia.gap.finder import finder
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find, search
 from jax_inertia.gap.twomass import DrivenLink, OwnFriction
+from jax_inertia.signals.torque_residual import prepare
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
 TIME = np.arange(0.0, 6.0, 0.004)

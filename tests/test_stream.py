@@ -244,6 +244,17 @@ def test_the_state_of_another_robot_or_setting_is_refused_by_name(tmp_path, othe
     assert "\n" not in str(caught.value)
 
 
+def test_the_state_of_a_chart_with_another_reference_is_refused(tmp_path):
+    """A chart is not known by its name alone: coordinates relative to three times the body are others."""
+    ekf = estimator()
+    pi = ekf.robot.pi[np.array(ekf.bodies)]
+    one, other = (dataclasses.replace(ekf, chart=charts.Relative.to(k * pi)) for k in (1.0, 3.0))
+    save_state(tmp_path / "state.npz", one, one.initial())
+    assert equal_bits(load_state(tmp_path / "state.npz", one), one.initial())
+    with pytest.raises(StateError, match="of another filter: chart differs"):
+        load_state(tmp_path / "state.npz", other)
+
+
 def with_robot(leaf) -> Estimator:
     """The filter of a robot in one number different."""
     ekf = estimator()

@@ -88,6 +88,13 @@ def estimate(robot: ji.Robot, log: ji.Log) -> float:
     return float(trace.estimate.pi[-1, 0, 0])
 
 
+def commands(robot: ji.Robot, log: ji.Log, other: ji.Log) -> dict[str, np.ndarray]:
+    found: ji.LogEstimate = ji.estimate(robot, log, ["lower"], calibrate=[other], gains=[1.0, 2.0])
+    missing = ji.diagnose(robot, log, test_log=other, exclude=["backlash"])
+    print(missing.headline, missing.verdict, ji.to_report(missing), ji.to_report(found)["bodies"])
+    return found.pi
+
+
 def stream(robot: ji.Robot, chunks: Iterator[ji.Log], path: Path) -> None:
     whole = Stream(make_estimator(robot, ["lower"], sigma_tau=0.1), window=8)
     state = load_stream(path, whole) if path.exists() else whole.start()

@@ -9,10 +9,10 @@ from diagnosis_cases import Case, Files
 
 import jax_inertia as ji
 from jax_inertia.cli.diagnose_run import Inputs, Result
-from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.evidence import moving
 from jax_inertia.logs.log import read_log
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.torque_residual import Prepared, prepare
 
 DRY = ("coulomb_friction", "asymmetric_coulomb", "stribeck_friction", "load_friction")
 VISCOUS = ("viscous_friction", "friction_drift")

@@ -13,9 +13,7 @@ from rich.table import Table
 
 from jax_inertia.cli import diagnose_whole as output
 from jax_inertia.cli.console import warn
-from jax_inertia.diagnosis.pipeline import diagnose as whole_robot_diagnosis
-from jax_inertia.diagnosis.pipeline import ordinary_is_missing
-from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
+from jax_inertia.diagnosis.either import unknown_families, usable, whole_robot
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import diagnose
 from jax_inertia.gap.effect import effects_of
@@ -24,7 +22,6 @@ from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
-from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import percent, plain
 from jax_inertia.logs.log import Log, LogError, read_log
@@ -40,7 +37,7 @@ from jax_inertia.model.log_match import afloat
 from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
 from jax_inertia.preflight.preflight import Finding as Quality
-from jax_inertia.preflight.preflight import Severity, preflight
+from jax_inertia.preflight.preflight import Severity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,60 +65,29 @@ class Result:
 
 def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) -> Inputs:
     """Read model and logs, and look at them before anything is computed; ValueError with one line."""
-    if unknown := sorted(set(exclude) - set(NAMES)):
+    if unknown := unknown_families(exclude):
         raise ValueError(
             f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
         )
     robot = load_model(model)
-    logs, quality = [], []
-    gains, unit = [], ""
+    logs: list[Log] = []
+    quality: list[Quality] = []
+    drives = None
     for path in (log, *([] if test_log is None else [test_log])):
         one = read_log(path, names=robot)
         if not logs:
             robot, told = afloat(robot, model, one)
             quality += told
-        found = preflight(one, robot)
         try:
-            found.raise_for_errors()
+            one, drives, findings = usable(one, robot, drives, path.name)
         except LogError as error:
             raise LogError(f"{path}: {error}") from None
-        for finding in found.findings:
-            if finding.check == "no_motion" and finding.severity is Severity.WARNING:
-                raise LogError(f"{path}: {finding.message}")
-        remarks: tuple[Quality, ...] = ()
-        if not logs:
-            # The test log is read with the same gains: one that does not carry over is part of what it tests.
-            try:
-                gains, remarks = drive_gains(one, robot)
-            except ValueError as error:
-                raise LogError(f"{path}: {error}") from None
-            unit = one.tau_unit_text
-        elif one.tau_unit_text != unit:
-            raise LogError(f"{path}: tau is in {one.tau_unit_text!r}, {log.name} in {unit!r}")
-        logs.append(in_newton_metres(one, gains))
-        for finding in (*found.findings, *remarks):
-            quality.append(finding._replace(message=f"{path.name}: {finding.message}"))
+        logs.append(one)
+        quality += [f._replace(message=f"{path.name}: {f.message}") for f in findings]
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)
     return Inputs(model, log, robot, logs[0], logs[1] if len(logs) > 1 else None, tuple(quality))
-
-
-def whole_robot(
-    inputs: Inputs, exclude: Sequence[str], stage: Callable[[str], None]
-) -> WholeRobot | None:
-    """The diagnosis of every joint at once, for a model that lacks ordinary physics all over (`ordinary_is_missing`).
-
-    None where the model has it: then one effect is sought on a good model. None too for what the former does not do
-    yet: floating bases, and rows that are no hinge's or slide's.
-    """
-    robot = inputs.robot
-    if robot.has_free_base or not all(robot.topology.dof_scalar):
-        return None
-    found = whole_robot_diagnosis(
-        robot, inputs.log, test_log=inputs.test_log, exclude=exclude, progress=stage
-    )
-    return found if ordinary_is_missing(found, robot) else None
 
 
 def diagnosed(
@@ -132,7 +98,7 @@ def diagnosed(
     stage: Callable[[str], None],
 ) -> Callable[..., None]:
     """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`."""
-    whole = whole_robot(inputs, exclude, stage)
+    whole = whole_robot(inputs.robot, inputs.log, inputs.test_log, exclude, stage)
     if whole is None:
         result = diagnosis(inputs, exclude, max_effects, stage)
         stage("writing")

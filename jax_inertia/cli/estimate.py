@@ -1,8 +1,13 @@
 """`jax-inertia estimate`: the inertial parameters of chosen bodies from a log, over time and over the whole log."""
 
 import argparse
+import dataclasses
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jax_inertia.estimation.estimate_inputs import Inputs
 
 CHARTS = ("log-cholesky-uut", "log-cholesky", "relative", "linear")
 
@@ -46,15 +51,23 @@ def add_parser(subparsers) -> None:
     add("--write-model", action="store_true", help=write_help)
     add("--json", action="store_true", help="print report.json instead of the tables")
 
-    group = parser.add_argument_group("torques that are not in N m (motor currents, PWM)")
+    _add_torques(
+        parser.add_argument_group("torques that are not in N m (motor currents, PWM)").add_argument
+    )
+    _add_filter(parser.add_argument_group("filter").add_argument)
+    _add_signals(parser.add_argument_group("signals").add_argument)
+    parser.set_defaults(run=run)
+
+
+def _add_torques(add) -> None:
     gains_help = "N m per logged unit, one for each joint of the log, or one for all"
-    group.add_argument("--gains", nargs="+", type=float, metavar="G", help=gains_help)
+    add("--gains", nargs="+", type=float, metavar="G", help=gains_help)
     calibrate_help = (
         "logs without load: fit gains (if not in N m), friction, damping, armature, torque offsets and all "
         "bodies on these, hold them, then estimate; --gains is then where the fit starts (default 10)"
     )
-    group.add_argument("--calibrate", nargs="+", type=Path, metavar="LOG", help=calibrate_help)
-    group.add_argument(
+    add("--calibrate", nargs="+", type=Path, metavar="LOG", help=calibrate_help)
+    add(
         "--gain-sigma",
         type=_positive,
         metavar="S",
@@ -65,7 +78,7 @@ def add_parser(subparsers) -> None:
         "how well the model is known, for --calibrate: masses in parts, centres of mass in m (default 0.1 0.05). "
         "Currents have no scale of torque but this, so a load weighed with fitted gains hangs on it"
     )
-    group.add_argument(
+    add(
         "--trust",
         nargs=2,
         type=_positive,
@@ -74,8 +87,8 @@ def add_parser(subparsers) -> None:
         help=trust_help,
     )
 
-    group = parser.add_argument_group("filter")
-    add = group.add_argument
+
+def _add_filter(add) -> None:
     chart_help = (
         f"coordinates: {', '.join(CHARTS)} (default {CHARTS[0]}; the paper's: log-cholesky)"
     )
@@ -121,8 +134,8 @@ def add_parser(subparsers) -> None:
         help="time in which bodies may drift by the expected load (default 3600; 3 without gate)",
     )
 
-    group = parser.add_argument_group("signals")
-    add = group.add_argument
+
+def _add_signals(add) -> None:
     add(
         "--cutoff",
         type=_positive,
@@ -141,31 +154,70 @@ def add_parser(subparsers) -> None:
         metavar="S",
         help="take the mean residual of the first S seconds, when nothing is carried, as torque offset",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where log, model or settings cannot be used."""
     from jax_inertia.cli import estimate_output as output
-    from jax_inertia.cli import estimate_run as pipeline
     from jax_inertia.cli.console import folder_for, output_folder, stages
+    from jax_inertia.estimation import pipeline
     from jax_inertia.model.write import write_with_inertials
 
     out = args.out if args.out is not None else folder_for(args.log)
     written = None
     with stages() as stage:
-        inputs = pipeline.read(args)
+        inputs = read(args)
         with output_folder(out) as folder:
-            result = pipeline.estimate(args, inputs, stage)
+            found = pipeline.run(inputs, stage)
             stage("writing")
-            output.write(folder, args, result)
+            report = output.report(args, found)
+            output.write(folder, found, report)
             if args.write_model:
-                best = output.best(result)
-                written = write_with_inertials(folder, "estimated", args.model, best)
-    output.show(args, result, out)
+                written = write_with_inertials(folder, "estimated", args.model, found.pi)
+    output.show(found, report, out, as_json=args.json)
     if written is not None and not args.json:
         print(f"The model with these bodies: {out / written.name}")
     return 0
+
+
+def read(args: argparse.Namespace) -> "Inputs":
+    """Read model and logs, and look at them before anything is computed."""
+    from jax_inertia.cli.console import warn
+    from jax_inertia.estimation.estimate_inputs import Names, Settings, checked
+    from jax_inertia.logs.findings import Finding, Severity
+    from jax_inertia.logs.log import read_log
+    from jax_inertia.model.load import load_model
+    from jax_inertia.model.log_match import afloat
+    from jax_inertia.text.closest_names import suggestion
+
+    robot = load_model(args.model)
+    paths = (args.log, *(args.calibrate or ()))
+    log, *references = [read_log(path, names=robot) for path in paths]
+    robot, found = afloat(robot, args.model, log)
+    for name in args.bodies:
+        if name not in robot.body_names:
+            raise ValueError(
+                f"{args.model} has no moving body {name!r}; {suggestion(name, robot.body_names)}"
+            )
+
+    def told(path: str, finding: Finding) -> None:
+        if finding.severity is Severity.WARNING and finding.check != "torque_unit":
+            warn(f"{path}: {finding.message}")
+
+    return checked(
+        robot,
+        log,
+        args.bodies,
+        references,
+        Settings(**{f.name: getattr(args, f.name) for f in dataclasses.fields(Settings)}),
+        names=Names(str(paths[0]), [str(path) for path in paths[1:]], _option),
+        found=found,
+        told=told,
+    )
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _number(text: str) -> float:

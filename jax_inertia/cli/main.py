@@ -6,12 +6,12 @@ parser. Modules that do the work are imported by `run` alone, so that `--help` i
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import NoReturn
 
 from jax_inertia.cli import convert, diagnose, estimate, suggest_motion
-from jax_inertia.cli.completion import PrintCompletion
 from jax_inertia.cli.demo import command as demo_command
 
 _COMMANDS = (
@@ -47,6 +47,31 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"jax-inertia: error: {message} (see {self.prog} --help)\n")
 
 
+class _PrintCompletion(argparse.Action):
+    """Print the completion script for a shell, by shtab, and end."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        try:
+            import shtab
+        except ImportError:
+            parser.error(f"{option_string} needs shtab: pip install 'jax-inertia[completion]'")
+        for action in _actions(parser):
+            if action.type is Path:
+                folder = action.metavar == "DIR"
+                action.complete = shtab.DIRECTORY if folder else shtab.FILE  # pyright: ignore
+        print(shtab.complete(parser, shell=str(values)))
+        parser.exit()
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Every argument, those of the commands included."""
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from _actions(command)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 2 for bad input (one line on stderr), 130 for Ctrl-C."""
     parser = _Parser(
@@ -59,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     completion_help = "print a completion script for bash, zsh or tcsh, and end"
     shells = ("bash", "zsh", "tcsh")
     parser.add_argument(
-        "--print-completion", action=PrintCompletion, choices=shells, help=completion_help
+        "--print-completion", action=_PrintCompletion, choices=shells, help=completion_help
     )
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in _COMMANDS:

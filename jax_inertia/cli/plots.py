@@ -9,9 +9,9 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from jax_inertia.cli.estimate_run import Result
 from jax_inertia.estimation.excitation import Suggestion
 from jax_inertia.estimation.inertial_filter import Trace
+from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.estimation.motion_limits import Limits
 from jax_inertia.maths.inertial_parameters import PI_NAMES
 
@@ -27,9 +27,9 @@ GREY = "#666666"
 _AXES = ((BLUE, "-", "x"), (VERMILION, "--", "y"), (GREEN, "-.", "z"))
 
 
-def estimate_figure(result: Result) -> Figure:
+def estimate_figure(found: LogEstimate) -> Figure:
     """Mass, centre of mass and inertia with ±2 σ of every body, physical check, NIS with gate, residuals."""
-    bodies, e, time = len(result.bodies), result.trace.estimate, result.time
+    bodies, e, time = len(found.bodies), found.trace.estimate, found.time
     figure = Figure(figsize=(max(9.5, 4.6 * bodies), 12.0), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[3.4, 1.6]))
     grid = top.subplots(
@@ -37,11 +37,11 @@ def estimate_figure(result: Result) -> Figure:
     )
     pi, sigma = np.asarray(e.pi), np.asarray(e.sigma_pi)
     com, com_sigma = np.asarray(e.com), np.asarray(e.sigma_com)
-    for i, name in enumerate(result.bodies):
-        model = np.asarray(result.robot.pi)[result.robot.body_index(name)]
+    for i, name in enumerate(found.bodies):
+        model = np.asarray(found.robot.pi)[found.robot.body_index(name)]
         mass, centre, inertia, strip = grid[:, i]
         mass.set_title(name, fontweight="bold")
-        _mass(mass, result, i, model[0])
+        _mass(mass, found, i, model[0])
         for k, (colour, line, axis) in enumerate(_AXES):
             band(centre, time, 1e3 * com[:, i, k], 1e3 * com_sigma[:, i, k], colour, line, axis)
             j = PI_NAMES.index(f"I{axis}{axis}")
@@ -54,12 +54,12 @@ def estimate_figure(result: Result) -> Figure:
         inertia.set_ylabel("inertia about the\nbody's origin [kg m²]" if i == 0 else "")
         for axes in (centre, inertia):
             legend_above(axes, 3)
-        physical_strip(strip, time, [result.physical[:, i]], [""])
+        physical_strip(strip, time, [found.physical[:, i]], [""])
         strip.set_ylabel("physical" if i == 0 else "", rotation=0, ha="right", va="center")
         strip.set_xlabel("time [s]")
     left, right = bottom.subplots(1, 2, gridspec_kw={"width_ratios": [1.4, 1]})
-    nis_axes(left, time, result.trace)
-    _residual_marks(right, result)
+    nis_axes(left, time, found.trace)
+    _residual_marks(right, found)
     return figure
 
 
@@ -125,28 +125,26 @@ def nis_axes(axes: Axes, time: Float[np.ndarray, " T"], trace: Trace) -> None:
     legend_above(axes, 5)
 
 
-def _mass(axes: Axes, result: Result, i: int, model: float) -> None:
-    e = result.trace.estimate
+def _mass(axes: Axes, found: LogEstimate, i: int, model: float) -> None:
+    e = found.trace.estimate
     pi, sigma = np.asarray(e.pi)[:, i, 0], np.asarray(e.sigma_pi)[:, i, 0]
-    band(axes, result.time, pi, sigma, BLUE, "-", "filter, ± 2 σ")
+    band(axes, found.time, pi, sigma, BLUE, "-", "filter, ± 2 σ")
     axes.axhline(model, color=GREY, ls=":", lw=1.2, label="model")
-    if not result.changed:
-        whole = float(result.fit.estimate.pi[i, 0])
+    if not found.changed:
+        whole = float(found.fit.estimate.pi[i, 0])
         axes.axhline(whole, color=ORANGE, ls="--", lw=1.4, label="batch, whole log")
     axes.set_ylabel("mass [kg]" if i == 0 else "")
     legend_above(axes, 3)
 
 
-def _residual_marks(axes: Axes, result: Result) -> None:
-    rows = result.row_names
-    innovation = np.asarray(result.trace.innovation.residual)
-    online = np.sqrt(np.mean(innovation**2, axis=0, where=innovation != 0))
+def _residual_marks(axes: Axes, found: LogEstimate) -> None:
+    rows = found.row_names
     marks = [
-        (result.fit.rms_before, GREY, "s", "model"),
-        (online, VERMILION, "D", "filter, one sample ahead"),
+        (found.fit.rms_before, GREY, "s", "model"),
+        (found.online_rms, VERMILION, "D", "filter, one sample ahead"),
     ]
-    if not result.changed:
-        marks.append((result.fit.rms_after, BLUE, "o", "batch fit"))
+    if not found.changed:
+        marks.append((found.fit.rms_after, BLUE, "o", "batch fit"))
     at = np.arange(len(rows))
     values = np.array([value for value, *_ in marks])
     axes.hlines(at, values.min(axis=0), values.max(axis=0), color=GREY, lw=0.8)

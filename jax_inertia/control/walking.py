@@ -148,15 +148,7 @@ def walking(
     removable = 1.0 - jnp.exp(-omega * left)
     room_low, room_high = (lower - p_ref) * removable, (upper - p_ref) * removable
     beyond = (error - jnp.clip(error, room_low, room_high)) * jnp.exp(omega * left)
-    shift = jnp.clip(beyond, -0.15, 0.15)
-    wanted = nominal[:2] + jnp.where(single, shift, 0.0)
-    apart = jnp.maximum(side * (wanted[1] - stance[1]), 0.8 * 2.0 * walk.half_width)
-    wanted = jnp.stack([wanted[0], stance[1] + side * apart])
-    wanted = _foothold(walk, wanted)
-    target = jnp.concatenate([wanted, _level(walk, wanted, stance)[None] + walk.sole_depth])
-    settle = jnp.where(single & (plan.time > 0.85 * walk.single), 0.0, 0.15)
-    target = plan.target + jnp.where(plan.time < 2 * dt, 1.0, settle) * (target - plan.target)
-    target = jnp.where(single, target, jnp.concatenate([nominal[:2], target[2:]]))
+    target = _target(walk, plan, nominal, stance, jnp.clip(beyond, -0.15, 0.15), dt)
 
     foot = _swing(walk, plan, target)
     # Rising before the rear foot has left the ground would stretch its leg.
@@ -167,26 +159,54 @@ def walking(
     up = rate**2 * (goal - plan.height[0]) - 2.0 * rate * plan.height[1]
     speed = plan.height[1] + dt * up
     filtered = jnp.stack([plan.height[0] + dt * speed, speed])
-
-    on_left = jnp.where(single & right, 0.0, 1.0)
-    on_right = jnp.where(single & ~right, 0.0, 1.0)
-    # In double support the new foot takes over gradually.
-    share = jnp.clip(plan.time / plan.double, 0.0, 1.0)
-    fresh = jnp.where(single | (time < walk.start), 1.0, jnp.clip(0.1 + 1.8 * share, 0.1, 1.0))
-    fading = jnp.where(single | (time < walk.start), 1.0, jnp.clip(1.9 - 1.8 * share, 0.1, 1.0))
-    carry_left = on_left * jnp.where(right, fading, fresh)
-    carry_right = on_right * jnp.where(right, fresh, fading)
+    on_feet, carried = _load_of_feet(walk, plan, time)
     reference = Reference(
         com_acceleration=push,
         height=jnp.concatenate([filtered, up[None]]),
         heading=jnp.zeros(()),
         foot=jnp.stack([foot, foot]),
         foot_heading=jnp.zeros(2),
-        contact=jnp.repeat(jnp.stack([carry_left, carry_right]), 4),
-        stance=jnp.stack([on_left, on_right]),
+        contact=jnp.repeat(carried, 4),
+        stance=on_feet,
         posture=jnp.stack([walk.posture, 0.0 * walk.posture, 0.0 * walk.posture]),
     )
     return eqx.tree_at(lambda s: (s.target, s.height), plan, (target, filtered)), reference
+
+
+def _target(
+    walk: Walk,
+    plan: Plan,
+    nominal: Float[Array, "3"],
+    stance: Float[Array, "3"],
+    shift: Float[Array, "2"],
+    dt: float,
+) -> Float[Array, "3"]:
+    """Where the swing foot is to come down: the planned step, moved by `shift` and kept to what can be reached."""
+    single = plan.single > 0.5
+    side = jnp.where(plan.stance > 0.5, 1.0, -1.0)
+    wanted = nominal[:2] + jnp.where(single, shift, 0.0)
+    apart = jnp.maximum(side * (wanted[1] - stance[1]), 0.8 * 2.0 * walk.half_width)
+    wanted = jnp.stack([wanted[0], stance[1] + side * apart])
+    wanted = _foothold(walk, wanted)
+    target = jnp.concatenate([wanted, _level(walk, wanted, stance)[None] + walk.sole_depth])
+    settle = jnp.where(single & (plan.time > 0.85 * walk.single), 0.0, 0.15)
+    target = plan.target + jnp.where(plan.time < 2 * dt, 1.0, settle) * (target - plan.target)
+    return jnp.where(single, target, jnp.concatenate([nominal[:2], target[2:]]))
+
+
+def _load_of_feet(
+    walk: Walk, plan: Plan, time: Float[Array, ""]
+) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Whether the left and the right foot stand, and what share of its load each may carry."""
+    single, right = plan.single > 0.5, plan.stance > 0.5
+    on_left = jnp.where(single & right, 0.0, 1.0)
+    on_right = jnp.where(single & ~right, 0.0, 1.0)
+    # In double support the new foot takes over gradually.
+    share = jnp.clip(plan.time / plan.double, 0.0, 1.0)
+    fresh = jnp.where(single | (time < walk.start), 1.0, jnp.clip(0.1 + 1.8 * share, 0.1, 1.0))
+    fading = jnp.where(single | (time < walk.start), 1.0, jnp.clip(1.9 - 1.8 * share, 0.1, 1.0))
+    carried = on_left * jnp.where(right, fading, fresh), on_right * jnp.where(right, fresh, fading)
+    return jnp.stack([on_left, on_right]), jnp.stack(carried)
 
 
 def _advance(

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.words import at, unit
 
 
 class Verdict(enum.StrEnum):
@@ -45,6 +46,14 @@ class Found:
     equivalent: tuple[Tie, ...]
     ordinary: bool
     equation: str
+
+    def __repr__(self) -> str:
+        sizes = (
+            f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]{unit(p.unit)}"
+            for name, p in self.parameters.items()
+        )
+        ties = ", ".join(f"{t.family}{at(t.place)}" for t in self.equivalent)
+        return f"{self.family}{at(self.place)}: {', '.join(sizes)}{f'; or {ties}' * bool(ties)}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,3 +132,11 @@ class Diagnosis:
     def checked(self) -> Shrink:
         """On the other run where there is one, on held-out stretches where not."""
         return self.heldout if self.test is None else self.test
+
+    def __repr__(self) -> str:
+        lines = [f"{self.verdict} (confidence {self.confidence:.2f})", f"  {self.headline}"]
+        lines += [f"  {f!r}" for f in self.found]
+        where = "held out" if self.test is None else "other motion"
+        s = self.checked
+        lines.append(f"  {where}: {s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})")
+        return "\n".join(lines)

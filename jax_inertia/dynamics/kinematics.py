@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia.maths import spatial
-from jax_inertia.maths.vectors import compose, cross, skew, turn
+from jax_inertia.maths.batch_last import compose, cross, skew, turn
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, Robot
 
 

@@ -16,7 +16,7 @@ from jax_inertia.dynamics.kinematics import (
 )
 from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
 from jax_inertia.maths import spatial
-from jax_inertia.maths.vectors import compose, cross, lever, skew, symmetric, turn, turn_back
+from jax_inertia.maths.batch_last import compose, cross, lever, skew, symmetric, turn, turn_back
 from jax_inertia.model.robot import Robot
 
 

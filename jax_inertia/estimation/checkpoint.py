@@ -25,8 +25,7 @@ from jax_inertia.estimation.stream import Stream, StreamState
 from jax_inertia.logs.atomic_files import whole_file
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.npz import LogError, read_npz
-from jax_inertia.logs.schema import SHAPES, check_structure
-from jax_inertia.logs.torque_unit import TorqueKind, TorqueUnit
+from jax_inertia.logs.schema import SHAPES, TEXTS, TorqueKind, TorqueUnit, check_structure
 from jax_inertia.maths import kalman
 from jax_inertia.text.closest_names import listed
 
@@ -36,7 +35,6 @@ _FILTER = ("mean", "covariance", "bias", "rejected_for")
 _DIGESTS = "digests"
 # Covariances of a filter in single precision are symmetric and positive to some hundred roundings.
 _ROUNDINGS = 1000.0
-_TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
 
 
 class StateError(ValueError):
@@ -107,7 +105,7 @@ def save_stream(path: str | os.PathLike[str], stream: Stream, state: StreamState
         }
         texts = (log.joint_names, log.contact_bodies, str(log.tau_kind), log.tau_unit_text)
         # An empty list of names has no text type of its own.
-        arrays |= {n: np.asarray(t, np.str_) for n, t in zip(_TEXTS, texts, strict=True)}
+        arrays |= {n: np.asarray(t, np.str_) for n, t in zip(TEXTS, texts, strict=True)}
     _write(Path(path), _stream_settings(stream), arrays, stream.estimator)
 
 
@@ -130,7 +128,7 @@ def load_stream(path: str | os.PathLike[str], stream: Stream) -> StreamState:
     50
     """
     path = Path(path)
-    arrays = _read(path, _stream_settings(stream), (*_FILTER, "last"), (*SHAPES, *_TEXTS))
+    arrays = _read(path, _stream_settings(stream), (*_FILTER, "last"), (*SHAPES, *TEXTS))
     state = _state(path, arrays, stream.estimator)
     if arrays["last"].shape:
         raise StateError(f"{path}: 'last' has shape {arrays['last'].shape}; it is one number")
@@ -147,7 +145,7 @@ def _log(arrays: dict[str, np.ndarray]) -> Log:
     numbers = {name: arrays[name] for name in SHAPES if name in arrays}
     if texts := [name for name, x in numbers.items() if x.dtype.kind != "f"]:
         raise LogError(f"{', '.join(texts)} holds text")
-    if missing := [name for name in ("qpos", "tau", *_TEXTS) if name not in arrays]:
+    if missing := [name for name in ("qpos", "tau", *TEXTS) if name not in arrays]:
         raise LogError(f"{', '.join(missing)} is missing")
     unit = str(arrays["tau_unit"])
     fields = {

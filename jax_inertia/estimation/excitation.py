@@ -121,38 +121,12 @@ def suggest_motion(
     >>> found.q.shape, bool(abs(found.v).max() <= 2.0)
     ((401, 2), True)
     """
-    if not all(kind in (HINGE, SLIDE) for kind in robot.joint_type):
-        raise ValueError(
-            "a motion is suggested for hinge and slide joints only; fix the base (a model of the arm alone)"
-        )
-    chosen = resolve_bodies(robot, bodies)
-    if not chosen:
-        raise ValueError("no body is named; name at least one")
-    if period <= 0 or harmonics < 2 or starts < 1:
-        raise ValueError(
-            f"period {period:g} s, {harmonics} harmonics, {starts} starts; expected a period above 0, two harmonics "
-            "and one start at least"
-        )
+    _require_motion(robot, period, harmonics, starts)
     limits = limits.fitting(robot)
     prior = Load(0.1 * float(jnp.sum(robot.pi[:, 0]))) if prior is None else prior
     if noise is None:
         noise = np.where(np.isfinite(limits.torque), 0.02 * limits.torque, 1.0)
-    sigma = np.broadcast_to(np.asarray(noise, float), (robot.nv,))
-    blocks = prior.covariance(charts.Linear(), robot.pi[np.array(chosen)])
-    root = np.linalg.cholesky(jax.scipy.linalg.block_diag(*blocks))
-    task = _Task(
-        robot=robot,
-        root=jnp.asarray(root),
-        sigma=jnp.asarray(sigma),
-        low=jnp.asarray(limits.low),
-        high=jnp.asarray(limits.high),
-        velocity=jnp.asarray(limits.velocity),
-        torque=jnp.asarray(limits.torque),
-        period=jnp.asarray(period),
-        bodies=chosen,
-        harmonics=harmonics,
-        samples=max(round(SAMPLE_RATE * period), 4 * harmonics),
-    )
+    task = _task(robot, bodies, limits, prior, noise, period, harmonics)
     rng = np.random.default_rng(seed)
     best, random = None, []
     for k in range(starts):
@@ -176,6 +150,47 @@ def suggest_motion(
     random.sort(key=lambda series: float(_gain(task, series)))
     usual = _known(task, random[len(random) // 2], prior)
     return _suggestion(task, best[1], _known(task, best[1], prior), usual, rate)
+
+
+def _require_motion(robot: Robot, period: float, harmonics: int, starts: int) -> None:
+    """ValueError for what no motion can be made of."""
+    if not all(kind in (HINGE, SLIDE) for kind in robot.joint_type):
+        raise ValueError(
+            "a motion is suggested for hinge and slide joints only; fix the base (a model of the arm alone)"
+        )
+    if period <= 0 or harmonics < 2 or starts < 1:
+        raise ValueError(
+            f"period {period:g} s, {harmonics} harmonics, {starts} starts; expected a period above 0, two harmonics "
+            "and one start at least"
+        )
+
+
+def _task(
+    robot: Robot,
+    bodies: Sequence[int | str],
+    limits: Limits,
+    prior: Uncertainty,
+    noise: Float[np.ndarray, " nv"] | float,
+    period: float,
+    harmonics: int,
+) -> "_Task":
+    chosen = resolve_bodies(robot, bodies)
+    if not chosen:
+        raise ValueError("no body is named; name at least one")
+    blocks = prior.covariance(charts.Linear(), robot.pi[np.array(chosen)])
+    return _Task(
+        robot=robot,
+        root=jnp.asarray(np.linalg.cholesky(jax.scipy.linalg.block_diag(*blocks))),
+        sigma=jnp.asarray(np.broadcast_to(np.asarray(noise, float), (robot.nv,))),
+        low=jnp.asarray(limits.low),
+        high=jnp.asarray(limits.high),
+        velocity=jnp.asarray(limits.velocity),
+        torque=jnp.asarray(limits.torque),
+        period=jnp.asarray(period),
+        bodies=chosen,
+        harmonics=harmonics,
+        samples=max(round(SAMPLE_RATE * period), 4 * harmonics),
+    )
 
 
 class _Task(eqx.Module):

@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Float
 
 from jax_inertia.estimation.priors import Uncertainty
-from jax_inertia.maths import charts
+from jax_inertia.maths import charts, kalman
 from jax_inertia.maths.argument_checks import is_positive, known, require
 from jax_inertia.maths.gates import ChiSquaredGate, FixedGate, Gate
-from jax_inertia.maths.noise import Noise
+from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.model.robot import Robot
 
 
@@ -87,12 +88,21 @@ def require_physical(
     )
 
 
-def require_noise(noise: Noise, robot: Robot) -> None:
-    """ValueError for noise of other rows than the robot's, or of none."""
+def require_noise(noise: Noise, robot: Robot, form: kalman.Form | None, *, alone: bool) -> None:
+    """ValueError for noise of other rows than the robot's, or of none; for a form that leaves out rows of it.
+
+    `alone`: no noise of accelerations beside it.
+    """
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
         raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
     sizes = jnp.sqrt(noise.variances())
     require("sigma of the noise", sizes, is_positive, "positive in all rows")
+    independent = isinstance(noise, IndependentNoise) and alone
+    if form is not None and form.leaves_rows_out and not independent:
+        raise ValueError(
+            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
+            "give it all rows"
+        )
 
 
 def covariance(
@@ -102,6 +112,21 @@ def covariance(
     for what, size in vars(uncertainty).items():
         require(f"{what} of {name}", size, _is_size, "finite and not negative")
     return uncertainty.covariance(chart, nominal)
+
+
+def growth(
+    drift: Uncertainty | Float[Array, ""] | float,
+    chart: charts.Chart,
+    nominal: Float[Array, "bodies 10"],
+    prior: Float[Array, "n n"],
+) -> Float[Array, "n n"]:
+    """Of the covariance per second, from a drift per √second or the seconds in which it reaches the prior."""
+    if isinstance(drift, Uncertainty):
+        return block_diag(*covariance("drift", drift, chart, nominal))
+    # At the body that carries the prior's load. At the bare body, a small load's share of it would be a drift of the
+    # same share of a body grown heavy: a flange of 0.2 kg that takes up 3 kg would then drift by 0.7 kg/√s.
+    require("drift", drift, lambda x: x > 0, "positive [s], or an Uncertainty")
+    return prior / jnp.asarray(drift, prior.dtype)
 
 
 def of_rows(

@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics.rigid_body import resolve_bodies
@@ -24,7 +25,7 @@ from jax_inertia.estimation import filter_settings as settings
 from jax_inertia.estimation.physical_estimate import Estimate, own_blocks, physical_units
 from jax_inertia.estimation.priors import Load, Uncertainty
 from jax_inertia.maths import charts, kalman
-from jax_inertia.maths.argument_checks import floats_as, require
+from jax_inertia.maths.argument_checks import floats_as
 from jax_inertia.maths.gates import ChiSquaredGate, Gate
 from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.model.robot import Robot
@@ -281,28 +282,14 @@ def make_estimator(
     settings.require_physical(robot, chosen, chart, mean)
     if noise is None:
         noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
-    settings.require_noise(noise, robot)
     if sigma_a is not None:
         sigma_a = settings.of_rows("sigma_a", sigma_a, robot)
-    independent = isinstance(noise, IndependentNoise) and sigma_a is None
-    if form is not None and form.leaves_rows_out and not independent:
-        raise ValueError(
-            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
-            "give it all rows"
-        )
-    block_diag = jax.scipy.linalg.block_diag
-    start = kalman.Belief(
-        mean.ravel(), block_diag(*settings.covariance("prior", prior, chart, nominal))
-    )
-    if isinstance(drift, Uncertainty):
-        growth = block_diag(*settings.covariance("drift", drift, chart, nominal))
-    else:
-        # At the body that carries the prior's load. At the bare body, a small load's share of it would be a drift of
-        # the same share of a body grown heavy: a flange of 0.2 kg that takes up 3 kg would then drift by 0.7 kg/√s.
-        if drift is None:
-            drift = settings.drift_seconds(gate, reopen_after, robot)
-        require("drift", drift, lambda x: x > 0, "positive [s], or an Uncertainty")
-        growth = start.covariance / jnp.asarray(drift, start.covariance.dtype)
+    settings.require_noise(noise, robot, form, alone=sigma_a is None)
+    covariance = block_diag(*settings.covariance("prior", prior, chart, nominal))
+    start = kalman.Belief(mean.ravel(), covariance)
+    if drift is None:
+        drift = settings.drift_seconds(gate, reopen_after, robot)
+    growth = settings.growth(drift, chart, nominal, covariance)
     outliers = None
     if preset.weighs_outliers and not isinstance(gate, ChiSquaredGate):
         outliers = settings.gate_of(settings.GATE, robot)

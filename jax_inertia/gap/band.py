@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, signal
 
-from jax_inertia.gap.chain import Prepared, below
+from jax_inertia.signals.torque_residual import Prepared, below
 
 # No robot's motion ends below this [Hz].
 SLOWEST = 4.0

@@ -10,17 +10,17 @@ from scipy import signal
 
 from jax_inertia.gap import derivatives
 from jax_inertia.gap.band import Band
-from jax_inertia.gap.chain import (
+from jax_inertia.gap.twomass import DrivenLink, OwnFriction
+from jax_inertia.maths.inertial_parameters import centre_of_mass
+from jax_inertia.model.robot import HINGE, SLIDE
+from jax_inertia.signals.creep import DAMPING, softness
+from jax_inertia.signals.dry_friction import bristle, direction, share_below, stillness
+from jax_inertia.signals.torque_residual import (
     Prepared,
     below,
     needed_torques,
     without_friction,
 )
-from jax_inertia.gap.creep import DAMPING, softness
-from jax_inertia.gap.dry import bristle, direction, share_below, stillness
-from jax_inertia.gap.twomass import DrivenLink, OwnFriction
-from jax_inertia.maths.inertial_parameters import centre_of_mass
-from jax_inertia.model.robot import HINGE, SLIDE
 
 # Presliding displacement of dry friction whose own is not known [rad]: that of real ones lies within 1e-4 and 1e-3.
 TURNS_OVER = 3e-4
@@ -258,7 +258,7 @@ class Context:
         return bristle(self.joint_position[:, row], start, reach, straight=straight)
 
     def creeping(self, row: int, level: float, band: float = CREEP_BAND) -> np.ndarray:
-        """Friction direction of a joint that creeps by a `level` of friction [N m], in [−1, 1] (T,), see `creep`.
+        """Friction direction of a joint that creeps by a `level` of friction [N m], in [−1, 1] (T,).
 
         `band`: up to which frequency [Hz] the logged motion is believed.
         """

@@ -13,8 +13,8 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from jax_inertia.gap.chain import Prepared, needed_torques, without_friction
 from jax_inertia.model.robot import HINGE, SLIDE
+from jax_inertia.signals.torque_residual import Prepared, needed_torques, without_friction
 
 Shares = Float[np.ndarray, " n"]
 

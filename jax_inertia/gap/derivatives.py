@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.gap.chain import needed_torque
-from jax_inertia.gap.chunks import over_samples
+from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import HINGE, SLIDE
+from jax_inertia.signals.torque_residual import needed_torque
 
 
 @over_samples

@@ -4,8 +4,9 @@
     print(found)
     to_report(found)        # the contract's report.json, as a dict (`jax_inertia.gap.report`)
 
-The missing torque (`chain`) is whitened to the sensors' noise (`noise`), the nominal model's tolerances are integrated
-out (`nuisance`, `evidence`), and every family at every place competes for what is left (`families`, `select`).
+The missing torque (`signals.torque_residual`) is whitened to the sensors' noise (`noise`), the nominal model's tolerances
+are integrated out (`nuisance`, `evidence`), and every family at every place competes for what is left (`families`,
+`select`).
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +16,6 @@ from jaxtyping import Float
 
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.families import LIBRARY, NAMES
@@ -42,6 +42,7 @@ from jax_inertia.gap.words import number
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import require_usable
+from jax_inertia.signals.torque_residual import Prepared, prepare
 
 # Samples that a diagnosis takes.
 LEAST = 100

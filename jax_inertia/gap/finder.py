@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from jax_inertia.gap.band import Band
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.chance import noise_in
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence, moving
@@ -26,6 +25,7 @@ from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.suited import suited
 from jax_inertia.gap.together import remaining
 from jax_inertia.logs.log import Log
+from jax_inertia.signals.torque_residual import Prepared
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import linalg
 
-from jax_inertia.gap.chain import Prepared, prepare
 from jax_inertia.gap.sensors import perturbed
 from jax_inertia.logs.log import Log
+from jax_inertia.signals.torque_residual import Prepared, prepare
 
 ORDER = 3
 # The chain's own arithmetic (interpolation, differences) is no better than this share of a row's torque.

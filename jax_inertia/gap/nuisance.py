@@ -16,13 +16,13 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from jax_inertia.gap.context import Context
-from jax_inertia.gap.dry import sign
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.body import steiner
 from jax_inertia.gap.families.friction import PRESLIDING
 from jax_inertia.logs.findings import run_bounds
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.signals.dry_friction import sign
 from jax_inertia.signals.held import LOOP_LATE_ERROR
 
 

@@ -16,7 +16,6 @@ from jaxtyping import Float
 from jax_inertia.gap import locate
 from jax_inertia.gap.band import Band
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
@@ -33,6 +32,7 @@ from jax_inertia.gap.turning import REACHES, turning_over
 from jax_inertia.gap.verdict import Tried, Verdict, second_look
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.torque_residual import prepare
 
 # Of the shape of what happened at another time.
 TRIES = 60

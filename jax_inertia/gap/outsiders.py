@@ -11,12 +11,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.chain import needed_torques, without_friction
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.families.encoder import off_path
 from jax_inertia.gap.pool import Pool
 from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.signals.torque_residual import needed_torques, without_friction
 
 KNOTS = 24
 # Angles over which a hose or a cable yields [rad]: dry friction turns within a hundredth of them.

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.gap.callbacks import Callback, law
-from jax_inertia.gap.chain import prepare
 from jax_inertia.gap.context import Context
 from jax_inertia.gap.couplings import DAMPING_RATIO, DEFLECTION
 from jax_inertia.gap.effect import Effect
@@ -20,6 +19,7 @@ from jax_inertia.model.load import ModelWarning, compile_spec
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.torque_residual import prepare
 
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
 # ω² h² of a joint on its bristles, at most.

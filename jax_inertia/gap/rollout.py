@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.chain import Prepared
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.plant import Plant, Recording
@@ -21,6 +20,7 @@ from jax_inertia.gap.trace import Trace
 from jax_inertia.logs.log import Log
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.torque_residual import Prepared
 
 _STEP = 5e-4
 # Draws of the sensors' noise: by one alone a floor of few windows errs by a tenth or two.

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from jax_inertia.gap.chain import prepare
 from jax_inertia.logs.log import Log, TorqueUnit
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import Finding, Severity
+from jax_inertia.signals.torque_residual import prepare
 
 # A slope this many standard errors from zero is a gain; where no joint has one, the best does from fewer on.
 SURE, LEAST = 10.0, 2.0

@@ -31,13 +31,14 @@ from jax_inertia.logs.schema import (
     CHANNELS,
     SHAPES,
     TEXTS,
+    TorqueKind,
+    TorqueUnit,
     check_declared,
     check_finite,
     check_structure,
     check_time,
     fields_of,
 )
-from jax_inertia.logs.torque_unit import TorqueKind, TorqueUnit
 from jax_inertia.text.closest_names import listed
 from jax_inertia.text.notebook_page import has_numbers, line, table
 

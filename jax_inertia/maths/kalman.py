@@ -13,6 +13,7 @@ Numerical trouble is returned as data (`Innovation.accepted`), never raised: an 
 
 import abc
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -248,30 +249,16 @@ def update(
         left_white = weight * left_white
     mean = project(prior + step)
     if iterations > 1:
-        root = cholesky(p)
 
-        def cost(x: Float[Array, " n"], left: Float[Array, " m"]) -> Float[Array, ""]:
-            away = solve_triangular(root, x - prior, lower=True)
-            value = left @ left + away @ away
-            return jnp.where(jnp.isfinite(value), value, jnp.inf)
+        def whitened(x: Float[Array, " n"]) -> Float[Array, " m"]:
+            return noise.whiten(jnp.where(used > 0, z - model(x), 0.0)[:, None], used)[:, 0]
 
-        def again(_, state):
-            """Linearise at the trial point; back to the best one with a shorter step where the cost has risen."""
-            x, best, step, covariance, share = state
-            trial = project(x + share * (prior + step - x))
-            h, nu, left = (weight * part for part in linearise(trial)[1:])
-            value, new = cost(trial, left), form.correct(p, h, nu)
-            better = (value <= best) & jnp.all(jnp.isfinite(new.step))
-            moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
-            stayed = (x, best, step, covariance, 0.25 * share)
-            return jax.tree.map(lambda a, b: jnp.where(better, a, b), moved, stayed)
+        def again(x: Float[Array, " n"]) -> tuple[Array, ...]:
+            return tuple(weight * part for part in linearise(x)[1:])
 
-        start = (prior, cost(prior, left_white), step, covariance, jnp.ones_like(prior[0]))
-        state: tuple[Array, ...] = jax.lax.fori_loop(0, iterations - 1, again, start)
-        x, best, step, covariance, share = state
-        last = project(x + share * (prior + step - x))
-        left = noise.whiten(jnp.where(used > 0, z - model(last), 0.0)[:, None], used)[:, 0]
-        mean = jnp.where(cost(last, weight * left) <= best, last, x)
+        first_step = (left_white, step, covariance)
+        trials = _Trials(belief, form, again, lambda x: weight * whitened(x), project)
+        mean, step, covariance = trials.run(first_step, iterations - 1)
 
     limit = jnp.inf if gate is None else gate.threshold(rows)
     # The step too, since `project` may make a number of what is none.
@@ -283,6 +270,45 @@ def update(
     likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
     sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
     return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
+
+
+class _Trials(NamedTuple):
+    """Iterations after the first: linearise where the last one ended; back with a shorter step where the cost rose."""
+
+    prior: Belief
+    form: Form
+    linearise: Callable[[Float[Array, " n"]], tuple[Array, ...]]
+    """White (H, ν, what is left) at a point."""
+    left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
+    """White z − h(x)."""
+    project: Callable[[Float[Array, " n"]], Float[Array, " n"]]
+
+    def run(self, first: tuple[Array, Array, Array], count: int) -> tuple[Array, Array, Array]:
+        """(mean, step, covariance), given what is left at the prior and the first step with its covariance."""
+        prior, p = self.prior.mean, self.prior.covariance
+        root = cholesky(p)
+
+        def cost(x: Float[Array, " n"], left: Float[Array, " m"]) -> Float[Array, ""]:
+            away = solve_triangular(root, x - prior, lower=True)
+            value = left @ left + away @ away
+            return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+        def again(_, state):
+            x, best, step, covariance, share = state
+            trial = self.project(x + share * (prior + step - x))
+            h, nu, left = self.linearise(trial)
+            value, new = cost(trial, left), self.form.correct(p, h, nu)
+            better = (value <= best) & jnp.all(jnp.isfinite(new.step))
+            moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
+            stayed = (x, best, step, covariance, 0.25 * share)
+            return jax.tree.map(lambda a, b: jnp.where(better, a, b), moved, stayed)
+
+        left, step, covariance = first
+        start = (prior, cost(prior, left), step, covariance, jnp.ones_like(prior[0]))
+        state: tuple[Array, ...] = jax.lax.fori_loop(0, count, again, start)
+        x, best, step, covariance, share = state
+        last = self.project(x + share * (prior + step - x))
+        return jnp.where(cost(last, self.left(last)) <= best, last, x), step, covariance
 
 
 def _weight(

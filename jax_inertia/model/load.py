@@ -19,7 +19,7 @@ from jax_inertia.model.geometry import rotation_of, surface_of
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
 from jax_inertia.model.spec import compile_spec, load_spec, model_path, set_inertials
-from jax_inertia.model.urdf_repair import ModelWarning
+from jax_inertia.model.urdf_read import ModelWarning
 from jax_inertia.model.urdf_write import is_urdf, write_urdf
 
 __all__ = [
@@ -121,52 +121,88 @@ def _check_kind(model: object, floating_base: bool) -> None:
 # --- from a compiled model to arrays -----------------------------------------------------------------------------
 
 
-def _to_robot(model: MjModel) -> Robot:
-    parent, kind, qpos_adr, body_node, bodies = [], [], [], [], []
-    place_r, place_p, anchor, axis, reference = [], [], [], [], []
+class _Tree:
+    """The nodes of a model's kinematic tree, one for each joint and each welded body that moves, parents first."""
+
+    def __init__(self) -> None:
+        self.parent: list[int] = []
+        self.kind: list[str] = []
+        self.qpos_adr: list[int] = []
+        self.rotation: list[np.ndarray] = []
+        self.position: list[np.ndarray] = []
+        self.anchor: list[np.ndarray] = []
+        self.axis: list[np.ndarray] = []
+        self.reference: list[float] = []
+        self.bodies: list[int] = []
+        """Bodies that move, in the model's order, and the last node of each."""
+        self.body_node: list[int] = []
+
+    def add(
+        self,
+        parent: int,
+        kind: str,
+        pose: tuple[np.ndarray, np.ndarray],
+        qpos_adr: int = 0,
+        anchor: np.ndarray | None = None,
+        axis: np.ndarray | None = None,
+        reference: float = 0.0,
+    ) -> int:
+        """Append a node at a pose in its parent; its index."""
+        self.parent.append(parent)
+        self.kind.append(kind)
+        self.qpos_adr.append(qpos_adr)
+        self.rotation.append(pose[0])
+        self.position.append(pose[1])
+        self.anchor.append(np.zeros(3) if anchor is None else anchor)
+        self.axis.append(np.array([0.0, 0.0, 1.0]) if axis is None else axis)
+        self.reference.append(reference)
+        return len(self.parent) - 1
+
+    def add_joint(
+        self, model: MjModel, j: int, parent: int, pose: tuple[np.ndarray, np.ndarray]
+    ) -> int:
+        """Append a joint's node; its index."""
+        kind, adr = _KIND[mujoco.mjtJoint(model.jnt_type[j])], int(model.jnt_qposadr[j])
+        if kind == FREE:
+            return self.add(parent, FREE, _HERE, adr)
+        scalar = kind in (HINGE, SLIDE)
+        axis = model.jnt_axis[j].copy() if scalar else None
+        reference = model.qpos0[adr] if scalar else 0.0
+        return self.add(parent, kind, pose, adr, model.jnt_pos[j].copy(), axis, reference)
+
+
+_HERE = np.eye(3), np.zeros(3)
+
+
+def _tree(model: MjModel) -> _Tree:
+    tree = _Tree()
     # Last node of each MuJoCo body (−1: fixed to the world), and the pose of fixed ones in the world.
     node_of = np.full(model.nbody, -1)
-    fixed = {0: (np.eye(3), np.zeros(3))}
-
-    def add(parent_node, kind_, rotation, position, qadr=0, at=None, along=None, ref=0.0):
-        parent.append(int(parent_node))
-        kind.append(kind_)
-        qpos_adr.append(int(qadr))
-        place_r.append(rotation)
-        place_p.append(position)
-        anchor.append(np.zeros(3) if at is None else at)
-        axis.append(np.array([0.0, 0.0, 1.0]) if along is None else along)
-        reference.append(ref)
-        return len(parent) - 1
-
+    fixed = {0: _HERE}
     for b in range(1, model.nbody):
         up = model.body_parentid[b]
-        rotation, position = rotation_of(model.body_quat[b]), model.body_pos[b].copy()
+        pose = rotation_of(model.body_quat[b]), model.body_pos[b].copy()
         if up in fixed:
             base_r, base_p = fixed[up]
-            rotation, position = base_r @ rotation, base_p + base_r @ position
-        node, joints = node_of[up], model.body_jntadr[b] + np.arange(model.body_jntnum[b])
+            pose = base_r @ pose[0], base_p + base_r @ pose[1]
+        node, joints = int(node_of[up]), model.body_jntadr[b] + np.arange(model.body_jntnum[b])
         if len(joints) == 0 and up in fixed:
-            fixed[b] = (rotation, position)
+            fixed[b] = pose
             continue
         for j in joints:
-            type_ = _KIND[mujoco.mjtJoint(model.jnt_type[j])]
-            adr = model.jnt_qposadr[j]
-            if type_ == FREE:
-                node = add(node, FREE, np.eye(3), np.zeros(3), adr)
-            else:
-                scalar = type_ in (HINGE, SLIDE)
-                ref = model.qpos0[adr] if scalar else 0.0
-                at = model.jnt_pos[j].copy()
-                along = model.jnt_axis[j].copy() if scalar else None
-                node = add(node, type_, rotation, position, adr, at, along, ref)
-            rotation, position = np.eye(3), np.zeros(3)
+            node = tree.add_joint(model, int(j), node, pose)
+            pose = _HERE
         if len(joints) == 0:
-            node = add(node, WELD, rotation, position)
+            node = tree.add(node, WELD, pose)
         node_of[b] = node
-        body_node.append(int(node))
-        bodies.append(b)
+        tree.body_node.append(node)
+        tree.bodies.append(b)
+    return tree
 
+
+def _to_robot(model: MjModel) -> Robot:
+    tree = _tree(model)
+    bodies = tree.bodies
     joints = range(model.njnt)
     dof_joint = model.dof_jntid
     scalar = np.isin(model.jnt_type[dof_joint], _SCALAR)
@@ -174,11 +210,11 @@ def _to_robot(model: MjModel) -> Robot:
     spring = np.where(scalar, model.qpos_spring[model.jnt_qposadr[dof_joint]], 0.0)
     stacked = {
         "pi": np.array([body_pi(model, b) for b in bodies]).reshape(-1, 10),
-        "placement_rotation": np.array(place_r).reshape(-1, 3, 3),
-        "placement_position": np.array(place_p).reshape(-1, 3),
-        "joint_position": np.array(anchor).reshape(-1, 3),
-        "joint_axis": np.array(axis).reshape(-1, 3),
-        "joint_reference": np.array(reference),
+        "placement_rotation": np.array(tree.rotation).reshape(-1, 3, 3),
+        "placement_position": np.array(tree.position).reshape(-1, 3),
+        "joint_position": np.array(tree.anchor).reshape(-1, 3),
+        "joint_axis": np.array(tree.axis).reshape(-1, 3),
+        "joint_reference": np.array(tree.reference),
         "armature": armature,
         "damping": damping * _enabled(model, _DISABLE.mjDSBL_DAMPER),
         "frictionloss": model.dof_frictionloss * _enabled(model, _DISABLE.mjDSBL_FRICTIONLOSS),
@@ -188,7 +224,9 @@ def _to_robot(model: MjModel) -> Robot:
         "gravity": model.opt.gravity * _enabled(model, _DISABLE.mjDSBL_GRAVITY),
     }
     return Robot(
-        topology=Topology(tuple(parent), tuple(kind), tuple(qpos_adr), tuple(body_node)),
+        topology=Topology(
+            tuple(tree.parent), tuple(tree.kind), tuple(tree.qpos_adr), tuple(tree.body_node)
+        ),
         body_names=tuple(model.body(b).name or f"body_{b}" for b in bodies),
         joint_names=tuple(model.joint(j).name or f"joint_{j}" for j in joints),
         joint_type=tuple(_KIND[mujoco.mjtJoint(model.jnt_type[j])] for j in joints),

@@ -12,8 +12,7 @@ from jax_inertia.model.descriptions import PREFIX, description
 from jax_inertia.model.file_safety import ModelError, check_model
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
-from jax_inertia.model.urdf_floating_base import with_floating_base
-from jax_inertia.model.urdf_repair import ModelWarning, repair
+from jax_inertia.model.urdf_read import ModelWarning, repair, with_floating_base
 
 # What MuJoCo raises of a model; RuntimeError is what it makes of memory that ran out.
 _REFUSALS = ValueError, RuntimeError, MemoryError, mujoco.FatalError

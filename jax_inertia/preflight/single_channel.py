@@ -3,16 +3,15 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from jax_inertia.logs.findings import Finding, Severity, run_bounds, spans
 from jax_inertia.logs.log import CHANNELS, Log
+from jax_inertia.signals.spikes import off_neighbours, quantum
 
 _MANY_NAN = 0.2
 _FROZEN_SECONDS, _FROZEN_SAMPLES = 0.5, 20
 _REPEATED_SHARE = 0.02
 _CLIPPED_RUN, _CLIPPED_SAMPLES, _CLIPPED_PILE = 3, 10, 3
-_SPIKE_SPREADS, _SPIKE_SHARE_OF_RANGE, _SPIKE_QUANTA = 15.0, 0.1, 10
 _SPIKE_LEAST = {"qpos": 5e-3, "qvel": 5e-2, "tau": 0.0}
 _STILL, _MOVED = 1e-3, 1e-2
 
@@ -78,7 +77,7 @@ def saturated(log: Log, time: np.ndarray) -> Iterator[Finding]:
     moving = _moving(np.asarray(log.qpos), time)
     for j, name in enumerate(log.joint_names):
         x = np.asarray(log.tau)[:, j]
-        reach = max(0.01 * np.ptp(x), 1.5 * _quantum(x))
+        reach = max(0.01 * np.ptp(x), 1.5 * quantum(x))
         for limit, side in ((x.max(), "maximum"), (x.min(), "minimum")):
             runs = run_bounds((x == limit) & moving)
             runs = runs[runs[:, 1] - runs[:, 0] >= _CLIPPED_RUN]
@@ -99,7 +98,7 @@ def spikes(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Single samples far off both neighbours, measured by the channel's usual changes."""
     for array, least in _SPIKE_LEAST.items():
         for label, x in _columns(log, (array,)):
-            off, enough = _off_neighbours(x)
+            off, enough = off_neighbours(x)
             bad = off > max(enough, least)
             if bad.any():
                 k = int(np.argmax(off))
@@ -109,34 +108,6 @@ def spikes(log: Log, time: np.ndarray) -> Iterator[Finding]:
                     "for an estimate set them to NaN, or gate"
                 )
                 yield Finding(Severity.WARNING, "spike", message)
-
-
-def torque_spikes(log: Log) -> Bool[np.ndarray, "T n"]:
-    """Single samples of torque that `spikes` warns of; none beside what is not finite."""
-    tau = np.asarray(log.tau, float)
-    out = np.zeros(tau.shape, bool)
-    for told, x in zip(out.T, tau.T, strict=True):
-        off, enough = _off_neighbours(x)
-        told[:] = off > enough
-    return out
-
-
-def _off_neighbours(x: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, " T"], float]:
-    """How far each sample is off both neighbours, to the same side, and from where on that is a spike."""
-    left, right = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-    off = np.zeros_like(x)
-    off[1:-1] = np.nan_to_num(np.minimum(np.abs(left), np.abs(right)) * (left * right > 0))
-    changes, finite = np.abs(np.diff(x)), x[np.isfinite(x)]
-    changes = changes[np.isfinite(changes)]
-    if not changes.size:
-        return off, np.inf
-    low, high = np.percentile(finite, [0.5, 99.5])
-    enough = max(
-        _SPIKE_SPREADS * np.percentile(changes, 75),
-        _SPIKE_SHARE_OF_RANGE * (high - low),
-        _SPIKE_QUANTA * _quantum(finite),
-    )
-    return off, float(enough)
 
 
 def degrees(log: Log, scalar_kinds: dict[str, str]) -> Iterator[Finding]:
@@ -214,7 +185,7 @@ def _frozen_motion(
     if np.ptp(qpos) < _MOVED:
         return
     speed = np.percentile(np.abs(qvel), 99)
-    step = _quantum(qvel)
+    step = quantum(qvel)
     for a, b in _constant_runs(qpos, time):
         if np.sqrt(np.mean(qvel[a:b] ** 2)) > max(0.1 * speed, 3 * step):
             yield _frozen(f"qpos of {name!r}", qpos[a:b], time[a:b], "qvel")
@@ -234,7 +205,7 @@ def _frozen_encoder(
     name: str, qpos: np.ndarray, tau: np.ndarray, time: np.ndarray, moving: np.ndarray
 ) -> Iterator[Finding]:
     """A long stretch of one value of a fine encoder in which its joint's torque changes as it does elsewhere."""
-    if np.ptp(qpos) < _MOVED or _quantum(qpos) > _FINE * np.ptp(qpos):
+    if np.ptp(qpos) < _MOVED or quantum(qpos) > _FINE * np.ptp(qpos):
         return
     for a, b in _constant_runs(qpos, time):
         long = time[b - 1] - time[a] > _STANDS and moving[a:b].mean() > 0.5
@@ -254,13 +225,6 @@ def _frozen(label: str, x: np.ndarray, time: np.ndarray, witness: str) -> Findin
         "that the joint moves; a frozen sensor: cut the stretch out"
     )
     return Finding(Severity.ERROR, "frozen", message)
-
-
-def _quantum(x: np.ndarray) -> float:
-    """The sensor's resolution: the smallest change from sample to sample that is one."""
-    change = np.abs(np.diff(x))
-    change = change[change > 1e-9 * np.abs(x).max()]
-    return float(change.min()) if change.size else 0.0
 
 
 def _constant_runs(x: np.ndarray, time: np.ndarray) -> np.ndarray:

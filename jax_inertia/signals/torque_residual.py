@@ -1,8 +1,8 @@
-"""From a log to the missing torque, through one chain of filters that everything else shares.
+"""From a log to the missing torque, through one chain of filters that both ways to diagnose share.
 
 The missing torque of a sample is what the model, moved as the log says, would have needed beyond what was logged:
 
-    y = M a + c − τ_passive − τ − Σ Jᵀλ − b            (minus `residual.torque_residual`)
+    y = M a + c − τ_passive − τ − Σ Jᵀλ − b = −Δτ        (Δτ of `residual.torque_residual`, the paper's sign)
 
 An effect of the real robot is a torque e(t; θ) on the same rows, and y = e + noise. Log and model go through the same
 low-pass before the physics (signals) and after it (y and every column e), so no side is ever differentiated or smoothed
@@ -20,19 +20,19 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.gap.chunks import over_samples
-from jax_inertia.gap.creep import softness
-from jax_inertia.gap.dry import at_rest, direction
-from jax_inertia.gap.outliers import without_outliers
-from jax_inertia.gap.support import BASE, Support, supported
 from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
-from jax_inertia.preflight.single_channel import torque_spikes
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
+from jax_inertia.signals.creep import softness
 from jax_inertia.signals.differences import Observation, central_differences
+from jax_inertia.signals.dry_friction import at_rest, direction
 from jax_inertia.signals.filtering import bridged_smoothly, low_pass, mask, resample
 from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.ground_support import BASE, Support, supported
 from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop
+from jax_inertia.signals.outliers import without_outliers
+from jax_inertia.signals.spikes import torque_spikes
 
 
 class Prepared(eqx.Module):

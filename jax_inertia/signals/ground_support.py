@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.gap.chunks import over_samples
 from jax_inertia.logs.log import LogError
+from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
 
 BASE = 6

@@ -1,0 +1,152 @@
+"""One call that diagnoses, by whichever way serves the model: every joint at once, or one effect on a good model.
+
+`diagnosis` seeks the ordinary physics of every joint and what is odd beyond it, `gap` single effects that a model lacks
+which has its ordinary physics already. This goes with `gap`.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from jax_inertia.diagnosis import pipeline
+from jax_inertia.diagnosis import report as whole_report
+from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
+from jax_inertia.estimation import log_estimate
+from jax_inertia.estimation.log_estimate import LogEstimate
+from jax_inertia.gap import diagnosis as single
+from jax_inertia.gap import report as single_report
+from jax_inertia.gap.families import NAMES
+from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.gap.units import drive_gains, in_newton_metres
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.precision import in_double_precision
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.preflight import Finding, Severity, preflight
+
+
+@in_double_precision
+def diagnose(
+    robot: Robot,
+    log: Log,
+    *,
+    test_log: Log | None = None,
+    exclude: Sequence[str] = (),
+    max_effects: int = 3,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diagnosis | WholeRobot:
+    """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds.
+
+    Both results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of either.
+    `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
+    effects; `max_effects` holds where single effects are sought. Torques that are no N m get one drive gain per joint
+    from the log itself, and a note says so. Computed in double precision, whatever JAX is set to. Raises ValueError
+    for an unknown family, and LogError for a log that cannot be used.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.diagnose(ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> str(found.verdict), ji.to_report(found)["effects"][0]["family"]
+    ('explained', 'payload')
+    """
+    if unknown := unknown_families(exclude):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
+    if max_effects < 1:
+        raise ValueError(f"max_effects is {max_effects}; at least one")
+    progress("looking at the log")
+    robot = robot.astype("float64")
+    notes, drives = [], None
+    logs = {"log": log} | ({} if test_log is None else {"test_log": test_log})
+    for name, one in logs.items():
+        try:
+            logs[name], drives, findings = usable(one, robot, drives, name)
+        except LogError as error:
+            raise LogError(f"{name}: {error}") from None
+        notes += [f"{name}: {f.message}" for f in findings if f.severity is Severity.WARNING]
+    of = logs["log"], logs.get("test_log")
+    whole = whole_robot(robot, *of, exclude, progress)
+    found = (
+        whole
+        if whole is not None
+        else single.diagnose(
+            robot,
+            of[0],
+            test_log=of[1],
+            exclude=exclude,
+            max_effects=max_effects,
+            progress=progress,
+        )
+    )
+    return dataclasses.replace(found, notes=(*notes, *found.notes))
+
+
+def unknown_families(names: Sequence[str]) -> list[str]:
+    """Those that are no families of effects."""
+    return sorted(set(names) - set(NAMES))
+
+
+class Drives(NamedTuple):
+    """How torques of a log are read, and with it those of another motion."""
+
+    gains: list[float]
+    """N m per unit of the log, one for each joint; none for a log in N m."""
+    unit: str
+    name: str
+    """Of the log that they were taken from."""
+
+
+def usable(
+    log: Log, robot: Robot, drives: Drives | None, name: str
+) -> tuple[Log, Drives, tuple[Finding, ...]]:
+    """A log in N m, how its torques were read, and what there is to say of it; LogError where it cannot be used.
+
+    `drives` are those of the log before, if there is one: a gain that does not carry over is part of what is tested.
+    """
+    found = preflight(log, robot)
+    found.raise_for_errors()
+    for finding in found.findings:
+        if finding.check == "no_motion" and finding.severity is Severity.WARNING:
+            raise LogError(finding.message)
+    remarks: tuple[Finding, ...] = ()
+    if drives is None:
+        try:
+            gains, remarks = drive_gains(log, robot)
+        except ValueError as error:
+            raise LogError(str(error)) from None
+        drives = Drives(gains, log.tau_unit_text, name)
+    elif log.tau_unit_text != drives.unit:
+        raise LogError(f"tau is in {log.tau_unit_text!r}, {drives.name} in {drives.unit!r}")
+    return in_newton_metres(log, drives.gains), drives, (*found.findings, *remarks)
+
+
+def whole_robot(
+    robot: Robot,
+    log: Log,
+    test_log: Log | None,
+    exclude: Sequence[str],
+    progress: Callable[[str], None],
+) -> WholeRobot | None:
+    """The diagnosis of every joint at once, for a model that lacks ordinary physics at half of its joints or more.
+
+    None where the model has it: then one effect is sought on a good model. None too for what the former does not do
+    yet: floating bases, and rows that are no hinge's or slide's.
+    """
+    if robot.has_free_base or not all(robot.topology.dof_scalar):
+        return None
+    found = pipeline.diagnose(robot, log, test_log=test_log, exclude=exclude, progress=progress)
+    return found if pipeline.ordinary_is_missing(found, robot) else None
+
+
+def to_report(found: Diagnosis | WholeRobot | LogEstimate) -> dict[str, Any]:
+    """report.json of what `diagnose` or `estimate` found: only JSON's own types, no NaN.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.diagnose(ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> ji.to_report(found)["effects"][0]["location"]["name"]
+    'lower'
+    """
+    if isinstance(found, LogEstimate):
+        return log_estimate.to_report(found)
+    if isinstance(found, WholeRobot):
+        return whole_report.to_report(found)
+    return single_report.to_report(found)

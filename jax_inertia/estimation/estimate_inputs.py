@@ -1,0 +1,172 @@
+"""What `estimate` is asked: its settings, the logs, and a look at them all before anything is computed."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.dynamics.rigid_body import resolve_bodies
+from jax_inertia.logs.log import Log, LogError, TorqueUnit
+from jax_inertia.maths import charts
+from jax_inertia.maths.argument_checks import is_positive, require
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.preflight import Finding, Preflight, Severity, preflight
+from jax_inertia.text.closest_names import suggestion
+
+# By the bodies asked for as the model has them.
+CHARTS: Mapping[str, Callable[[Float[jax.Array, "bodies 10"]], charts.Chart]] = {
+    "log-cholesky-uut": lambda pi: charts.LogCholeskyUUt(),
+    "log-cholesky": lambda pi: charts.LogCholesky(),
+    "relative": charts.Relative.to,
+    "linear": lambda pi: charts.Linear(),
+}
+_MOST_ITERATIONS = 100
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Of `estimate`, which says what each is; ValueError for a number that cannot be."""
+
+    gains: Sequence[float] | float | None = None
+    gain_sigma: float | None = None
+    trust: Sequence[float] = (0.1, 0.05)
+    chart: charts.Chart | str = "log-cholesky-uut"
+    gate: float | None = None
+    reopen_after: float | None = None
+    iterations: int | None = None
+    sigma_tau: Sequence[float] | float | None = None
+    prior_mass: float | None = None
+    prior_reach: float = 0.2
+    drift_time: float | None = None
+    cutoff: float | None = None
+    rate: float | None = None
+    bias_window: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in (
+            *("gain_sigma", "trust", "reopen_after", "sigma_tau", "prior_mass", "prior_reach"),
+            *("drift_time", "cutoff", "rate", "bias_window"),
+        ):
+            if (value := getattr(self, name)) is not None:
+                require(name, value, is_positive, "positive")
+        if np.shape(self.trust) != (2,):
+            raise ValueError(
+                f"trust is {self.trust!r}; give two numbers: masses in parts, centres in m"
+            )
+        if isinstance(self.chart, str) and self.chart not in CHARTS:
+            raise ValueError(f"no chart {self.chart!r}; {suggestion(self.chart, tuple(CHARTS))}")
+        n = self.iterations
+        if n is not None and not (isinstance(n, int) and 1 <= n <= _MOST_ITERATIONS):
+            raise ValueError(
+                f"iterations is {n!r}; it must be a whole number from 1 to {_MOST_ITERATIONS}"
+            )
+        if self.gate is not None and not 0 < self.gate <= 1:
+            raise ValueError(
+                f"gate is {self.gate}; it must be a probability above 0, and not above 1 (no gate)"
+            )
+
+
+class Names(NamedTuple):
+    """What messages call things: a log by its file, an option as it is written where it is given."""
+
+    log: str = "log"
+    calibrate: Sequence[str] = ()
+    option: Callable[[str], str] = str
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """What was given, and found sound."""
+
+    robot: Robot
+    log: Log
+    bodies: tuple[str, ...]
+    references: tuple[Log, ...]
+    findings: tuple[Finding, ...]
+    settings: Settings
+    option: Callable[[str], str]
+
+    @property
+    def in_newton_metres(self) -> bool:
+        """Whether torques are, or else in a unit of the drives'."""
+        return self.log.tau_unit is TorqueUnit.NEWTON_METRE
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Indices of the bodies."""
+        return resolve_bodies(self.robot, self.bodies)
+
+
+def checked(
+    robot: Robot,
+    log: Log,
+    bodies: Sequence[int | str],
+    references: Sequence[Log],
+    settings: Settings,
+    *,
+    names: Names | None = None,
+    found: Sequence[Finding] = (),
+    told: Callable[[str, Finding], None] = lambda name, finding: None,
+) -> Inputs:
+    """Look at everything before anything is computed; ValueError or LogError with one line.
+
+    `found` is what is known of the log already; `told` hears of each finding, with its log's name, as it is found.
+    """
+    if names is None:
+        names = Names(calibrate=[f"calibrate[{k}]" for k in range(len(references))])
+    chosen = resolve_bodies(robot, bodies)
+    if not chosen:
+        raise ValueError("no body to estimate; name at least one")
+    findings = [*found]
+    for name, one in zip((names.log, *names.calibrate), (log, *references), strict=True):
+        seen = preflight(one, robot)
+        try:
+            seen.raise_for_errors()
+        except LogError as error:
+            raise LogError(f"{name}: {error}") from None
+        for finding in _with_support(seen, one, robot).findings:
+            told(name, finding)
+            findings.append(finding)
+    _require_unit(log, references, settings, names)
+    return Inputs(
+        robot=robot,
+        log=log,
+        bodies=tuple(robot.body_names[k] for k in chosen),
+        references=tuple(references),
+        findings=tuple(findings),
+        settings=settings,
+        option=names.option,
+    )
+
+
+def _require_unit(log: Log, references: Sequence[Log], settings: Settings, names: Names) -> None:
+    """ValueError where torques are in no unit that can be used, or logs are in several."""
+    torque, given = log.tau_unit is TorqueUnit.NEWTON_METRE, settings.gains is not None
+    if not torque and not given and not references:
+        raise ValueError(
+            f"{names.log}: tau is in {log.tau_unit_text!r}, not N m; give {names.option('gains')} (N m per unit, one "
+            f"for each joint), or {names.option('calibrate')} with logs without load"
+        )
+    if torque and given:
+        raise ValueError(
+            f"{names.log}: tau is in N m; {names.option('gains')} is for currents and counts"
+        )
+    for name, one in zip(names.calibrate, references, strict=True):
+        if one.tau_unit is not log.tau_unit:
+            raise ValueError(
+                f"{name}: tau is in {one.tau_unit_text!r}, in {names.log} {log.tau_unit_text!r}"
+            )
+
+
+def _with_support(found: Preflight, log: Log, robot: Robot) -> Preflight:
+    """What was found, and that nothing is known to carry a robot that floats."""
+    if not robot.has_free_base or log.contact_wrench is not None:
+        return found
+    message = (
+        "the model's base floats and the log has no contact_wrench: unless the robot flies, what carries its weight is "
+        "taken out of the bodies that are estimated; log the contacts' wrenches"
+    )
+    return Preflight((Finding(Severity.WARNING, "contact_wrench", message), *found.findings))

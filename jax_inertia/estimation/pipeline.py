@@ -1,0 +1,331 @@
+"""`estimate`: log → observations → calibration → batch fit → noise → filter → what the log can tell."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.estimation import batch_fit, log_filter
+from jax_inertia.estimation.batch_fit import BatchFit
+from jax_inertia.estimation.estimate_inputs import CHARTS, Inputs, Settings, checked
+from jax_inertia.estimation.filter_settings import GATE
+from jax_inertia.estimation.identifiability import knowledge
+from jax_inertia.estimation.inertial_filter import Trace
+from jax_inertia.estimation.log_estimate import LogEstimate
+from jax_inertia.estimation.physical_estimate import Estimate
+from jax_inertia.estimation.priors import Load, Tolerance
+from jax_inertia.logs.log import Log
+from jax_inertia.maths import charts
+from jax_inertia.maths.inertial_parameters import is_physical
+from jax_inertia.maths.precision import in_double_precision
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.differences import Observation
+
+
+@in_double_precision
+def estimate(
+    robot: Robot,
+    log: Log,
+    bodies: Sequence[int | str],
+    *,
+    calibrate: Sequence[Log] | Log = (),
+    gains: Sequence[float] | float | None = None,
+    gain_sigma: float | None = None,
+    trust: Sequence[float] = (0.1, 0.05),
+    chart: charts.Chart | str = "log-cholesky-uut",
+    gate: float | None = None,
+    reopen_after: float | None = None,
+    iterations: int | None = None,
+    sigma_tau: Sequence[float] | float | None = None,
+    prior_mass: float | None = None,
+    prior_reach: float = 0.2,
+    drift_time: float | None = None,
+    cutoff: float | None = None,
+    rate: float | None = None,
+    bias_window: float | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> LogEstimate:
+    """Inertial parameters of bodies from a log, over time and over the whole log: what `jax-inertia estimate` does.
+
+    Torques that are no N m: `gains` in N m per logged unit (one for each joint of the log, or one for all), or
+    `calibrate`, logs without load on which gains, friction, damping, armature, torque offsets and all bodies are fitted
+    and then held; `gains` (default 10) is then where the fit starts, `gain_sigma` their relative uncertainty (default
+    1, or 0.5 with gains), and `trust` how well the model is known: masses in parts, centres of mass in m.
+
+    Filter: `chart`, a chart or one of `CHARTS`; `gate`, the probability of keeping a good sample (default 0.9999; 1: no
+    gate), which reopens after rejecting everything for `reopen_after` (default 0.5 s); `iterations` of each update
+    (default 5); `sigma_tau`, noise of one filtered sample [N m] (default: from residuals); the load to expect,
+    `prior_mass` [kg] (default: a tenth of the robot) within `prior_reach` [m], by which bodies may drift in
+    `drift_time` (default 3600 s; 3 without gate).
+
+    Signals: low-pass at `cutoff` (default 10 Hz, at most a fifth of the log's rate) on a grid of `rate` (default: ten
+    times the cutoff, or the log's); the mean residual of the first `bias_window` seconds, when nothing is carried, is
+    the torques' offset.
+
+    Computed in double precision, whatever JAX is set to. Raises ValueError for a body or a setting that cannot be, and
+    LogError for a log that cannot be used.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.estimate(ji.load_model(double_pendulum()), swing(load=0.5), ["lower"])
+    >>> bool(abs(found.pi["lower"][0] - 1.5) < 0.05)  # 1 kg of link, 0.5 kg of load
+    True
+    """
+    settings = Settings(
+        gains=gains,
+        gain_sigma=gain_sigma,
+        trust=trust,
+        chart=chart,
+        gate=gate,
+        reopen_after=reopen_after,
+        iterations=iterations,
+        sigma_tau=sigma_tau,
+        prior_mass=prior_mass,
+        prior_reach=prior_reach,
+        drift_time=drift_time,
+        cutoff=cutoff,
+        rate=rate,
+        bias_window=bias_window,
+    )
+    references = [calibrate] if isinstance(calibrate, Log) else calibrate
+    return run(checked(robot.astype("float64"), log, bodies, references, settings), progress)
+
+
+def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
+    """`estimate` of what was looked at; `progress` hears which stage begins."""
+    settings, bodies, notes = inputs.settings, inputs.bodies, []
+    progress("resampling, low-pass, differences")
+    start = _without_load(inputs, progress)
+    robot, prior, bias = start.robot, _prior(inputs), start.bias
+    observation = log_filter.in_newton_metres(start.raw, start.gains)
+    if start.calibration is not None and not start.calibration.converged:
+        notes.append("the calibration did not settle; its parameters are the last round's")
+    if settings.bias_window is not None:
+        progress("start-up bias")
+        bias = bias + _start_up_bias(inputs, robot, observation, bias, prior)
+    progress("batch fit")
+    fit = batch_fit.fit(robot, [start.raw], bodies, prior=prior, gains=start.gains, bias=bias)
+    if not fit.converged:
+        notes.append("the batch fit did not settle; its values are the last round's")
+    progress("noise")
+    noise, changed = _noise(inputs, robot, observation, prior, fit, bias)
+    if changed:
+        notes.append(_CHANGED)
+    progress("filter")
+    thinned = log_filter.thinned(observation, settings.cutoff)
+    trace = _filter(inputs, robot, thinned, noise, prior, bias)
+    time = np.asarray(thinned.motion.time)
+    if told := _between_reopenings(bodies, time, trace):
+        notes.append(f"mass between the gate's reopenings: {told}")
+    load = _load_with_calibration(inputs, start, prior, progress)
+    if start.references and load is None:
+        notes.append("intervals take the calibration for exact; with one body they do not")
+    progress("what the log can tell")
+    floor = np.maximum(fit.noise, 1e-9)
+    return LogEstimate(
+        bodies=bodies,
+        robot=robot,
+        findings=inputs.findings,
+        notes=tuple(notes),
+        observation=observation,
+        trace=trace,
+        time=time,
+        physical=np.asarray(is_physical(trace.estimate.pi)),
+        fit=fit,
+        calibration=start.calibration,
+        load=load,
+        noise=noise,
+        bias=bias,
+        gains=start.gains,
+        prior=prior,
+        gate=GATE if settings.gate is None else settings.gate,
+        changed=changed,
+        known=knowledge(robot, observation, bodies, floor, prior=prior, bias=bias),
+        row_names=_row_names(robot),
+        settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
+    )
+
+
+_CHANGED = (
+    "the bodies changed during the log: read the filter's estimates over time; the batch fit, which takes them for "
+    "constant, means nothing here"
+)
+
+
+class _WithoutLoad(NamedTuple):
+    """What is held while the load is estimated, and the observations that it was taken from."""
+
+    robot: Robot
+    gains: Float[np.ndarray, " nv"]
+    bias: Float[np.ndarray, " nv"]
+    calibration: BatchFit | None
+    raw: Observation
+    """Of the log, torques in its own unit."""
+    references: list[Observation]
+
+
+def _without_load(inputs: Inputs, progress: Callable[[str], None]) -> _WithoutLoad:
+    """The log's observations, and what the logs without load say: gains, offsets, all that is not asked for."""
+    robot, raw, bias = inputs.robot, _observe(inputs, inputs.log), np.zeros(inputs.robot.nv)
+    if not inputs.references:
+        return _WithoutLoad(robot, _first_gains(inputs), bias, None, raw, [])
+    progress("calibrating on the logs without load")
+    references = [_observe(inputs, one) for one in inputs.references]
+    raw, *references = [log_filter.without_slow_rows(one, robot) for one in (raw, *references)]
+    fit = _calibrate(inputs, references)
+    # The bodies asked for start at the model's own: calibrated ones may be as thin as rods, where charts end.
+    chosen = inputs.chosen
+    robot = fit.robot.with_pi(chosen, robot.pi[np.array(chosen)])
+    return _WithoutLoad(robot, fit.gains, fit.bias, fit, raw, references)
+
+
+def _observe(inputs: Inputs, log: Log) -> Observation:
+    settings = inputs.settings
+    return log_filter.observe(
+        log,
+        inputs.robot,
+        rate=settings.rate,
+        cutoff=settings.cutoff,
+        any_unit=not inputs.in_newton_metres,
+    )
+
+
+def _first_gains(inputs: Inputs) -> Float[np.ndarray, " nv"]:
+    """Gains as given, or where their fit starts."""
+    given = inputs.settings.gains
+    usual = 1.0 if inputs.in_newton_metres else 10.0
+    return log_filter.joint_gains(inputs.log, inputs.robot, usual if given is None else given)
+
+
+def _calibrate(
+    inputs: Inputs, observations: list[Observation], carried: batch_fit.Carried | None = None
+) -> BatchFit:
+    settings = inputs.settings
+    usual = 0.0 if inputs.in_newton_metres else 1.0 if settings.gains is None else 0.5
+    return batch_fit.fit(
+        inputs.robot,
+        observations,
+        prior=Tolerance(*settings.trust),
+        joint_terms=batch_fit.JOINT_TERMS,
+        gains=_first_gains(inputs),
+        gain_sigma=usual if settings.gain_sigma is None else settings.gain_sigma,
+        carried=carried,
+    )
+
+
+def _prior(inputs: Inputs) -> Load:
+    given = inputs.settings.prior_mass
+    mass = 0.1 * float(jnp.sum(inputs.robot.pi[:, 0])) if given is None else given
+    return Load(mass, inputs.settings.prior_reach)
+
+
+def _start_up_bias(
+    inputs: Inputs, robot: Robot, observation: Observation, bias: np.ndarray, prior: Load
+) -> np.ndarray:
+    """What the mean residual of the log's unloaded start adds to the bias."""
+    time, window = np.asarray(observation.motion.time), inputs.settings.bias_window
+    assert window is not None
+    rows = time <= time[0] + window
+    if rows.all():
+        raise ValueError(
+            f"{inputs.option('bias_window')} {window:g} s covers the whole log ({time[-1] - time[0]:.3g} s); "
+            "it must be the unloaded start of it"
+        )
+    estimator = log_filter.online(robot, inputs.bodies, np.ones(robot.nv), prior=prior)
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    unloaded = jax.tree.map(lambda x: x[rows], observation)
+    return np.asarray(estimator.calibrate_bias(state, unloaded).bias) - bias
+
+
+def _noise(
+    inputs: Inputs,
+    robot: Robot,
+    observation: Observation,
+    prior: Load,
+    fit: BatchFit,
+    bias: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """Noise of one sample as the filter gets it, and whether the bodies changed during the log."""
+    noise, changed = log_filter.residual_noise(
+        robot, observation, inputs.bodies, prior=prior, whole=fit, bias=bias
+    )
+    if (given := inputs.settings.sigma_tau) is None:
+        return noise / np.sqrt(log_filter.stride(observation, inputs.settings.cutoff)), changed
+    values = np.atleast_1d(np.asarray(given, float))
+    if len(values) not in (1, robot.nv):
+        raise ValueError(
+            f"{len(values)} values of {inputs.option('sigma_tau')} for {robot.nv} rows; give one for all, or one each"
+        )
+    return np.broadcast_to(values, (robot.nv,)).copy(), changed
+
+
+def _filter(
+    inputs: Inputs, robot: Robot, thinned: Observation, noise: np.ndarray, prior: Load, bias
+) -> Trace:
+    settings = inputs.settings
+    chart = settings.chart
+    if isinstance(chart, str):
+        chart = CHARTS[chart](robot.pi[np.array(inputs.chosen)])
+    estimator = log_filter.online(
+        robot,
+        inputs.bodies,
+        noise,
+        prior=prior,
+        chart=chart,
+        gate=settings.gate,
+        reopen_after=settings.reopen_after,
+        iterations=settings.iterations,
+        drift_seconds=settings.drift_time,
+    )
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    return log_filter.run(estimator, state, thinned)[1]
+
+
+def _load_with_calibration(
+    inputs: Inputs, start: _WithoutLoad, prior: Load, progress: Callable[[str], None]
+) -> Estimate | None:
+    """The load fitted in one problem with all that the calibration fits: its interval knows what that leaves open.
+
+    None without a calibration, and for several bodies.
+    """
+    if not start.references or len(inputs.bodies) != 1:
+        return None
+    progress("load and calibration in one fit")
+    carried = batch_fit.Carried(inputs.bodies[0], (len(start.references),), prior)
+    return _calibrate(inputs, [*start.references, start.raw], carried).load
+
+
+# Where the gate reopens more often the figure tells it better.
+_TOLD = 5
+
+
+def _between_reopenings(bodies: Sequence[str], time: Float[np.ndarray, " T"], trace: Trace) -> str:
+    """What each body weighed between the gate's reopenings; nothing where it never reopened, or often."""
+    at = np.flatnonzero(trace.reopened[1:]) + 1
+    if not 0 < len(at) <= _TOLD:
+        return ""
+    mass, accepted = np.asarray(trace.estimate.pi[:, :, 0]), np.asarray(trace.innovation.accepted)
+    ends = [f" kg until {time[k]:.1f} s, " for k in at] + [" kg since"]
+    told = [f"{name} " for name in bodies]
+    for spell, taken, end in zip(np.split(mass, at), np.split(accepted, at), ends, strict=True):
+        # Rejected samples leave the estimate as it was, and the load as it no longer is.
+        typical = np.median(spell[taken] if taken.any() else spell, axis=0)
+        told = [text + f"{m:.3f}{end}" for text, m in zip(told, typical, strict=True)]
+    return "; ".join(told)
+
+
+def _row_names(robot: Robot) -> tuple[str, ...]:
+    """A name for every row of the equations of motion: its joint's, with the component where there are several."""
+    count = np.diff([*robot.joint_dofadr, robot.nv])
+    parts = {
+        1: [""],
+        3: [" x", " y", " z"],
+        6: [f" {k}" for k in ("x", "y", "z", "rx", "ry", "rz")],
+    }
+    names = zip(robot.joint_names, count, strict=True)
+    return tuple(joint + part for joint, n in names for part in parts[int(n)])
