@@ -125,7 +125,7 @@ def whole_robot(
     exclude: Sequence[str],
     progress: Callable[[str], None],
 ) -> WholeRobot | None:
-    """The diagnosis of every joint at once, for a model that lacks ordinary physics at half of its joints or more.
+    """The diagnosis of every joint at once, for a model that lacks ordinary physics all over.
 
     None where the model has it: then one effect is sought on a good model. None too for what the former does not do
     yet: floating bases, and rows that are no hinge's or slide's.

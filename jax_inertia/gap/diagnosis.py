@@ -4,9 +4,9 @@
     print(found)
     to_report(found)        # the contract's report.json, as a dict (`jax_inertia.gap.report`)
 
-The missing torque (`signals.torque_residual`) is whitened to the sensors' noise (`noise`), the nominal model's tolerances
-are integrated out (`nuisance`, `evidence`), and every family at every place competes for what is left (`families`,
-`select`).
+The missing torque (`signals.torque_residual`) is whitened to the sensors' noise (`noise`), the nominal model's
+tolerances are integrated out (`nuisance`, `evidence`), and every family at every place competes for what is left
+(`families`, `select`).
 """
 
 from collections.abc import Callable, Sequence
