@@ -44,6 +44,7 @@ LEAVES = {"control": {"control", "cli"}, "robots": {"robots", "cli"}}
 # Folders that know no simulator.
 PLAIN = {"text", "maths", "logs", "signals", "preflight"}
 MOST_MODULES = 20
+MOST_LINES = 60
 
 
 def module_name(path: Path) -> str:
@@ -132,6 +133,33 @@ def test_no_cycles():
 
 def test_no_folder_is_a_heap():
     assert [f for f, names in RANK.items() if len(names) > MOST_MODULES] == []
+
+
+def code_lines(function: ast.FunctionDef, source: list[str]) -> int:
+    """Lines of a function without its docstring, comments and empty ones."""
+    first = function.body[0]
+    text = set()
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+        text = set(range(first.lineno, (first.end_lineno or 0) + 1))
+    every = set(range(function.lineno, (function.end_lineno or 0) + 1)) - text
+    lines = [source[k - 1].strip() for k in every]
+    return sum(1 for line in lines if line and not line.startswith("#"))
+
+
+def test_no_function_is_long():
+    long = {
+        f"{name}.{node.name}": count
+        for name, source in GRAPH.items()
+        if name.partition(".")[0] not in UNORDERED
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef)
+        and (count := code_lines(node, source.splitlines())) > MOST_LINES
+    }
+    assert long == {}, "split these"
+    example = 'def f():\n    """Text."""\n\n    # Why.\n    return 1\n'
+    [function] = ast.parse(example).body
+    assert isinstance(function, ast.FunctionDef)
+    assert code_lines(function, example.splitlines()) == 2
 
 
 @pytest.mark.parametrize("name", [n for n in GRAPH if n.partition(".")[0] in PLAIN])

@@ -43,17 +43,9 @@ def summarised(
     own = heldout.check(ordinary, now)
     test = None if other is None else other.check(ordinary, now)
     checked = own if test is None else test
-    worths = dict(zip(map(id, now.chosen), evidence.worths(now), strict=True))
-    listed = [h for h in now.chosen if h.named and _is_listed(selection, h, worths, settings)]
     shares = {id(h): _share(selection, h) for h in now.chosen}
     generic = [h for h in now.chosen if h.is_odd and not h.named]
-    found = tuple(
-        sorted(
-            (_found(selection, h, listed, shares, worths, settings) for h in listed),
-            key=lambda f: -f.share,
-        )
-    )
-    found = _one_dry_law(found)
+    found = _effects(selection, shares, settings)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     generic_share = float(sum(max(shares[id(h)], 0.0) for h in generic))
@@ -96,6 +88,17 @@ def summarised(
         trace=_trace(residual if other is None else other.residual, checked),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
     )
+
+
+def _effects(
+    selection: Selection, shares: dict[int, float], settings: Settings
+) -> tuple[Found, ...]:
+    """What is listed, the largest first; `shares` of the gap's energy, by hypothesis."""
+    now = selection.posterior
+    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+    listed = [h for h in now.chosen if h.named and _is_listed(selection, h, worths, settings)]
+    every = (_found(selection, h, listed, shares, worths, settings) for h in listed)
+    return _one_dry_law(tuple(sorted(every, key=lambda f: -f.share)))
 
 
 def _at(h: Hypothesis) -> str:
