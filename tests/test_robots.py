@@ -8,6 +8,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import FAST
 from models import MODELS
 from mujoco import mjx
 
@@ -236,7 +237,7 @@ def test_mjx_finds_the_same_accelerations_and_contact_forces():
     data = at_home(model)
     data.mocap_pos[:, 2] = np.array([1, 3, 2, 1, -1, 2, 1, 3]) * 1e-3  # m
     on_device = mjx.put_model(model)
-    forward = jax.jit(mjx.forward)
+    forward = jax.jit(mjx.forward, compiler_options=FAST)
     for _ in range(4):
         for _ in range(5):
             hold_and_step(model, data)

@@ -253,11 +253,26 @@ class _Task(eqx.Module):
 
 # Called a few times each: without optimisation they compile in half the time.
 _QUICK = {"xla_backend_optimization_level": 0}
-_look = eqx.filter_jit(_Task.look, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+_look_at_block = eqx.filter_jit(_Task.look, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def _look(task: _Task, state: tuple[Array, Array, Array]) -> tuple[np.ndarray, np.ndarray]:
+    """`_Task.look` in blocks of `task.samples`, the last one filled up with its last state.
+
+    A motion is looked at on three grids, and compiling takes longer than all of them together: blocks compile once.
+    """
+    length, size = len(state[0]), task.samples
+    filled = [np.pad(x, ((0, -length % size), (0, 0)), mode="edge") for x in map(np.asarray, state)]
+    parts = [
+        _look_at_block(task, tuple(jnp.asarray(x[start : start + size]) for x in filled))
+        for start in range(0, length, size)
+    ]
+    rows, torque = (np.concatenate(part)[:length] for part in zip(*parts, strict=True))
+    return rows, torque
 
 
 def _gain(task: _Task, series: Series) -> Float[Array, ""]:
-    return task.gain(_look(task, series.at(task.times()))[0])
+    return task.gain(jnp.asarray(_look(task, series.at(task.times()))[0]))
 
 
 @eqx.filter_jit
@@ -300,7 +315,7 @@ def _within(task: _Task, limits: Limits, clear: Callable | None, x: np.ndarray) 
 
 
 def _known(task: _Task, series: Series, prior: Uncertainty) -> Knowledge:
-    rows = np.asarray(_look(task, series.at(task.times()))[0])
+    rows, _ = _look(task, series.at(task.times()))
     return of_rows(task.robot, rows @ np.linalg.inv(task.root), task.bodies, prior=prior)
 
 
@@ -316,7 +331,7 @@ def _suggestion(
         q=np.asarray(q),
         v=np.asarray(v),
         a=np.asarray(a),
-        tau=np.asarray(_look(task, (q, v, a))[1]),
+        tau=_look(task, (q, v, a))[1],
         known=known,
         random=random,
     )
