@@ -32,7 +32,7 @@ ORDER: dict[str, str] = {
     "cli": """console convert diagnose_whole diagnose_run diagnose
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
-    "diagnosis": """effects result figures page report settings residual hypothesis evidence pushes
+    "diagnosis": """effects result figures page report settings residual hypothesis bank evidence pushes
         search checks verdict wording summary corrected_model pipeline either""",
     "diagnosis.effects": """base actuator dry_friction encoder environment external_force generic inertial
         joint tolerances transmission registry""",

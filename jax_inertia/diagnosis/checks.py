@@ -173,6 +173,8 @@ def gated(
     return dataclasses.replace(selection, posterior=now), tuple(dropped)
 
 
+MOST_RIVALS = 8
+"""Ties that are looked for: a longer list tells a reader nothing."""
 NEAR = 10.0
 """Nats beyond a tie up to which another hypothesis counts against a probability."""
 BEYOND_SECANT = 0.3
@@ -192,21 +194,19 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     """Best shape of each other family and place, in the place of `h`, those within reach first."""
     now, evidence = selection.posterior, selection.evidence
     rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
-    others = tuple(
-        c
-        for c in selection.candidates
-        if c.named and c.key != h.key and not any(c.key == x.key for x in rest.chosen)
-    )
+    others, taken = selection.named.candidates, {c.key for c in now.chosen}
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
-    gains = evidence.gains(rest, others) - np.array([c.odds for c in others])
+    gains = evidence.gains(rest, selection.named) - np.array([c.odds for c in others])
     reach = max(settings.tie, settings.tie_share * abs(own)) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}
     for k in np.argsort(-gains):
         c, behind = others[k], own - float(gains[k])
         if behind > reach + (BEYOND_SECANT * abs(own) if c.effect.secant else 0.0):
             continue
-        if c.key in best:
+        if c.key in best or c.key in taken:
             continue
+        if len(best) == MOST_RIVALS:
+            break
         with_it = relinearised(selection.residual, evidence, rest, c)
         c = with_it.chosen[-1]
         if c.effect.secant:

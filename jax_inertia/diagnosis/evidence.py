@@ -9,11 +9,13 @@ deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by 
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import linalg
 
+from jax_inertia.diagnosis.bank import Bank
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 
 MOST_CORRELATED = 0.5
@@ -115,26 +117,12 @@ class Evidence:
         rho = np.clip(lagged, 0.0, MOST_CORRELATED)
         self.correlation = (1.0 + rho) / (1.0 - rho)
 
-    def gains(self, now: Posterior, others: tuple[Hypothesis, ...]) -> Float[np.ndarray, " c"]:
+    def gains(self, now: Posterior, others: Bank | Sequence[Hypothesis]) -> Float[np.ndarray, " c"]:
         """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
+        bank = others if isinstance(others, Bank) else Bank(others)
         root = np.sqrt(self.precision)
-        base = _scaled(now.chosen, root)
-        left = (root * (self.y - now.fitted)).ravel()
-        cube = base.reshape(*self.y.shape, -1)
-        out = np.empty(len(others))
-        for i, h in enumerate(others):
-            if h.row is None:
-                own = (h.scaled * root[:, :, None]).reshape(-1, h.count)
-                cross, rest = base.T @ own, own.T @ left
-            else:
-                own = h.scaled * root[:, h.row, None]
-                cross = cube[:, h.row].T @ own
-                rest = own.T @ left.reshape(self.y.shape)[:, h.row]
-            s = np.eye(h.count) + own.T @ own - cross.T @ now.covariance @ cross
-            sign, logdet = np.linalg.slogdet(s)
-            gain = 0.5 * rest @ np.linalg.solve(s, rest) - 0.5 * logdet
-            out[i] = gain if sign > 0 else -np.inf
-        return out
+        base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+        return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""

@@ -1,6 +1,7 @@
 """One effect at one place with one set of nonlinear numbers: its columns, and the prior of its size."""
 
 import dataclasses
+import functools
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +38,7 @@ class Hypothesis:
         """Name of its effect."""
         return self.effect.name
 
-    @property
+    @functools.cached_property
     def key(self) -> tuple[str, str, str]:
         """Family and place."""
         return self.family, self.place.kind, self.place.name

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.bank import Bank
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import (
     CoulombFriction,
@@ -34,6 +35,11 @@ class Selection:
     evidence: Evidence
     posterior: Posterior
     candidates: tuple[Hypothesis, ...]
+
+    @functools.cached_property
+    def named(self) -> Bank:
+        """Candidates that name a cause."""
+        return Bank(tuple(c for c in self.candidates if c.named))
 
     @functools.cached_property
     def _spread(self) -> Float[np.ndarray, "p p"]:
@@ -114,7 +120,7 @@ def select(
         if push is not None:
             candidates = (*candidates, *_pushes(residual, evidence, now, push, settings))
         before = now.chosen
-        now = _stepwise(residual, evidence, now, candidates, settings)
+        now = _stepwise(residual, evidence, now, Bank(candidates), settings.most_steps)
         now = _refined(residual, evidence, now)
         if len(now.chosen) == len(before):
             break
@@ -247,19 +253,13 @@ def _bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterio
         now = evidence.posterior(tuple(h for h in now.chosen if h not in wrong))
 
 
-def _stepwise(
-    residual: Residual,
-    evidence: Evidence,
-    now: Posterior,
-    candidates: tuple[Hypothesis, ...],
-    settings: Settings,
-) -> Posterior:
+def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
     barred: set[int] = set()
-    for _ in range(settings.most_steps):
-        moved = _added(residual, evidence, now, candidates, barred)
+    for _ in range(most):
+        moved = _added(residual, evidence, now, bank, barred)
         if moved is None:
-            moved = _exchanged(residual, evidence, now, candidates, barred)
+            moved = _exchanged(residual, evidence, now, bank, barred)
         if moved is None:
             break
         now = moved
@@ -271,40 +271,41 @@ EXCHANGE = 2.0
 """Nats by which another must do better than one that was chosen before: less is a tie."""
 
 
-def _added(residual, evidence, now, candidates, barred) -> Posterior | None:
+def _gains(evidence: Evidence, now: Posterior, bank: Bank, barred: set[int]):
+    """Of each candidate, prior odds taken off; minus infinity for what is barred or chosen already."""
+    out = evidence.gains(now, bank) - np.array([h.odds for h in bank.candidates])
+    shut = [id(h) in barred or _excluded(h, now.chosen) for h in bank.candidates]
+    return np.where(shut, -np.inf, out)
+
+
+def _added(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
     """One more, the best there is; None where nothing gains."""
-    while True:
-        open_ = [h for h in candidates if id(h) not in barred and not _excluded(h, now.chosen)]
-        if not open_:
-            return None
-        gains = evidence.gains(now, tuple(open_)) - np.array([h.odds for h in open_])
-        best = int(np.argmax(gains))
+    gains = _gains(evidence, now, bank, barred)
+    for best in np.argsort(-gains):
         if gains[best] <= 0:
             return None
-        after = _with(residual, evidence, now, open_[best])
+        added = bank.candidates[best]
+        after = _with(residual, evidence, now, added)
         if after is not None:
             return _settled(residual, evidence, after)
-        barred.add(id(open_[best]))
+        barred.add(id(added))
+    return None
 
 
-def _exchanged(residual, evidence, now, candidates, barred) -> Posterior | None:
+def _exchanged(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
     """One odd effect for a better one, everything else given; None where none is better."""
     worths = evidence.worths(now)
     for h, worth in zip(now.chosen, worths, strict=True):
         if not h.is_odd:
             continue
         rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
-        open_ = [
-            c
-            for c in candidates
-            if id(c) not in barred and c.key != h.key and not _excluded(c, rest.chosen)
-        ]
-        gains = evidence.gains(rest, tuple(open_)) - np.array([c.odds for c in open_])
+        own = {id(c) for c in bank.candidates if c.key == h.key}
+        gains = _gains(evidence, rest, bank, barred | own)
         best = int(np.argmax(gains))
         if gains[best] > worth - h.odds + EXCHANGE:
             # Once exchanged, it does not come back: no two take turns.
-            barred.update(id(c) for c in candidates if c.key == h.key and c.shape == h.shape)
-            after = _with(residual, evidence, rest, open_[best])
+            barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+            after = _with(residual, evidence, rest, bank.candidates[best])
             if after is not None:
                 return _settled(residual, evidence, after)
     return None

@@ -47,7 +47,10 @@ class Payload(_Inertial):
         return {
             "mass": Parameter(mass, "kg", 0.0),
             **{f"com_{k}": Parameter(float(x), "m") for k, x in zip("xyz", com, strict=True)},
-            "gyration_radius": Parameter(float(min(radius, 0.3 * context.scale)), "m", 0.0),
+            # No load is a point: MuJoCo has no body without rotational inertia.
+            "gyration_radius": Parameter(
+                float(np.clip(radius, 1e-3, 0.3 * context.scale)), "m", 0.0
+            ),
         }
 
 
