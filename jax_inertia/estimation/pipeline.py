@@ -14,9 +14,11 @@ from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.batch_fit import BatchFit
 from jax_inertia.estimation.estimate_inputs import CHARTS, Inputs, Settings, checked
 from jax_inertia.estimation.filter_settings import GATE
+from jax_inertia.estimation.holds import holds_note, holds_of
 from jax_inertia.estimation.identifiability import knowledge
 from jax_inertia.estimation.inertial_filter import Trace
 from jax_inertia.estimation.log_estimate import LogEstimate
+from jax_inertia.estimation.misfit import left_of, misfit_notes, misfits
 from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.logs.log import Log
@@ -120,7 +122,14 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     thinned = log_filter.thinned(observation, settings.cutoff)
     trace = _filter(inputs, robot, thinned, noise, prior, bias)
     time = np.asarray(thinned.motion.time)
-    if told := _between_reopenings(bodies, time, trace):
+    row_names = _row_names(robot)
+    left = left_of(
+        robot, observation, bodies, fit, bias, settings.cutoff, trace if changed else None
+    )
+    notes += misfit_notes(misfits(*left), row_names)
+    if (holds := holds_of(observation)) is not None:
+        notes.append(holds_note(holds, fit.rms_after, row_names))
+    if (holds is None or changed) and (told := _between_reopenings(bodies, time, trace)):
         notes.append(f"mass between the gate's reopenings: {told}")
     load = _load_with_calibration(inputs, start, prior, progress)
     if start.references and load is None:
@@ -146,7 +155,8 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         gate=GATE if settings.gate is None else settings.gate,
         changed=changed,
         known=knowledge(robot, observation, bodies, floor, prior=prior, bias=bias),
-        row_names=_row_names(robot),
+        held=holds is not None,
+        row_names=row_names,
         settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
     )
 
@@ -256,12 +266,7 @@ def _noise(
     )
     if (given := inputs.settings.sigma_tau) is None:
         return noise / np.sqrt(log_filter.stride(observation, inputs.settings.cutoff)), changed
-    values = np.atleast_1d(np.asarray(given, float))
-    if len(values) not in (1, robot.nv):
-        raise ValueError(
-            f"{len(values)} values of {inputs.option('sigma_tau')} for {robot.nv} rows; give one for all, or one each"
-        )
-    return np.broadcast_to(values, (robot.nv,)).copy(), changed
+    return np.broadcast_to(np.asarray(given, float), (robot.nv,)).copy(), changed
 
 
 def _filter(
