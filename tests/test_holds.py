@@ -6,12 +6,12 @@ import pytest
 from scipy import signal as scipy_signal
 
 from jax_inertia.estimation import batch_fit, log_filter
-from jax_inertia.estimation.holds import holds_of, without_friction
-from jax_inertia.estimation.misfit import misfit_notes, misfits
 from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import load_model
 from jax_inertia.robots.pendulum import double_pendulum, swing
+from jax_inertia.signals.holds import holds_of, without_friction
+from jax_inertia.signals.misfit import misfit_notes, misfits
 
 RATE, HOLD, MOVE = 100.0, 2.5, 2.0
 FRICTION = np.array([0.9, 0.4])

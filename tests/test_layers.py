@@ -22,10 +22,10 @@ ORDER: dict[str, str] = {
         urdf_read descriptions spec urdf_write load write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
     "signals": """bands held filtering generalised_motion differences residual wrench_axes spikes
-        outliers creep dry_friction ground_support torque_residual""",
+        outliers creep dry_friction ground_support torque_residual holds misfit""",
     "preflight": "single_channel cross_channel preflight",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
-        innovation_tests batch_rows batch_solve batch_fit holds log_filter misfit stream checkpoint
+        innovation_tests batch_rows batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",

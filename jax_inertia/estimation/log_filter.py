@@ -23,7 +23,6 @@ from jaxtyping import Float
 from jax_inertia.dynamics.rigid_body import resolve_bodies
 from jax_inertia.estimation.batch_fit import BatchFit
 from jax_inertia.estimation.batch_rows import correlation_inflation
-from jax_inertia.estimation.holds import Holds, holds_of, without_friction
 from jax_inertia.estimation.inertial_filter import Estimator, State, Trace, make_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.log import Log, LogError
@@ -34,6 +33,7 @@ from jax_inertia.signals.bands import ESTIMATE, of_estimate
 from jax_inertia.signals.differences import Observation, central_differences
 from jax_inertia.signals.filtering import low_pass, resample
 from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.holds import Holds, holds_of, without_friction
 from jax_inertia.signals.residual import torque_residuals
 
 _PIECE_SECONDS = 2.0

@@ -14,11 +14,9 @@ from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.batch_fit import BatchFit
 from jax_inertia.estimation.estimate_inputs import CHARTS, Inputs, Settings, checked
 from jax_inertia.estimation.filter_settings import GATE
-from jax_inertia.estimation.holds import holds_note, holds_of
 from jax_inertia.estimation.identifiability import knowledge
 from jax_inertia.estimation.inertial_filter import Trace
 from jax_inertia.estimation.log_estimate import LogEstimate
-from jax_inertia.estimation.misfit import left_of, misfit_notes, misfits
 from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.logs.log import Log
@@ -27,6 +25,8 @@ from jax_inertia.maths.inertial_parameters import is_physical
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.holds import holds_note, holds_of
+from jax_inertia.signals.misfit import misfit_notes, misfits
 
 
 @in_double_precision
@@ -123,7 +123,7 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     trace = _filter(inputs, robot, thinned, noise, prior, bias)
     time = np.asarray(thinned.motion.time)
     row_names = _row_names(robot)
-    left = left_of(
+    left = _left_of(
         robot, observation, bodies, fit, bias, settings.cutoff, trace if changed else None
     )
     notes += misfit_notes(misfits(*left), row_names)
@@ -303,6 +303,26 @@ def _load_with_calibration(
     progress("load and calibration in one fit")
     carried = batch_fit.Carried(inputs.bodies[0], (len(start.references),), prior)
     return _calibrate(inputs, [*start.references, start.raw], carried).load
+
+
+def _left_of(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[str],
+    fit: BatchFit,
+    bias: Float[np.ndarray, " nv"],
+    cutoff: float | None,
+    trace: Trace | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(residual, torque, which rows count) of independent samples: of the fit, or of the filter with its `trace`."""
+    step = log_filter.stride(observation, cutoff)
+    y, delta, valid = log_filter.regressors(robot, observation, bodies, bias)
+    left, valid = (delta - y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
+    torque = np.nan_to_num(np.asarray(observation.motion.tau))[::step]
+    if trace is not None:
+        left = np.asarray(trace.innovation.residual)
+        valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (left != 0)
+    return left, torque, valid
 
 
 # Where the gate reopens more often the figure tells it better.

@@ -6,12 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.estimation.batch_fit import BatchFit
-from jax_inertia.estimation.inertial_filter import Trace
-from jax_inertia.estimation.log_filter import regressors, stride
-from jax_inertia.model.robot import Robot
-from jax_inertia.signals.differences import Observation
-
 # Of the white part, so many times as large is what cannot be noise; and of the torque, this share is worth a word.
 _TIMES, _SHARE = 5.0, 0.05
 _FEW = 20
@@ -53,26 +47,6 @@ def misfits(
         if one.residual > max(_TIMES * noise, _SHARE * one.torque):
             out.append(one)
     return sorted(out, key=lambda one: -one.residual)
-
-
-def left_of(
-    robot: Robot,
-    observation: Observation,
-    bodies: Sequence[str],
-    fit: BatchFit,
-    bias: Float[np.ndarray, " nv"],
-    cutoff: float | None,
-    trace: Trace | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(residual, torque, which rows count) of independent samples: of the fit, or of the filter with its `trace`."""
-    step = stride(observation, cutoff)
-    y, delta, valid = regressors(robot, observation, bodies, bias)
-    left, valid = (delta - y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
-    torque = np.nan_to_num(np.asarray(observation.motion.tau))[::step]
-    if trace is not None:
-        left = np.asarray(trace.innovation.residual)
-        valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (left != 0)
-    return left, torque, valid
 
 
 def misfit_notes(found: Sequence[Misfit], names: Sequence[str]) -> list[str]:
