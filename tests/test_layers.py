@@ -15,14 +15,14 @@ ORDER: dict[str, str] = {
     "text": "closest_names notebook_page",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
         charts noise gates kalman least_squares""",
-    "logs": "npz atomic_files schema readers log chunks findings",
-    "logs.readers": """options streams bag_messages bag_collect bag columns delimited arrow_columns
-        parquet export""",
+    "logs": "npz atomic_files schema unwrap readers as_model log chunks findings",
+    "logs.readers": """stamps options protobuf plain_messages streams bag_messages bag_collect bag column_plan columns
+        delimited normalised arrow_columns parquet export""",
     "model": """mujoco_types mujoco_warnings robot geometry file_safety finite_numbers
         urdf_read descriptions spec urdf_write load write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
     "signals": """bands held filtering generalised_motion differences residual wrench_axes spikes
-        outliers creep dry_friction ground_support torque_residual""",
+        outliers creep dry_friction ground_support torque_residual holds misfit""",
     "preflight": "single_channel cross_channel preflight",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
         innovation_tests batch_rows batch_solve batch_fit log_filter stream checkpoint

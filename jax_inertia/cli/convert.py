@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 import textwrap
 from pathlib import Path
 
@@ -31,6 +32,9 @@ examples:
 """
 
 
+_WIDEST = 10_000
+
+
 def add_parser(subparsers) -> None:
     """Add `convert` to the command line."""
     parser = subparsers.add_parser(
@@ -47,8 +51,11 @@ def add_parser(subparsers) -> None:
     add("log", metavar="IN", type=Path, help=kinds)
     add("out", metavar="OUT", type=Path, help=".npz, .csv or .parquet")
     add("--model", type=Path, help="MJCF or URDF to check joints, bodies and units against")
-    add("--tau-unit", metavar="U", help="unit of the torques: N m, A, mA, PWM ...")
+    add("--tau-unit", type=_said, metavar="U", help="unit of the torques: N m, A, mA, PWM ...")
     add("--tau-kind", choices=("commanded", "current", "sensor"), help="where they come from")
+    units = ("s", "ms", "us", "ns")
+    time_help = "unit of the stamps (default: s, or another where it is unmistakable)"
+    add("--time-unit", choices=units, help=time_help)
     add("--degrees", action="store_true", help="positions and velocities are in degrees")
     add(
         "--rename",
@@ -65,13 +72,21 @@ def add_parser(subparsers) -> None:
         type=_pair,
         action="append",
         metavar="NAME=COLUMN",
-        help="a column by the contract's name and by the file's; one * in both stands for the joint",
+        help="a column by the contract's name and by the file's; one * in both stands for the joint; "
+        "columns of lists that are parts of one array: once each",
     )
     add("--joints", nargs="+", metavar="J", help="joints of columns that hold lists, in order")
-    add("--episode", type=int, metavar="N", help="which episode of a dataset")
+    add("--episode", type=_natural, metavar="N", help="which episode of a dataset, from 0")
+    calibration_help = (
+        "JSON file of the motors' ranges, where a dataset's positions are normalised to ±100"
+    )
+    add("--calibration", type=Path, metavar="FILE", help=calibration_help)
 
     add = parser.add_argument_group("ROS bags and MCAP").add_argument
-    add("--topic-joints", metavar="T", help="sensor_msgs/JointState (default: the only one)")
+    joints_help = (
+        "sensor_msgs/JointState, one topic or several (default: all, put together by joint)"
+    )
+    add("--topic-joints", nargs="+", metavar="T", help=joints_help)
     add("--topic-base", metavar="T", help="nav_msgs/Odometry of the floating base")
     add(
         "--topic-wrench",
@@ -113,9 +128,10 @@ def run(args: argparse.Namespace) -> int:
     if args.wrench_axes == "body" and args.model is None:
         raise ValueError("--wrench-axes body needs --model, which says how the body is turned")
     options = Options(
-        columns=_once(args.column, "--column"),
+        columns=_columns(args.column),
         joints=tuple(args.joints or ()),
         episode=args.episode,
+        calibration=args.calibration,
         topic_joints=args.topic_joints,
         topic_base=args.topic_base,
         topic_wrenches=_once(args.topic_wrench, "--topic-wrench"),
@@ -123,6 +139,7 @@ def run(args: argparse.Namespace) -> int:
         flip_wrenches=args.flip_wrenches,
         rename=_once(args.rename, "--rename"),
         degrees=args.degrees,
+        time_unit=args.time_unit,
         tau_unit=args.tau_unit,
         tau_kind=args.tau_kind,
     )
@@ -136,6 +153,8 @@ def run(args: argparse.Namespace) -> int:
         stage("looking at the log")
         found = preflight(log, robot)
         try:
+            # Stamps in a wrong unit, or a log of no motion at all, are of no use in any form.
+            found.only("rate").raise_for_errors()
             if robot is not None:
                 found.raise_for_errors()
                 if args.wrench_axes == "body":
@@ -149,11 +168,49 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(_summary(args.out, log, found), indent=1, allow_nan=False))
         return 0
-    print(log)
-    for note in log.notes:
-        print(f"  {note}")
-    print(f"written to {args.out}")
+    _show(args, log)
     return 0
+
+
+def _show(args: argparse.Namespace, log) -> None:
+    """Print what was read, and what was assumed and done on the way."""
+    import numpy as np
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from jax_inertia.cli.console import one_line
+    from jax_inertia.logs.log import TorqueUnit
+    from jax_inertia.logs.schema import CHANNELS
+
+    table = Table(title=escape(one_line(f"{args.log} → {args.out}")), title_justify="left")
+    table.add_column("what")
+    table.add_column("as written", overflow="fold")
+
+    def line(what: str, text: str) -> None:
+        table.add_row(what, escape(one_line(text)))
+
+    line("time", f"{len(log.time)} samples, {log.duration:.4g} s at {log.rate:.4g} Hz")
+    line("joints", f"{len(log.joint_names)}: {', '.join(log.joint_names)}")
+    if log.contact_bodies:
+        line("contacts", ", ".join(log.contact_bodies))
+    units = {"qpos": "rad", "qpos_target": "rad", "qvel": "rad/s"}
+    for name in CHANNELS:
+        if (value := getattr(log, name)) is None:
+            continue
+        finite = np.asarray(value)[np.isfinite(np.asarray(value))]
+        text = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
+        if name == "tau":
+            known = log.tau_unit is TorqueUnit.NEWTON_METRE
+            text += f" {log.tau_unit_text}, {log.tau_kind}" + " (not N m)" * (not known)
+        else:
+            text += f" {units.get(name, '')}"
+        line(name, text)
+    for note in log.notes:
+        line("note", note)
+    # Piped, a table is as wide as it needs to be: who looks for a word finds it in one line.
+    Console(width=None if sys.stdout.isatty() else _WIDEST).print(table)
+    print(f"written to {args.out}")
 
 
 def _summary(out: Path, log, found) -> dict:
@@ -180,6 +237,28 @@ def _pair(text: str) -> tuple[str, str]:
     if not (sep and name and value):
         raise argparse.ArgumentTypeError(f"{text!r} is no pair NAME=VALUE")
     return name, value
+
+
+def _said(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty")
+    return text
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal() or len(text) > 9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0")
+    return int(text)
+
+
+def _columns(pairs: list[tuple[str, str]] | None) -> dict[str, str | list[str]]:
+    """Columns by the contract's name; several of the file's for an array as a whole only."""
+    given: dict[str, list[str]] = {}
+    for name, column in pairs or ():
+        given.setdefault(name, []).append(column)
+        if len(given[name]) > 1 and ("." in name or "*" in name):
+            raise ValueError(f"--column names {name} twice; it may have one")
+    return {name: found[0] if len(found) == 1 else found for name, found in given.items()}
 
 
 def _once(pairs: list[tuple[str, str]] | None, option: str) -> dict[str, str]:

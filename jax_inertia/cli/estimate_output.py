@@ -74,7 +74,8 @@ def show(found: LogEstimate, report: dict, out: Path, *, as_json: bool) -> None:
 
 def _bodies(found: LogEstimate) -> Table:
     """Mass and centre of mass of every body, a column each."""
-    table = Table(title="at the end of the log, ± 95 %", title_justify="left")
+    title = "at the end of the log" if found.changed else "over the whole log, and at its end"
+    table = Table(title=f"{title}, ± 95 %", title_justify="left")
     table.add_column("")
     bodies = [body_report(found, i) for i in range(len(found.bodies))]
     for name in found.bodies:
@@ -84,14 +85,15 @@ def _bodies(found: LogEstimate) -> Table:
         table.add_row(escape(label), *(text(body) for body in bodies))
 
     line("mass, model [kg]", lambda body: f"{body['model']['mass_kg']:.3f}")
-    line("mass, filter [kg]", lambda body: interval_text(body["online"]["mass_kg"]))
-    if not found.changed:
-        line("mass, batch fit [kg]", lambda body: interval_text(body["batch"]["mass_kg"]))
-    if found.calibration is not None:
-        line("load, filter [kg]", lambda body: interval_text(body["online"]["load_kg"]))
-        line("load, batch fit [kg]", lambda body: interval_text(body["batch"]["load_kg"]))
-    for k, axis in enumerate("xyz"):
-        line(f"centre of mass, filter, {axis} [mm]", lambda body, k=k: _com(body["online"], k))
+    # Of constant bodies the batch fit is the answer, and comes first; of those that changed it is none.
+    ways = {"online": "filter"} if found.changed else {"batch": "batch fit", "online": "filter"}
+    for way, name in ways.items():
+        line(f"mass, {name} [kg]", lambda body, way=way: interval_text(body[way]["mass_kg"]))
+        if found.calibration is not None:
+            line(f"load, {name} [kg]", lambda body, way=way: interval_text(body[way]["load_kg"]))
+        for k, axis in enumerate("xyz"):
+            label = f"centre of mass, {name}, {axis} [mm]"
+            line(label, lambda body, way=way, k=k: _com(body[way], k))
     line(
         "physical samples",
         lambda body: f"{body['online']['physical_samples']} of {len(found.time)}",

@@ -72,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
         value = getattr(args, name)
         if value is not None and not 0 < value < float("inf"):
             raise ValueError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0")
+    if args.share > 1:
+        raise ValueError(f"--share is {args.share:g}; it is a part of the limits, at most 1")
     with stages() as stage:
         robot = load_model(args.model)
         model: mujoco.MjModel = compile_spec(load_spec(args.model), args.model)

@@ -131,6 +131,13 @@ def checked(
             told(name, finding)
             findings.append(finding)
     _require_unit(log, references, settings, names)
+    if (count := np.size(1.0 if settings.sigma_tau is None else settings.sigma_tau)) not in (
+        1,
+        robot.nv,
+    ):
+        raise ValueError(
+            f"{count} values of {names.option('sigma_tau')} for {robot.nv} rows; give one for all, or one each"
+        )
     return Inputs(
         robot=robot,
         log=log,

@@ -28,6 +28,8 @@ from jax_inertia.maths import charts
 from jax_inertia.model.robot import HINGE, SLIDE, Robot
 from jax_inertia.signals.residual import FRICTION_VELOCITY
 
+MOST_SAMPLES = 1_000_000
+"""Of a motion: hours at rates that robots are driven at."""
 SAMPLE_RATE = 20.0
 """Samples [1/s] that count as independent: twice the cutoff of `log_filter`."""
 _CHECK_RATE = 200.0
@@ -121,7 +123,7 @@ def suggest_motion(
     >>> found.q.shape, bool(abs(found.v).max() <= 2.0)
     ((401, 2), True)
     """
-    _require_motion(robot, period, harmonics, starts)
+    _require_motion(robot, period, harmonics, starts, rate)
     limits = limits.fitting(robot)
     prior = Load(0.1 * float(jnp.sum(robot.pi[:, 0]))) if prior is None else prior
     if noise is None:
@@ -152,7 +154,7 @@ def suggest_motion(
     return _suggestion(task, best[1], _known(task, best[1], prior), usual, rate)
 
 
-def _require_motion(robot: Robot, period: float, harmonics: int, starts: int) -> None:
+def _require_motion(robot: Robot, period: float, harmonics: int, starts: int, rate: float) -> None:
     """ValueError for what no motion can be made of."""
     if not all(kind in (HINGE, SLIDE) for kind in robot.joint_type):
         raise ValueError(
@@ -162,6 +164,10 @@ def _require_motion(robot: Robot, period: float, harmonics: int, starts: int) ->
         raise ValueError(
             f"period {period:g} s, {harmonics} harmonics, {starts} starts; expected a period above 0, two harmonics "
             "and one start at least"
+        )
+    if not 2 <= rate * period <= MOST_SAMPLES:
+        raise ValueError(
+            f"{period:g} s at {rate:g} Hz are {rate * period:.3g} samples; a motion has from 2 to {MOST_SAMPLES}"
         )
 
 

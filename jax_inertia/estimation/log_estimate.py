@@ -52,6 +52,8 @@ class LogEstimate:
     gate: float
     changed: bool
     """Whether the bodies changed during the log."""
+    held: bool
+    """Whether the robot rests in one pose after another: then the batch fit is the answer."""
     known: Knowledge
     """Whose word each parameter is: the log's, the prior's, or nobody's."""
     row_names: tuple[str, ...]
@@ -155,6 +157,7 @@ def to_report(
         ],
         "notes": list(found.notes),
         "bodies_changed": found.changed,
+        "rests_in_poses": found.held,
         "bodies": {name: body_report(found, i) for i, name in enumerate(found.bodies)},
         "calibration": _calibration(found),
         "filter": {

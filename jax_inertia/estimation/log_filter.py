@@ -33,6 +33,7 @@ from jax_inertia.signals.bands import ESTIMATE, of_estimate
 from jax_inertia.signals.differences import Observation, central_differences
 from jax_inertia.signals.filtering import low_pass, resample
 from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.holds import Holds, holds_of, without_friction
 from jax_inertia.signals.residual import torque_residuals
 
 _PIECE_SECONDS = 2.0
@@ -222,7 +223,8 @@ def residual_noise(
 
     `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
     residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
-    enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead.
+    enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead. In a
+    log that rests in one pose after another, dry friction is left out of that comparison (`holds`), and is noise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimation import batch_fit, log_filter
@@ -245,11 +247,57 @@ def residual_noise(
     if len(starts) < 3:
         return whole.noise, False
     parts = [slice(k, k + length) for k in starts]
+    if (holds := holds_of(observation)) is not None:
+        return whole.noise, _changed_between_holds(y, left, valid, sigma, whole, holds, parts)
     fits = [_fit_piece(y[p], left[p], valid[p], sigma, whole.rms_after) for p in parts]
     rms, noise = (np.nanmedian(x, axis=0) for x in zip(*fits, strict=True))
     changed = bool(np.any(whole.rms_after > _CHANGED * np.where(rms > 0, rms, np.inf)))
     use = changed & np.isfinite(noise)
     return np.where(use, np.minimum(noise, whole.noise), whole.noise), changed
+
+
+def _changed_between_holds(
+    y: np.ndarray,
+    left: np.ndarray,
+    valid: np.ndarray,
+    sigma: np.ndarray,
+    whole: BatchFit,
+    holds: Holds,
+    parts: Sequence[slice],
+) -> bool:
+    """Whether bodies changed in a log that rests in one pose after another, dry friction aside.
+
+    Each hold has a friction of its own, which one piece takes for a load and the whole log cannot: without it in both
+    fits every such log would seem to change. Its level is that of the moving rows, or at most all that is left.
+    """
+    rows, joints, columns = y.shape
+    wide = np.zeros((rows, joints, columns + joints))
+    wide[..., :columns] = y
+    index = np.arange(joints)
+    wide[:, index, columns + index] = holds.direction * valid
+    reach = np.concatenate([sigma, whole.rms_after])
+    moving = valid & ~holds.at_rest[:, None]
+    x = _ridge(wide * moving[..., None], left * moving, reach, np.maximum(whole.rms_after, 1e-9))
+    level = np.where(moving.any(axis=0), np.abs(x[columns:]), whole.rms_after)
+    noise = np.maximum(1e-9, 0.1 * level)
+
+    def rms(part: slice) -> np.ndarray:
+        own, ok = holds[part], valid[part]
+        a = without_friction(wide[part], ok, own, noise, level)
+        b = without_friction(left[part], ok, own, noise, level)
+        return _fit_piece(a, b, ok, reach, whole.rms_after)[0]
+
+    pieces = np.nanmedian([rms(part) for part in parts], axis=0)
+    return bool(np.any(rms(slice(None)) > _CHANGED * np.where(pieces > 0, pieces, np.inf)))
+
+
+def _ridge(
+    y: np.ndarray, left: np.ndarray, sigma: np.ndarray, noise: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """What of size `sigma` explains the rows best, given their noise."""
+    rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
+    normal = rows.T @ rows + np.eye(len(sigma))
+    return sigma * np.linalg.solve(normal, rows.T @ (left / noise).ravel())
 
 
 def _fit_piece(
@@ -259,10 +307,7 @@ def _fit_piece(
     noise, after = np.maximum(noise, 1e-9), left
     count = valid.sum(axis=0)
     for _ in range(3):
-        rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
-        normal = rows.T @ rows + np.eye(len(sigma))
-        x = np.linalg.solve(normal, rows.T @ (left / noise).ravel())
-        after = np.where(valid, left - y @ (sigma * x), 0.0)
+        after = np.where(valid, left - y @ _ridge(y, left, sigma, noise), 0.0)
         noise = np.sqrt(np.sum(after**2, axis=0) / np.maximum(count, 1)).clip(1e-9)
     rms = np.where(count > len(valid) // 2, noise, np.nan)
     return rms, rms * correlation_inflation(after, valid)

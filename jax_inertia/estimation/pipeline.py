@@ -25,6 +25,8 @@ from jax_inertia.maths.inertial_parameters import is_physical
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.holds import holds_note, holds_of
+from jax_inertia.signals.misfit import misfit_notes, misfits
 
 
 @in_double_precision
@@ -120,7 +122,14 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     thinned = log_filter.thinned(observation, settings.cutoff)
     trace = _filter(inputs, robot, thinned, noise, prior, bias)
     time = np.asarray(thinned.motion.time)
-    if told := _between_reopenings(bodies, time, trace):
+    row_names = _row_names(robot)
+    left = _left_of(
+        robot, observation, bodies, fit, bias, settings.cutoff, trace if changed else None
+    )
+    notes += misfit_notes(misfits(*left), row_names)
+    if (holds := holds_of(observation)) is not None:
+        notes.append(holds_note(holds, fit.rms_after, row_names))
+    if (holds is None or changed) and (told := _between_reopenings(bodies, time, trace)):
         notes.append(f"mass between the gate's reopenings: {told}")
     load = _load_with_calibration(inputs, start, prior, progress)
     if start.references and load is None:
@@ -146,7 +155,8 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         gate=GATE if settings.gate is None else settings.gate,
         changed=changed,
         known=knowledge(robot, observation, bodies, floor, prior=prior, bias=bias),
-        row_names=_row_names(robot),
+        held=holds is not None,
+        row_names=row_names,
         settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
     )
 
@@ -256,12 +266,7 @@ def _noise(
     )
     if (given := inputs.settings.sigma_tau) is None:
         return noise / np.sqrt(log_filter.stride(observation, inputs.settings.cutoff)), changed
-    values = np.atleast_1d(np.asarray(given, float))
-    if len(values) not in (1, robot.nv):
-        raise ValueError(
-            f"{len(values)} values of {inputs.option('sigma_tau')} for {robot.nv} rows; give one for all, or one each"
-        )
-    return np.broadcast_to(values, (robot.nv,)).copy(), changed
+    return np.broadcast_to(np.asarray(given, float), (robot.nv,)).copy(), changed
 
 
 def _filter(
@@ -298,6 +303,26 @@ def _load_with_calibration(
     progress("load and calibration in one fit")
     carried = batch_fit.Carried(inputs.bodies[0], (len(start.references),), prior)
     return _calibrate(inputs, [*start.references, start.raw], carried).load
+
+
+def _left_of(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[str],
+    fit: BatchFit,
+    bias: Float[np.ndarray, " nv"],
+    cutoff: float | None,
+    trace: Trace | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(residual, torque, which rows count) of independent samples: of the fit, or of the filter with its `trace`."""
+    step = log_filter.stride(observation, cutoff)
+    y, delta, valid = log_filter.regressors(robot, observation, bodies, bias)
+    left, valid = (delta - y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
+    torque = np.nan_to_num(np.asarray(observation.motion.tau))[::step]
+    if trace is not None:
+        left = np.asarray(trace.innovation.residual)
+        valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (left != 0)
+    return left, torque, valid
 
 
 # Where the gate reopens more often the figure tells it better.

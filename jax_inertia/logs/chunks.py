@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from jax_inertia.logs.log import JointNames, Log, LogError, _log_of, _naming
-from jax_inertia.logs.readers import columns
+from jax_inertia.logs.readers import column_plan, columns
 from jax_inertia.logs.readers.delimited import csv_parts
 from jax_inertia.logs.readers.options import Options
 from jax_inertia.logs.readers.parquet import parquet_parts
+from jax_inertia.logs.readers.stamps import guess
 
 _KINDS = (".csv", ".tsv", ".parquet")
-_Part = tuple[columns.Plan, Mapping[str, np.ndarray]]
+_Part = tuple[column_plan.Plan, Mapping[str, np.ndarray]]
 
 
 def read_chunks(
@@ -59,7 +60,13 @@ def read_chunks(
             parquet_parts(path, options, rows) if kind == ".parquet" else csv_parts(path, options)
         )
         for plan, table in _recut(parts, rows):
-            log = _log_of(columns.arrays(plan, table), options, names)
+            contents = columns.arrays(plan, table)
+            if before is None and options.time_unit is None and not contents.in_seconds:
+                # What the first chunk says of the stamps' unit goes for all.
+                time, *channels = (contents.arrays.get(name) for name in ("time", "qpos", "qvel"))
+                unit = None if time is None else guess(time, *channels)
+                options = dataclasses.replace(options, time_unit=unit or "s")
+            log = _log_of(contents, options, names, before)
             if before is not None:
                 _check_follows(before, log)
                 log = dataclasses.replace(log, notes=())

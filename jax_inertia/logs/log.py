@@ -13,13 +13,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.logs.as_model import JointNames, as_model
 from jax_inertia.logs.atomic_files import check_target, whole_file
 from jax_inertia.logs.npz import LogError, read_npz
 from jax_inertia.logs.readers.bag import bag_parts, read_bag
@@ -245,16 +246,6 @@ def _range_of(x: np.ndarray) -> str:
     return (f"{ok.min():.3g} … {ok.max():.3g}" if ok.size else "–") + lost
 
 
-@runtime_checkable
-class JointNames(Protocol):
-    """What a robot calls its joints; `Robot` satisfies it."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]: ...
-    @property
-    def joint_type(self) -> tuple[str, ...]: ...
-
-
 def read_log(
     path: str | os.PathLike[str],
     *,
@@ -266,7 +257,8 @@ def read_log(
     or of a LeRobot dataset. `options` say what the file does not; see `jax_inertia.logs.readers`.
 
     With `names` (a `Robot`), joints that the robot does not have are left out where all those that it needs are
-    there. Nothing in the file is trusted: no pickles, no memory beyond `max_bytes`. Raises `LogError` with one line
+    there, as is a prefix that the file has before each of them. Angles of hinges wrapped at a turn are laid end to
+    end. Nothing in the file is trusted: no pickles, no memory beyond `max_bytes`. Raises `LogError` with one line
     (what, where, what would be right) for a file that is not a sound log: missing or misshapen arrays, other dtypes,
     repeated names, stamps that do not increase. Samples may be NaN (a sensor that dropped out); stamps and noise may
     not. What is outside the contract is left alone and named in `Log.notes`.
@@ -285,10 +277,13 @@ def read_log(
         return _log_of(_reader(path)(path, options, max_bytes), options, names)
 
 
-def _log_of(contents: Contents, options: Options, names: JointNames | None) -> Log:
-    """What a reader found as a log, checked; raises LogError as `read_log`."""
+def _log_of(
+    contents: Contents, options: Options, names: JointNames | None, before: Log | None = None
+) -> Log:
+    """What a reader found as a log, checked, which goes on from what came `before`; raises LogError as `read_log`."""
+    last = {} if before is None else dict(zip(before.joint_names, before.qpos[-1], strict=True))
     contents = applied(contents, options)
-    log = Log(**fields_of(contents.arrays, contents.others, contents.notes))
+    log = Log(**as_model(fields_of(contents.arrays, contents.others, contents.notes), names, last))
     return log if names is None else _of_robot(log, names)
 
 
@@ -317,13 +312,10 @@ def _of_robot(log: Log, names: JointNames) -> Log:
 
 def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
     options.check("an .npz file", ())
-    # What is wrong with names and stamps is known before the channels are unfolded.
+    # What is wrong with names and stamps is known before the channels are unfolded; of seconds, unless told otherwise.
+    first = {} if options.time_unit else {"time": check_time}
     arrays, others = read_npz(
-        path,
-        (*SHAPES, *TEXTS),
-        max_bytes,
-        declared=check_declared,
-        first={"time": check_time},
+        path, (*SHAPES, *TEXTS), max_bytes, declared=check_declared, first=first
     )
     return Contents(arrays, others)
 

@@ -50,6 +50,10 @@ class Preflight(eqx.Module):
         """The findings of one severity."""
         return tuple(finding for finding in self.findings if finding.severity is severity)
 
+    def only(self, check: str) -> "Preflight":
+        """The findings of one check."""
+        return Preflight(tuple(finding for finding in self.findings if finding.check == check))
+
     @property
     def ok(self) -> bool:
         """Whether nothing was found that makes results wrong."""
@@ -206,7 +210,8 @@ def _stamps(time: np.ndarray) -> Iterator[Finding]:
         yield Finding(Severity.WARNING, "short", message)
     if not _SLOWEST <= 1 / typical <= _FASTEST:
         message = (
-            f"the median period is {typical:.3g}; expected seconds: are stamps in another unit?"
+            f"the median period is {typical:.3g} s ({time[-1] - time[0]:.6g} s in all): are stamps in another unit? "
+            "convert --time-unit says which"
         )
         # A sample a second or fewer holds no motion of a robot.
         grave = typical >= _NO_MOTION

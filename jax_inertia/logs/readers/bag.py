@@ -66,7 +66,8 @@ def _check_topics(collected: Collected, options: Options) -> None:
     def topics(kind: str) -> list[str]:
         return [topic for topic, its in collected.seen if its == kind]
 
-    asked = [(options.topic_joints, JOINTS), (options.topic_base, ODOMETRY)]
+    asked: list[tuple[str | None, str]] = [(topic, JOINTS) for topic in options.joint_topics]
+    asked.append((options.topic_base, ODOMETRY))
     asked += [(topic, WRENCH) for topic in options.topic_wrenches.values()]
     for topic, kind in asked:
         if topic is not None and topic not in (own := topics(kind)):
@@ -76,10 +77,35 @@ def _check_topics(collected: Collected, options: Options) -> None:
     if not found:
         there = listed([f"{topic} ({kind})" for topic, kind in collected.seen], 20) or "no messages"
         raise LogError(f"no {JOINTS}; the bag has {there}")
-    if len(found) > 1 and options.topic_joints is None:
-        raise LogError(
-            f"joint states on several topics, {listed(found)}; choose with --topic-joints"
-        )
+
+
+def _one_source_a_joint(publishers: list[Publisher]) -> tuple[list[Publisher], list[str]]:
+    """Publishers of which no two name a joint, and notes.
+
+    Of those that share joints, one without effort or position gives way where the others have all of its joints:
+    commands are written as joint states, too. Raises `LogError` where two are left.
+    """
+    kept, notes = list(publishers), []
+    for one in publishers[::-1]:
+        others = {name for other in kept if other is not one for name in other.names}
+        if others.issuperset(one.names) and not one.has("position", "effort"):
+            kept.remove(one)
+            notes.append(
+                f"{one.topic} is left out: it has no {one.lacking()} of joints that others have"
+            )
+    counts = Counter(name for one in kept for name in one.names)
+    for name, count in counts.items():
+        if count == 1:
+            continue
+        topics = sorted({one.topic for one in kept if name in one.names})
+        if len(topics) > 1:
+            raise LogError(
+                f"joint states of {name!r} come on several topics, {listed(topics)}; choose with --topic-joints"
+            )
+        raise LogError(f"joint {name!r} comes in joint states with different sets of joints")
+    if len(topics := list(dict.fromkeys(one.topic for one in kept))) > 1:
+        notes.append(f"joints of several topics were put together: {listed(topics)}")
+    return kept, notes
 
 
 def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[str]]:
@@ -88,11 +114,10 @@ def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[s
     publishers = [one for one in publishers if one.names]
     if not publishers:
         raise LogError("the joint states name no joints")
+    publishers, notes = _one_source_a_joint(publishers)
     names = [name for one in publishers for name in one.names]
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise LogError(f"joint {twice[0]!r} comes in joint states with different sets of joints")
     stream = _stream(publishers[0])
-    notes, streams = [*stream.notes], [stream]
+    notes, streams = [*notes, *stream.notes], [stream]
     for one in publishers[1:]:
         moved, note = onto(stream.time_ns, _stream(one), f"joint states of {listed(one.names)}")
         notes.append(note)

@@ -11,6 +11,7 @@ import numpy as np
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.bag_messages import Message
 from jax_inertia.logs.readers.options import Options, WrenchAxes, required
+from jax_inertia.logs.readers.plain_messages import PLAIN, as_object, header, joint_state, plain
 from jax_inertia.logs.readers.streams import Rows
 from jax_inertia.text.closest_names import listed
 
@@ -41,11 +42,21 @@ class Publisher:
     topic: str
     names: tuple[str, ...]
     rows: Rows = dataclasses.field(default_factory=Rows)
+    given: set[str] = dataclasses.field(default_factory=set)
+    """Fields that any of its messages had values of."""
 
     @property
     def size(self) -> int:
         """How many numbers it gave."""
         return len(self.rows) * len(self.names)
+
+    def has(self, *fields: str) -> bool:
+        """Whether it gave any value of each of the fields."""
+        return self.given.issuperset(fields)
+
+    def lacking(self) -> str:
+        """What a log needs and it did not give, in words."""
+        return " and no ".join(f for f in ("position", "effort") if f not in self.given)
 
 
 class Collected:
@@ -54,6 +65,7 @@ class Collected:
     def __init__(self, options: Options, max_bytes: int) -> None:
         self._ros1, self._ros2 = _typestores()
         self._options, self._max_bytes, self._bytes = options, max_bytes, 0
+        self._topics = options.joint_topics
         self._bodies = {topic: body for body, topic in options.topic_wrenches.items()}
         self.seen: Counter[tuple[str, str]] = Counter()
         """How many messages of which topic and type."""
@@ -65,33 +77,58 @@ class Collected:
 
     def take(self, message: Message) -> None:
         """Keep what is wanted of one message; `LogError` where it is not sound."""
-        topic, kind = message.topic, message.kind
+        topic, kind = message.topic, self._kind(message)
         self.seen[topic, kind] += 1
         if len(self.seen) > _MOST_TOPICS:
             raise LogError(f"holds more than {_MOST_TOPICS} topics")
-        if kind == JOINTS and self._options.topic_joints in (None, topic):
-            self._joint_state(message, self._decoded(message))
+        if kind == JOINTS and (not self._topics or topic in self._topics):
+            read = self._joint_state
         elif kind == ODOMETRY and topic == self._options.topic_base:
-            self._odometry(message, self._decoded(message))
+            read = self._odometry
         elif kind == WRENCH and topic in self._bodies:
-            self._wrench(message, self._decoded(message))
+            read = self._wrench
+        else:
+            return
+        try:
+            read(message, self._decoded(message, kind))
+        except (AttributeError, TypeError) as error:
+            # What is not ROS's own may lack any field.
+            raise LogError(
+                f"a message on {topic} is not like {kind}: {' '.join(str(error).split())[:100]}"
+            ) from None
+
+    def _kind(self, message: Message) -> str:
+        """The ROS type of a message; what is not ROS's and is asked for by topic may have any name."""
+        topic = message.topic
+        if message.encoding in PLAIN and message.kind not in (JOINTS, ODOMETRY, WRENCH):
+            asked = dict.fromkeys(self._topics, JOINTS) | dict.fromkeys(self._bodies, WRENCH)
+            return asked.get(topic, ODOMETRY if topic == self._options.topic_base else message.kind)
+        return message.kind
 
     def uses(self, topic: str) -> bool:
         """Whether anything of this topic was wanted."""
         joints = any(one.topic == topic for one in self.publishers.values())
         return joints or topic in self._bodies or topic == self._options.topic_base
 
-    def _decoded(self, message: Message) -> Any:
+    def _decoded(self, message: Message, kind: str) -> Any:
         try:
+            if message.encoding == "json" or (message.encoding == "protobuf" and message.schema[1]):
+                found = plain(message.data, message.encoding, *message.schema)
+                if kind == JOINTS:
+                    return joint_state(found, message.topic)
+                return as_object({**found, "header": vars(header(found))})
             if message.encoding == "ros1":
                 return self._ros1.deserialize_ros1(message.data, message.kind)
             if message.encoding == "cdr":
                 return self._ros2.deserialize_cdr(message.data, message.kind)
+        except LogError:
+            raise
         except Exception as error:
             text = " ".join(str(error).split())[:200]
             raise LogError(f"a message on {message.topic} cannot be decoded: {text}") from None
         raise LogError(
-            f"messages on {message.topic} are encoded as {message.encoding[:20]!r}; expected cdr or ros1"
+            f"messages on {message.topic} are encoded as {message.encoding[:20]!r}; "
+            "expected cdr, ros1, json or protobuf"
         )
 
     def _add(
@@ -125,6 +162,7 @@ class Collected:
         known = self.publishers.setdefault(key, Publisher(topic, names))
         if len(self.publishers) > _MOST_PUBLISHERS:
             raise LogError(f"joint states on {topic} name other joints again and again")
+        known.given |= {field for field in FIELDS if len(getattr(state, field))}
         if known.names != names:
             row = row[[names.index(name) for name in known.names]]
         self._add(known.rows, message, state.header, row.ravel())

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.options import required
+from jax_inertia.logs.readers.plain_messages import PLAIN, ros_kind
 
 _MOST_RECORD = 1 << 28
 _MOST_RATIO, _ALWAYS_ALLOWED = 100, 1 << 30
@@ -29,9 +30,11 @@ class Message(NamedTuple):
     kind: str
     """Its type, as in ROS 2: package/msg/Name."""
     encoding: str
-    """`cdr` (ROS 2) or `ros1`."""
+    """`cdr` (ROS 2), `ros1`, `json` or `protobuf`."""
     received_ns: int
     data: bytes
+    schema: tuple[str, bytes] = ("", b"")
+    """Name and descriptors of its type, of messages that are not ROS's."""
 
 
 class _Unfolding:
@@ -171,13 +174,16 @@ def _mcap(path: Path) -> Iterator[Message]:
         reader = stream.StreamReader(file, emit_chunks=True, record_size_limit=_MOST_RECORD)
         for record in flat(reader):
             if isinstance(record, records.Schema):
-                schemas[record.id] = record.name
+                schemas[record.id] = record.name, bytes(record.data)
             elif isinstance(record, records.Channel):
-                kind = ros2_name(schemas.get(record.schema_id, ""))
-                channels[record.id] = record.topic, kind, record.message_encoding
+                schema = schemas.get(record.schema_id, ("", b""))
+                plain = record.message_encoding in PLAIN
+                kind = ros_kind(schema[0]) if plain else ros2_name(schema[0])
+                its = schema if plain else ("", b"")
+                channels[record.id] = record.topic, kind, record.message_encoding, its
             elif isinstance(record, records.Message):
-                topic, kind, encoding = channels[record.channel_id]
-                yield Message(topic, kind, encoding, record.log_time, record.data)
+                topic, kind, encoding, schema = channels[record.channel_id]
+                yield Message(topic, kind, encoding, record.log_time, record.data, schema)
 
 
 # --- ROS 2, sqlite3 ----------------------------------------------------------------------------------------------

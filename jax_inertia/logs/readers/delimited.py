@@ -10,7 +10,7 @@ from typing import TextIO
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
-from jax_inertia.logs.readers import columns
+from jax_inertia.logs.readers import column_plan, columns
 from jax_inertia.logs.readers.options import Contents, Options
 from jax_inertia.logs.schema import TEXTS
 
@@ -22,17 +22,22 @@ _NOTHING = ("", "na", "n/a", "null", "none")
 def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
     """Read comma, semicolon or tab separated columns named as in `readers.columns`.
 
-    Empty fields are NaN. Raises `LogError` with the line for what is no number, for rows of another length, and for a
-    file whose numbers would need more than `max_bytes`.
+    Between semicolons, tabs or quotation marks a comma in a number is its decimal mark. Empty fields are NaN. Raises
+    `LogError` with the line for what is no number, for rows of another length, and for a file whose numbers would need
+    more than `max_bytes`.
     """
     size, growing = os.path.getsize(path), _growing(path, options)
     table, _ = next(growing)
     for _, taken in growing:
         _check_budget(table, size / max(taken, 1), max_bytes)
-    return columns.arrays(table.plan, table.values())
+    contents = columns.arrays(table.plan, table.values())
+    contents.notes = [*contents.notes, *table.notes]
+    return contents
 
 
-def csv_parts(path: Path, options: Options) -> Iterator[tuple[columns.Plan, dict[str, np.ndarray]]]:
+def csv_parts(
+    path: Path, options: Options
+) -> Iterator[tuple[column_plan.Plan, dict[str, np.ndarray]]]:
     """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same."""
     for table, _ in _growing(path, options):
         yield table.plan, table.values()
@@ -43,13 +48,13 @@ def _growing(path: Path, options: Options) -> Iterator[tuple["_Table", int]]:
     """One table, before its first block and after each, and how many characters went into it."""
     options.check("a CSV file", ("columns",))
     try:
-        # A byte order mark is not part of the first heading.
-        with open(path, encoding="utf-8-sig") as file:
+        encoding, notes = _encoding(path)
+        with open(path, encoding=encoding) as file:
             headings, delimiter, first_line = _header(file)
-            plan = columns.plan(headings, options)
+            plan = column_plan.plan(headings, options)
             if not plan.columns:
                 columns.arrays(plan, {})
-            table, taken = _Table(headings, plan, delimiter, first_line), 0
+            table, taken = _Table(headings, plan, delimiter, first_line, notes), 0
             yield table, taken
             for lines in _blocks(file):
                 table.add(lines)
@@ -65,7 +70,12 @@ class _Table:
     """The numbers read so far, and the first row's words."""
 
     def __init__(
-        self, headings: Sequence[str], plan: columns.Plan, delimiter: str, line: int
+        self,
+        headings: Sequence[str],
+        plan: column_plan.Plan,
+        delimiter: str,
+        line: int,
+        notes: Sequence[str],
     ) -> None:
         self.headings, self.plan, self.delimiter, self.line = headings, plan, delimiter, line
         wanted = [headings.index(heading) for heading in plan.columns]
@@ -74,6 +84,15 @@ class _Table:
         self.said: dict[int, str] = {}
         self.blocks: list[np.ndarray] = []
         self.rows = 0
+        self.decimal: str | None = None
+        """The decimal mark, once a number has one."""
+        self._notes = notes
+
+    @property
+    def notes(self) -> list[str]:
+        """What was assumed of the file's text."""
+        commas = ["numbers have decimal commas"] * (self.decimal == ",")
+        return [*self._notes, *commas]
 
     def add(self, lines: list[str]) -> None:
         if not any(line.strip() for line in lines):
@@ -89,21 +108,30 @@ class _Table:
             if count != len(self.headings) and line.strip():
                 raise LogError(
                     f"line {self.line + k} has {count} fields, the heading {len(self.headings)}; "
-                    "is the file cut off, or has it decimal commas?"
+                    "is the file cut off, or has it decimal commas between commas?"
                 )
         if not self.said:
             k = next(k for k, line in enumerate(lines) if line.strip())
             first = fields[k] if fields else lines[k].split(self.delimiter)
             self.said = {k: first[k].strip() for k in self.words}
+        text = "\n".join(lines)
+        commas = "," in text and self.delimiter != "," and fields is None
         try:
+            if commas and ("." in text or self.decimal == "."):
+                # Both marks: field by field it shows whether they are of the same numbers.
+                raise ValueError
+            plain = text.replace(",", ".").split("\n") if commas else lines
             block = np.loadtxt(
-                [line for line in lines if line.strip()],
+                [line for line in plain if line.strip()],
                 delimiter=self.delimiter,
                 usecols=self.numbers,
                 comments=None,
                 quotechar='"',
                 ndmin=2,
             )
+            # The commas may be of columns that are not read: those say nothing of the numbers.
+            if commas and self.decimal is None and any(self._comma_in(line) for line in lines):
+                self.decimal = ","
         except ValueError:
             block = self._slowly(lines)
         self.line += len(lines)
@@ -119,19 +147,49 @@ class _Table:
             values = []
             for column in self.numbers:
                 text = row[column].strip()
-                try:
-                    values.append(np.nan if text.lower() in _NOTHING else float(text))
-                except ValueError:
+                where = f"line {self.line + k}, column {self.headings[column]!r}"
+                mark = next((c for c in ",." if c in text), None)
+                if mark is not None and self.decimal not in (None, mark):
                     raise LogError(
-                        f"line {self.line + k}, column {self.headings[column]!r}: {text[:40]!r} is no number"
-                    ) from None
+                        f"{where}: {text[:40]!r}, but numbers before it have a decimal "
+                        f"{'point' if self.decimal == '.' else 'comma'}; write all alike, without thousands separators"
+                    )
+                self.decimal = self.decimal or mark
+                try:
+                    plain = text.replace(",", ".")
+                    values.append(np.nan if text.lower() in _NOTHING else float(plain))
+                except ValueError:
+                    raise LogError(f"{where}: {text[:40]!r} is no number") from None
             rows.append(values)
         return np.array(rows, dtype=float).reshape(len(rows), len(self.numbers))
+
+    def _comma_in(self, line: str) -> bool:
+        fields = line.split(self.delimiter) if "," in line else []
+        return any("," in fields[k] for k in self.numbers if k < len(fields))
 
     def values(self) -> dict[str, np.ndarray]:
         whole = np.concatenate(self.blocks) if self.blocks else np.zeros((0, len(self.numbers)))
         out = {self.headings[k]: whole[:, i] for i, k in enumerate(self.numbers)}
         return out | {self.headings[k]: np.array(text) for k, text in self.said.items()}
+
+
+def _encoding(path: Path) -> tuple[str, list[str]]:
+    """The encoding of the file's text, and a note where it is not the usual UTF-8.
+
+    Spreadsheets write UTF-16, which they mark, and in Western Europe Windows-1252, where ° is one byte.
+    """
+    with open(path, "rb") as file:
+        start = file.readline(_LONGEST_LINE)
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16", ["the text is in UTF-16"]
+    try:
+        start.decode("utf-8")
+    except UnicodeDecodeError:
+        # Control characters are in no heading: such a file is no text at all.
+        if all(byte >= 32 or byte in b"\t\r\n" for byte in start):
+            return "cp1252", ["the text is not in UTF-8 and was read as Windows-1252"]
+    # A byte order mark is not part of the first heading.
+    return "utf-8-sig", []
 
 
 def _header(file: TextIO) -> tuple[list[str], str, int]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import os
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers.stamps import in_seconds
 
 
 class WrenchAxes(StrEnum):
@@ -23,25 +25,36 @@ class Options:
     """How to read a log that is not in the contract's own form; every field has a sensible default.
 
     `columns` (CSV, Parquet) maps a column of the contract to the file's, one `*` standing for the joint on both
-    sides: `{"qpos.*": "q_*"}`. `joints` names the entries of list columns. `episode` picks one of a dataset.
-    `topic_joints`, `topic_base` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says in which axes the
-    wrenches are, and `flip_wrenches` that they are the robot's on its surroundings. `rename` maps joints as the file
-    calls them to the model's names; `degrees` says that positions and velocities are in degrees; `tau_unit` and
-    `tau_kind` are as in the log contract and win over what the file says.
+    sides: `{"qpos.*": "q_*"}`; parts of one array in several columns of lists are given together:
+    `{"tau": ("torque.left", "torque.right")}`. `joints` names the entries of list columns. `episode` picks one of a
+    dataset, whose positions normalised to ±100 need the JSON file of the motors' ranges as `calibration`.
+    `topic_joints` (one or several), `topic_base` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says
+    in which axes the wrenches are, and `flip_wrenches` that they are the robot's on its surroundings. `rename` maps
+    joints as the file calls them to the model's names; `degrees` says that positions and velocities are in degrees;
+    `time_unit` is that of the stamps: s, ms, us, ns (without it s, or what is unmistakable, see `stamps.guess`);
+    `tau_unit` and `tau_kind` are as in the log contract and win over what the file says.
     """
 
-    columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    columns: Mapping[str, str | Sequence[str]] = dataclasses.field(default_factory=dict)
     joints: Sequence[str] = ()
     episode: int | None = None
-    topic_joints: str | None = None
+    calibration: str | os.PathLike[str] | None = None
+    topic_joints: str | Sequence[str] | None = None
     topic_base: str | None = None
     topic_wrenches: Mapping[str, str] = dataclasses.field(default_factory=dict)
     wrench_axes: WrenchAxes = WrenchAxes.WORLD
     flip_wrenches: bool = False
     rename: Mapping[str, str] = dataclasses.field(default_factory=dict)
     degrees: bool = False
+    time_unit: str | None = None
     tau_unit: str | None = None
     tau_kind: str | None = None
+
+    @property
+    def joint_topics(self) -> tuple[str, ...]:
+        """Topics that joint states are asked of; none: all."""
+        given = self.topic_joints or ()
+        return (given,) if isinstance(given, str) else tuple(given)
 
     def check(self, kind: str, used: Sequence[str]) -> None:
         """Raise `LogError` where an option is set that this kind of file has no use for."""
@@ -52,7 +65,7 @@ class Options:
                 raise LogError(f"the option {field.name} does not apply to {kind}")
 
 
-_ALWAYS = ("rename", "degrees", "tau_unit", "tau_kind")
+_ALWAYS = ("rename", "degrees", "time_unit", "tau_unit", "tau_kind")
 
 
 @dataclasses.dataclass
@@ -65,6 +78,8 @@ class Contents:
     notes: Sequence[str] = ()
     in_radians: bool = False
     """The file itself states the unit of positions, which has been seen to."""
+    in_seconds: bool = False
+    """The file itself states the unit of its stamps, which has been seen to."""
 
 
 def applied(contents: Contents, options: Options) -> Contents:
@@ -84,6 +99,12 @@ def applied(contents: Contents, options: Options) -> Contents:
             if name in arrays:
                 arrays[name] = np.deg2rad(arrays[name])
         notes.append("positions and velocities were turned from degrees into radians")
+    if options.time_unit is not None and contents.in_seconds:
+        raise LogError("the file states the unit of its stamps itself; leave out time_unit")
+    if "time" in arrays and arrays["time"].dtype.kind == "f" and not contents.in_seconds:
+        channels = (arrays.get(name) for name in ("qpos", "qvel"))
+        arrays["time"], note = in_seconds(arrays["time"], options.time_unit, *channels)
+        notes += [note] * bool(note)
     for name in ("tau_unit", "tau_kind"):
         if (value := getattr(options, name)) is not None:
             arrays[name] = np.array(value)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
-from jax_inertia.logs.readers import arrow_columns, columns
+from jax_inertia.logs.readers import arrow_columns, column_plan, columns, normalised
 from jax_inertia.logs.readers.options import Contents, Options, required
 from jax_inertia.logs.schema import TEXTS
 from jax_inertia.text.closest_names import listed
@@ -25,7 +25,14 @@ _LEROBOT = {
     "tau": ("observation.effort", "observation.torque", "observation.current"),
     "qpos_target": ("action",),
 }
-_SUFFIXES = (".pos", ".position", ".qpos")
+# What its names of joints end in, beside the joint's own name.
+_SUFFIXES = (
+    *(".pos", ".position", ".qpos", ".vel", ".velocity", ".qvel"),
+    *(".effort", ".torque", ".tau", ".current"),
+)
+# Of these arrays there may be a column for each arm: observation.torque.left ...
+_PARTED = {"qvel", "tau"}
+_OPTIONS = ("columns", "joints", "episode", "calibration")
 
 
 def read_parquet(path: Path, options: Options, max_bytes: int) -> Contents:
@@ -34,13 +41,13 @@ def read_parquet(path: Path, options: Options, max_bytes: int) -> Contents:
     The dataset's meta/info.json, in a folder above, names the joints. Raises `LogError` for what is missing, and for
     more than `max_bytes` of numbers (as declared by the file, before they are read).
     """
-    options.check("a Parquet file", ("columns", "joints", "episode"))
+    options.check("a Parquet file", _OPTIONS)
     return _read([path], _info_above(path), options, max_bytes)
 
 
 def read_dataset(folder: Path, options: Options, max_bytes: int) -> Contents:
     """Read one episode of a LeRobot dataset, by the folder that holds meta/info.json."""
-    options.check("a LeRobot dataset", ("columns", "joints", "episode"))
+    options.check("a LeRobot dataset", _OPTIONS)
     files = sorted(folder.glob("data/chunk-*/*.parquet"))
     if options.episode is not None:
         # Older datasets keep one episode a file and name it by its number.
@@ -53,7 +60,7 @@ def read_dataset(folder: Path, options: Options, max_bytes: int) -> Contents:
 
 def parquet_parts(
     path: Path, options: Options, rows: int
-) -> Iterator[tuple[columns.Plan, dict[str, np.ndarray]]]:
+) -> Iterator[tuple[column_plan.Plan, dict[str, np.ndarray]]]:
     """The columns of `read_parquet` by heading, up to so many rows at a time and in bounded memory.
 
     Raises `LogError` as it does, and for columns of lists, as LeRobot's datasets have them.
@@ -62,7 +69,7 @@ def parquet_parts(
     parquet = required("pyarrow.parquet", "Parquet")
     with _as_log_errors():
         headings, said = _schema(parquet, path, sys.maxsize)
-        plan = columns.plan(headings, options)
+        plan = column_plan.plan(headings, options)
         words = [name for name, column in plan.columns.items() if column.array in TEXTS]
         numbers = [name for name in plan.columns if name not in words]
         texts = arrow_columns.read(path, words, None, _MOST_INFO) if words else {}
@@ -70,7 +77,10 @@ def parquet_parts(
         stated = {plan.columns[name].array for name in words}
         more = {name: text for name, text in said.items() if name not in stated}
         plan = plan._replace(
-            columns={**plan.columns, **{name: columns.Column(name, "", "", "") for name in more}}
+            columns={
+                **plan.columns,
+                **{name: column_plan.Column(name, "", "", "") for name in more},
+            }
         )
         texts |= {name: np.array(text) for name, text in more.items()}
         if not numbers:
@@ -85,10 +95,24 @@ def _read(
     parquet = required("pyarrow.parquet", "Parquet")
     with _as_log_errors():
         headings, texts = _schema(parquet, files[0], max_bytes)
-        asked = _lerobot(headings, options) if "observation.state" in headings else options
-        plan = columns.plan(headings, asked)
+        lerobot = "observation.state" in headings
+        asked = _lerobot(headings, options) if lerobot else options
+        plan = column_plan.plan(headings, asked)
         values = _values(files, plan, "episode_index" in headings, options.episode, max_bytes)
-    contents = columns.arrays(plan, values, options.joints or _names(info, plan))
+    names = {heading: _names(info, heading) for heading in plan.columns}
+    plan, left_out = _without_others(plan, values, names, options)
+    own = next((h for h, c in plan.columns.items() if c.array == "qpos" and not c.of), "")
+    if options.joints:
+        names[own] = list(options.joints)
+    plan, values = columns.spread(plan, values, names)
+    contents = columns.arrays(plan, values, options.joints or names.get(own, ()))
+    if lerobot:
+        contents.notes = [*contents.notes, *_sources(plan, left_out)]
+        normalised.seen_to(contents, options)
+    elif options.calibration is not None:
+        raise LogError(
+            "the option calibration does not apply to a Parquet file that is not LeRobot's"
+        )
     for name, text in texts.items():
         contents.arrays.setdefault(name, np.array(text))
     return contents
@@ -111,7 +135,7 @@ def _as_log_errors() -> Iterator[None]:
 
 def _values(
     files: Sequence[Path],
-    plan: columns.Plan,
+    plan: column_plan.Plan,
     by_episode: bool,
     episode: int | None,
     max_bytes: int,
@@ -178,12 +202,16 @@ def _one_episode(parts: Sequence[Mapping[str, np.ndarray]]) -> None:
 
 def _lerobot(headings: Sequence[str], options: Options) -> Options:
     """The options with LeRobot's names for what they leave open."""
-    known = {
-        target: source
-        for target, sources in _LEROBOT.items()
-        for source in sources
-        if source in headings and target not in options.columns
-    }
+    known: dict[str, str | Sequence[str]] = {}
+    for target, sources in _LEROBOT.items():
+        if target in options.columns:
+            continue
+        parts = [h for s in sources for h in headings if h.startswith(s + ".")]
+        whole = next((source for source in sources if source in headings), None)
+        if whole is not None:
+            known[target] = whole
+        elif target in _PARTED and parts:
+            known[target] = parts
     if "tau" not in known and "tau" not in options.columns:
         own = [h for h in headings if h.startswith(("observation.", "action"))]
         raise LogError(
@@ -191,6 +219,36 @@ def _lerobot(headings: Sequence[str], options: Options) -> Options:
             f"--column tau=NAME; it has {listed(own, 20)}"
         )
     return Options(**{**vars(options), "columns": {**known, **options.columns}})
+
+
+def _without_others(
+    plan: column_plan.Plan,
+    values: Mapping[str, np.ndarray],
+    names: Mapping[str, Sequence[str]],
+    options: Options,
+) -> tuple[column_plan.Plan, list[str]]:
+    """The plan without guessed columns that are of no joint: an action may be of the hand, or of a base."""
+    kept, left_out = dict(plan.columns), []
+    for place, column in plan.columns.items():
+        if column.array != "qpos" or column.of or values[place].ndim != 2:
+            continue
+        for heading, other in plan.columns.items():
+            if other.array not in ("qvel", "qpos_target") or other.array in options.columns:
+                continue
+            fits = values[heading].shape == values[place].shape
+            if not fits and not set(names[heading]) & set(names[place]):
+                del kept[heading]
+                left_out.append(heading)
+    return column_plan.Plan(kept, (*plan.others, *left_out)), left_out
+
+
+def _sources(plan: column_plan.Plan, left_out: Sequence[str]) -> list[str]:
+    """Which of a dataset's columns each array was taken from, and those that are of no joint."""
+    found: dict[str, dict[str, None]] = {}
+    for heading, column in plan.columns.items():
+        found.setdefault(column.array, {})[heading.partition("[")[0]] = None
+    told = [f"columns: {', '.join(f'{to} from {listed(list(own))}' for to, own in found.items())}"]
+    return told + [f"left out, not of the joints: {listed(left_out)}"] * bool(left_out)
 
 
 def _info_above(path: Path) -> Mapping[str, Any]:
@@ -215,9 +273,8 @@ def _info(path: Path) -> Mapping[str, Any]:
     return info
 
 
-def _names(info: Mapping[str, Any], plan: columns.Plan) -> list[str]:
-    """Joint names of the list column that the positions are in, as meta/info.json gives them."""
-    source = next((h for h, c in plan.columns.items() if c.array == "qpos" and not c.of), "")
+def _names(info: Mapping[str, Any], source: str) -> list[str]:
+    """Joint names of a column of lists, as meta/info.json gives them."""
     features = info.get("features")
     feature = features.get(source) if isinstance(features, dict) else None
     names = feature.get("names") if isinstance(feature, dict) else None
@@ -225,6 +282,8 @@ def _names(info: Mapping[str, Any], plan: columns.Plan) -> list[str]:
         # Names come in groups, {"motors": [...]}, or as a map from names to places.
         first = next(iter(names.values()))
         names = first if isinstance(first, list) else list(names)
+    if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return []
     return [_bare(name) for name in names]
