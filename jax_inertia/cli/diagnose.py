@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
-        inputs = pipeline.read(args)
+        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args)
         with output_folder(out) as folder:
             show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage)
     show(out, as_json=args.json)

@@ -66,9 +66,17 @@ class Result:
     report: dict
 
 
-def read(args: argparse.Namespace) -> Inputs:
-    """Read model and logs, and look at them before anything is computed; ValueError with one line."""
-    model, log, test_log, exclude = args.model, args.log, args.test_log, args.exclude
+def read(
+    model: Path,
+    log: Path,
+    test_log: Path | None,
+    exclude: Sequence[str],
+    conventions: argparse.Namespace | None = None,
+) -> Inputs:
+    """Read model and logs, and look at them before anything is computed; ValueError with one line.
+
+    `conventions` are the options of `cli.conventions`.
+    """
     if unknown := unknown_families(exclude):
         raise ValueError(
             f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
@@ -77,9 +85,11 @@ def read(args: argparse.Namespace) -> Inputs:
     paths = (log, *([] if test_log is None else [test_log]))
     given = [read_log(path, names=robot) for path in paths]
     robot, told = afloat(robot, model, given[0])
-    robot, given, notes = met(args, robot, given, gains=args.gains)
+    quality: list[Quality] = [*told]
+    if conventions is not None:
+        robot, given, notes = met(conventions, robot, given, gains=conventions.gains)
+        quality += notes
     logs: list[Log] = []
-    quality: list[Quality] = [*told, *notes]
     drives = None
     for path, one in zip(paths, given, strict=True):
         try:

@@ -27,9 +27,9 @@ def same_joints(
 
     `fix` holds joints of the model at positions [rad, m]; `joints` are those of the logs that count: the others are
     held where the first log has them, if it has. Fingers and the like, at a robot's ends and light beside it, are held
-    where the model has its reference if the logs lack them, or where their master (URDF mimic) has them. What the logs have and the model
-    lacks is left out. Joints that are still missing are for `preflight` to report. Raises LogError for a joint that
-    neither has, and for one that is to be held and moves.
+    at the model's reference if the logs lack them, or where their master (URDF mimic) has them. What the logs have and
+    the model lacks is left out. Joints that are still missing are for `preflight` to report. Raises LogError for a
+    joint that neither has, and for one that is to be held and moves.
     """
     notes: list[str] = []
     held = dict(fix or {})

@@ -266,8 +266,8 @@ def _driven(model: MjModel) -> Iterator[Driven]:
             ref = model.qpos0[model.jnt_qposadr[[slave, master]]]
             factor = float(model.eq_data[i, 1])
             offset = float(model.eq_data[i, 0] + ref[0] - factor * ref[1])
-            names = (model.joint(j).name or f"joint_{j}" for j in (slave, master))
-            yield Driven(*names, factor, offset)
+            one, other = (model.joint(j).name or f"joint_{j}" for j in (slave, master))
+            yield Driven(one, other, factor, offset)
 
 
 def _compensated(model: MjModel, bodies: list[int]) -> jax.Array | None:

@@ -85,7 +85,10 @@ def _unit(gain: np.ndarray) -> Finding:
     alike = bool(np.ptp(gain) < _ALIKE * abs(middle))
     span = f"{middle:.4g}" if alike else f"{gain.min():.2g} to {gain.max():.2g}"
     if np.all(np.abs(gain) > HIGH):
-        ask = f"N mm, or a model with masses in another unit? give --tau-unit mNm --gains {1 / middle:.3g}, or mend the model"
+        ask = (
+            f"N mm, or masses of the model in another unit? give --tau-unit mNm --gains {1 / middle:.3g}, or mend the "
+            "model"
+        )
     elif alike:
         ask = (
             f"the motor's side of a gear of {1 / middle:.3g}? give --tau-unit motor --gains {1 / middle:.4g}; or "

@@ -89,7 +89,7 @@ class Parts:
         return x - np.tensordot(basis, basis.T @ x.reshape(len(x), -1), 1).reshape(x.shape)
 
     def lost(self, missing: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
-        """Root mean square of what friction, beside offset and rotor inertia, explains of each joint's missing torque."""
+        """Root mean square of what friction explains of joints' missing torque, beside offset and rotor inertia."""
         out = []
         for j, basis in enumerate(self.friction):
             part = basis[:, 2:].T @ np.where(self.used[:, j], missing[:, j], 0.0)
