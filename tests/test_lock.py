@@ -11,8 +11,10 @@ from jax_inertia.model.lock import locked
 
 ARM = """
 <mujoco><compiler angle="radian"/><worldbody>
- <body name="a" pos="0 0 0.3"><joint name="turn" axis="0 0 1"/><inertial mass="3" pos="0.02 0 0.1" diaginertia="0.02 0.03 0.02"/>
-  <body name="b" pos="0 0 0.2" euler="0.2 0 0"><joint name="lift" axis="0 1 0" pos="0.03 0 0" ref="0.1" damping="0.4" armature="0.05"/>
+ <body name="a" pos="0 0 0.3"><joint name="turn" axis="0 0 1"/>
+  <inertial mass="3" pos="0.02 0 0.1" diaginertia="0.02 0.03 0.02"/>
+  <body name="b" pos="0 0 0.2" euler="0.2 0 0">
+   <joint name="lift" axis="0 1 0" pos="0.03 0 0" ref="0.1" damping="0.4" armature="0.05"/>
    <joint name="reach" type="slide" axis="1 0 0.2" stiffness="3" springref="0.1"/>
    <inertial mass="2" pos="0.2 0 0" diaginertia="0.01 0.02 0.02"/>
    <body name="c" pos="0.4 0 0" euler="0 0.5 0"><joint name="bend" axis="0 1 0.3" armature="0.02"/>

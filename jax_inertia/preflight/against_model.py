@@ -137,7 +137,7 @@ def _late(c: Compared, lags: dict[int, float]) -> Iterator[Finding]:
 
 def otherwise(c: Compared) -> tuple[Finding, ...]:
     """The reading of the log that leaves least, where the plain one leaves far more."""
-    plain = c.left(c.needed)
+    plain = c.left_beside_load(c.tau - c.needed)
     if plain < _SOUND:
         return ()
     limit, best = min(_LEAVES * plain, FITS), None

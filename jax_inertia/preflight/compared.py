@@ -13,6 +13,8 @@ from jax_inertia.preflight.torque_parts import Parts
 _SLIGHT = 0.02
 # Joints that carry: gravity is more than this share of what they need.
 _CARRIES = 0.3
+# A reading leaves less than this share of the logged torque (root mean square).
+_UNEXPLAINED = 0.5
 # Mean share of the joints' energy that a load as heavy as the robot must explain.
 _AS_HEAVY = 0.1
 
@@ -80,16 +82,21 @@ class Compared:
     ) -> float:
         """The mean of that over the judged joints if they need so much, once the best load is carried.
 
-        A load costs what makes one as heavy as the robot count as `_AS_HEAVY`. All is left where what is needed is next
-        to nothing of what was logged: then the load alone would be the reading.
+        All is left where that does not explain what was logged, or is next to nothing beside it: then the load alone,
+        or nothing at all, would be the reading.
         """
         judged = self.judged
-        if np.linalg.norm(needed[:, judged]) < _CARRIES * np.linalg.norm(self.tau[:, judged]):
+        tau = self.tau if tau is None else tau
+        logged = np.linalg.norm(tau[:, judged])
+        if np.linalg.norm(needed[:, judged]) < _CARRIES * logged:
             return np.inf
-        return self.left_beside_load((self.tau if tau is None else tau) - needed)
+        unexplained = self.carried(tau - needed)[:, judged]
+        if np.linalg.norm(unexplained) > _UNEXPLAINED * logged:
+            return np.inf
+        return self.left_beside_load(tau - needed)
 
     def left_beside_load(self, residual: Float[np.ndarray, "R n"]) -> float:
-        """`left` of what is to be explained by a load alone."""
+        """`left` of what is to be explained by a load alone; one as heavy as the robot counts as `_AS_HEAVY`."""
         masses = self.masses(residual)
         share = self.missed(residual - self.load @ masses)[self.judged]
         return float(np.mean(share) + _AS_HEAVY * np.sum((masses / self.mass) ** 2))

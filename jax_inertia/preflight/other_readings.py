@@ -62,7 +62,8 @@ def gains(c: Compared) -> Iterator[Reading]:
         which = "every joint" if len(turned) == c.judged.sum() else c.called(turned)
         message = (
             f"tau of {which} is minus what the model needs (factor {np.median(gain[turned]):.2f}): its sign is turned, "
-            "or it is the load's torque and not the motor's; turn the sign of tau"
+            "or it is the load's torque and not the motor's; turn the sign of tau: --tau-unit turned --gains -1 (1 for "
+            "joints that are right)"
         )
         yield Reading(c.left(c.needed, c.tau * factor), error("sign", message))
     off = np.array([j for j in where if not LOW < abs(gain[j]) < HIGH], int)
@@ -230,7 +231,7 @@ def motion(c: Compared) -> Iterator[Reading]:
     ones, zeros = np.ones(n), np.zeros(n)
     if hinge.any():
         needed = parts.moved(np.where(hinge, np.pi / 180.0, 1.0), zeros)
-        message = "torques fit the motion if qpos is in degrees; expected rad"
+        message = "torques fit the motion if qpos is in degrees; expected rad: jax-inertia convert --degrees"
         yield Reading(c.left(needed), error("degrees", message))
     for j in range(n):
         turned = np.where(np.arange(n) == j, -1.0, 1.0)
@@ -247,24 +248,26 @@ def motion(c: Compared) -> Iterator[Reading]:
 
 
 def _zeros(c: Compared, ones: np.ndarray, hinge: np.ndarray) -> Iterator[Reading]:
-    offset, best = np.zeros(len(ones)), c.left(c.needed)
+    offset, best = np.zeros(len(ones)), c.left_beside_load(c.tau - c.needed)
     for _ in range(_ZEROS):
         tried = [
             np.where(np.arange(len(ones)) == j, turn, offset)
             for j in np.flatnonzero(hinge & (offset == 0)).tolist()
             for turn in (0.5 * np.pi, -0.5 * np.pi, np.pi)
         ]
-        left = [c.left(c.parts.moved(ones, x)) for x in tried]
+        needed = [c.parts.moved(ones, x) for x in tried]
+        left = [c.left_beside_load(c.tau - x) for x in needed]
         # One that is off more must help.
         if not left or min(left) > 0.5 * best:
             return
-        best, offset = min(left), tried[int(np.argmin(left))]
+        least = int(np.argmin(left))
+        best, offset = left[least], tried[least]
         text = ", ".join(
             f"{np.degrees(offset[j]):+.0f}° ({offset[j]:+.4f} rad) at {c.parts.names[j]}"
             for j in np.flatnonzero(offset)
         )
         message = f"torques fit the motion if the zero of qpos is elsewhere: add {text}"
-        yield Reading(best, error("zero", message))
+        yield Reading(c.left(needed[least]), error("zero", message))
 
 
 def mount(c: Compared) -> Iterator[Reading]:
@@ -285,7 +288,7 @@ def mount(c: Compared) -> Iterator[Reading]:
     message = (
         f"torques fit the motion if gravity is turned by {np.degrees(angle):.0f}°, to "
         f"({', '.join(f'{x:.2f}' for x in gravity)}) m/s²: the base is mounted otherwise than in the model; give "
-        f"--mount {mounting(gravity)}"
+        f"--mount={mounting(gravity)}"
     )
     yield Reading(c.left(needed), error("mount", message))
 

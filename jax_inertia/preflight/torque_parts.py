@@ -110,7 +110,7 @@ class Parts:
 
 
 def parts(log: Log, robot: Robot) -> Parts | None:
-    """The parts of a log's torque; None where the log does not show them: a base that floats, contacts, hardly a motion.
+    """The parts of a log's torque; None where the log does not show them: contacts, a base that floats, little motion.
 
     Log and robot are such as `preflight` passes.
     """
