@@ -19,17 +19,19 @@ ORDER: dict[str, str] = {
     "logs.readers": """stamps options protobuf plain_messages streams bag_messages bag_collect bag column_plan columns
         delimited normalised arrow_columns parquet export""",
     "model": """mujoco_types mujoco_warnings robot geometry file_safety finite_numbers
-        urdf_read descriptions spec urdf_write load write log_match""",
+        urdf_read descriptions spec urdf_write load lock joint_match write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
     "signals": """bands held filtering generalised_motion differences residual wrench_axes spikes
-        outliers creep dry_friction ground_support torque_residual holds misfit""",
-    "preflight": "single_channel cross_channel preflight",
+        outliers creep dry_friction ground_support torque_residual holds misfit
+        corrections""",
+    "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
+        preflight""",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
         innovation_tests batch_rows batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "cli": """console convert diagnose_whole diagnose_run diagnose
+    "cli": """console conventions convert diagnose_whole diagnose_run diagnose
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """effects result figures page report settings residual hypothesis bank evidence pushes

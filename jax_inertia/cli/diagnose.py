@@ -4,6 +4,8 @@ import argparse
 import textwrap
 from pathlib import Path
 
+from jax_inertia.cli.conventions import add_conventions
+
 _DESCRIPTION = """
 Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
 shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
@@ -46,6 +48,7 @@ def add_parser(subparsers) -> None:
     add("--max-effects", type=_count, default=3, metavar="N", help=effects_help)
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
     add("--json", action="store_true", help="print report.json instead of the table")
+    add_conventions(parser, gains=True)
     parser.set_defaults(run=run)
 
 
@@ -56,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
-        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude)
+        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args)
         with output_folder(out) as folder:
             show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage)
     show(out, as_json=args.json)

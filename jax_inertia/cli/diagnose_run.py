@@ -1,5 +1,6 @@
 """What `jax-inertia diagnose` computes, writes and prints."""
 
+import argparse
 import dataclasses
 import functools
 import json
@@ -7,12 +8,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from jax_inertia.cli import diagnose_whole as output
 from jax_inertia.cli.console import warn
+from jax_inertia.cli.conventions import met
 from jax_inertia.diagnosis.either import unknown_families, usable, whole_robot
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import diagnose
@@ -63,21 +66,32 @@ class Result:
     report: dict
 
 
-def read(model: Path, log: Path, test_log: Path | None, exclude: Sequence[str]) -> Inputs:
-    """Read model and logs, and look at them before anything is computed; ValueError with one line."""
+def read(
+    model: Path,
+    log: Path,
+    test_log: Path | None,
+    exclude: Sequence[str],
+    conventions: argparse.Namespace | None = None,
+) -> Inputs:
+    """Read model and logs, and look at them before anything is computed; ValueError with one line.
+
+    `conventions` are the options of `cli.conventions`.
+    """
     if unknown := unknown_families(exclude):
         raise ValueError(
             f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
         )
     robot = load_model(model)
+    paths = (log, *([] if test_log is None else [test_log]))
+    given = [read_log(path, names=robot) for path in paths]
+    robot, told = afloat(robot, model, given[0])
+    quality: list[Quality] = [*told]
+    if conventions is not None:
+        robot, given, notes = met(conventions, robot, given, gains=conventions.gains)
+        quality += notes
     logs: list[Log] = []
-    quality: list[Quality] = []
     drives = None
-    for path in (log, *([] if test_log is None else [test_log])):
-        one = read_log(path, names=robot)
-        if not logs:
-            robot, told = afloat(robot, model, one)
-            quality += told
+    for path, one in zip(paths, given, strict=True):
         try:
             one, drives, findings = usable(one, robot, drives, path.name)
         except LogError as error:
@@ -125,8 +139,12 @@ def diagnosis(
     stage("rolling models out in MuJoCo")
     floats = is_urdf(model_path(inputs.model)) and inputs.robot.has_free_base
     nominal, wanted = (load_spec(inputs.model, floating_base=floats) for _ in range(2))
+    for spec in (nominal, wanted):
+        spec.option.gravity = np.asarray(inputs.robot.gravity)
     correction = corrected(wanted, effects_of(found))
-    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace)
+    # Joints that are held are free in the file.
+    whole = compile_spec(nominal).nv == inputs.robot.nv
+    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace) if whole else None
     report = to_report(found, rollouts=rolled, quality=inputs.quality)
     return Result(found, nominal, correction, rolled, report)
 

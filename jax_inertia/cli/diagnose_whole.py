@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -30,6 +31,8 @@ def write(
     source, model = paths
     floats = is_urdf(model_path(model)) and robot.has_free_base
     nominal, wanted = (load_spec(model, floating_base=floats) for _ in range(2))
+    for spec in (nominal, wanted):
+        spec.option.gravity = np.asarray(robot.gravity)
     done = correction(wanted, robot, found)
     report = to_report(found, quality=quality)
     report["notes"] += list(done.notes)

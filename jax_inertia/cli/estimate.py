@@ -6,6 +6,8 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jax_inertia.cli.conventions import add_conventions
+
 if TYPE_CHECKING:
     from jax_inertia.estimation.estimate_inputs import Inputs
 
@@ -56,6 +58,7 @@ def add_parser(subparsers) -> None:
     )
     _add_filter(parser.add_argument_group("filter").add_argument)
     _add_signals(parser.add_argument_group("signals").add_argument)
+    add_conventions(parser)
     parser.set_defaults(run=run)
 
 
@@ -183,6 +186,7 @@ def run(args: argparse.Namespace) -> int:
 def read(args: argparse.Namespace) -> "Inputs":
     """Read model and logs, and look at them before anything is computed."""
     from jax_inertia.cli.console import warn
+    from jax_inertia.cli.conventions import met
     from jax_inertia.estimation.estimate_inputs import Names, Settings, checked
     from jax_inertia.logs.findings import Finding, Severity
     from jax_inertia.logs.log import read_log
@@ -194,6 +198,7 @@ def read(args: argparse.Namespace) -> "Inputs":
     paths = (args.log, *(args.calibrate or ()))
     log, *references = [read_log(path, names=robot) for path in paths]
     robot, found = afloat(robot, args.model, log)
+    robot, (log, *references), notes = met(args, robot, (log, *references), gains=None)
     for name in args.bodies:
         if name not in robot.body_names:
             raise ValueError(
@@ -211,7 +216,7 @@ def read(args: argparse.Namespace) -> "Inputs":
         references,
         Settings(**{f.name: getattr(args, f.name) for f in dataclasses.fields(Settings)}),
         names=Names(str(paths[0]), [str(path) for path in paths[1:]], _option),
-        found=found,
+        found=(*found, *notes),
         told=told,
     )
 

@@ -159,7 +159,8 @@ def _require_unit(log: Log, references: Sequence[Log], settings: Settings, names
         )
     if torque and given:
         raise ValueError(
-            f"{names.log}: tau is in N m; {names.option('gains')} is for currents and counts"
+            f"{names.log}: tau is in N m; {names.option('gains')} is for currents and counts; say which in the log's "
+            "unit of torque (--tau-unit)"
         )
     for name, one in zip(names.calibrate, references, strict=True):
         if one.tau_unit is not log.tau_unit:

@@ -17,7 +17,7 @@ from jax_inertia.model.file_safety import ModelError
 from jax_inertia.model.finite_numbers import require_finite, require_finite_robot
 from jax_inertia.model.geometry import rotation_of, surface_of
 from jax_inertia.model.mujoco_types import MjModel
-from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Robot, Topology
+from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Driven, Robot, Topology
 from jax_inertia.model.spec import compile_spec, load_spec, model_path, set_inertials
 from jax_inertia.model.urdf_read import ModelWarning
 from jax_inertia.model.urdf_write import is_urdf, write_urdf
@@ -236,8 +236,38 @@ def _to_robot(model: MjModel) -> Robot:
         nv=model.nv,
         surface=surface_of(model, bodies),
         compensated=_compensated(model, bodies),
+        loops=tuple(_loops(model)),
+        driven=tuple(_driven(model)),
         **{name: jnp.asarray(value) for name, value in stacked.items()},
     )
+
+
+_CLOSES = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
+
+
+def _active(model: MjModel) -> np.ndarray:
+    return np.flatnonzero(model.eq_active0 * _enabled(model, _DISABLE.mjDSBL_EQUALITY))
+
+
+def _loops(model: MjModel) -> Iterator[str]:
+    """Constraints that close a chain, as they are called."""
+    for i in _active(model):
+        if (kind := _CLOSES.get(int(model.eq_type[i]))) is not None:
+            yield f"{kind} {model.equality(i).name or int(i)!r}"
+
+
+def _driven(model: MjModel) -> Iterator[Driven]:
+    """Joints that a joint equality has follow another, on a straight line."""
+    for i in _active(model):
+        slave, master = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        straight = not np.any(model.eq_data[i, 2:5])
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and master >= 0 and straight:
+            # Of MuJoCo's polynomial, which is in positions from their references.
+            ref = model.qpos0[model.jnt_qposadr[[slave, master]]]
+            factor = float(model.eq_data[i, 1])
+            offset = float(model.eq_data[i, 0] + ref[0] - factor * ref[1])
+            one, other = (model.joint(j).name or f"joint_{j}" for j in (slave, master))
+            yield Driven(one, other, factor, offset)
 
 
 def _compensated(model: MjModel, bodies: list[int]) -> jax.Array | None:
@@ -273,7 +303,7 @@ def _left_out(model: MjModel) -> Iterator[str]:
     """One line for each element whose force the rigid-body dynamics does not have."""
     if model.nflex:
         raise ModelError(f"{model.nflex} flex element(s): deformable bodies cannot be represented")
-    for i in np.flatnonzero(model.eq_active0 * _enabled(model, _DISABLE.mjDSBL_EQUALITY)):
+    for i in _active(model):
         equality = model.equality(i)
         kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
         yield f"{kind} equality {equality.name or int(i)!r}: its constraint force is left out"

@@ -8,7 +8,7 @@ last node. `kinematics` walks over it.
 import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -133,6 +133,15 @@ class Topology:
         return tuple(rounds)
 
 
+class Driven(NamedTuple):
+    """A joint that follows another: `factor` · its position, plus `offset` [rad, m]."""
+
+    joint: str
+    master: str
+    factor: float
+    offset: float
+
+
 class Surface(eqx.Module):
     """Balls that reach as far as the colliding geoms of a robot's bodies, in body frames."""
 
@@ -184,6 +193,10 @@ class Robot(eqx.Module):
     surface: Surface
     compensated: Float[Array, "nb 4"] | None = None
     """Mass and first moment of each body that MuJoCo's `gravcomp` lifts [kg, kg m]; None where it lifts nothing."""
+    loops: tuple[str, ...] = eqx.field(static=True, default=())
+    """Constraints that close a chain (connect, weld), by name: their forces are not in the dynamics."""
+    driven: tuple[Driven, ...] = eqx.field(static=True, default=())
+    """Joints that follow another (URDF mimic, MJCF joint equality)."""
 
     @property
     def nb(self) -> int:

@@ -15,10 +15,12 @@ import numpy as np
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.logs.log import Log, LogError, TorqueUnit
 from jax_inertia.logs.schema import check_time
+from jax_inertia.model.robot import Robot
 from jax_inertia.preflight import cross_channel as consistency
 from jax_inertia.preflight import single_channel as channels
+from jax_inertia.preflight.against_model import against_model
 from jax_inertia.signals.filtering import gap_limit, mask
-from jax_inertia.text.closest_names import suggestion
+from jax_inertia.text.closest_names import listed, suggestion
 
 __all__ = ["Finding", "Names", "Preflight", "Severity", "preflight", "require_usable"]
 
@@ -74,6 +76,7 @@ class Preflight(eqx.Module):
 def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -> Preflight:
     """Check a log, and where a robot is given its names against it.
 
+    Of a `Robot` the torque is compared with the model's, too (`against_model`).
     `fixed` names joints of the robot that the log may lack. Values are looked at after bridging
     what is not finite, so that one dropout is one finding. Raises nothing.
 
@@ -96,6 +99,9 @@ def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -
         # Absurd values may overflow; what is then not a number fails its check's comparison.
         with np.errstate(all="ignore"):
             findings += list(_values(log, time, robot))
+    sound = not any(finding.severity is Severity.ERROR for finding in findings)
+    if sound and not fixed and isinstance(robot, Robot):
+        findings += against_model(log, robot)
     order = list(Severity)
     return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
 
@@ -166,10 +172,16 @@ def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
     needed = [name for name in scalar if name not in fixed]
     if missing := [name for name in needed if name not in log.joint_names]:
         message = (
-            f"the log lacks joints of the model: {', '.join(missing)}; log them, or give the "
-            "positions they were fixed at"
+            f"the log lacks joints of the model: {', '.join(missing)}; log them, or hold each where it was: "
+            f"--fix {missing[0]}=VALUE [rad, m]"
         )
         yield Finding(Severity.ERROR, "joint_missing", message)
+    if loops := getattr(robot, "loops", ()):
+        message = (
+            f"the model has a closed loop ({listed(loops)}), whose constraint carries torque that no log of joints "
+            "tells: such robots cannot be judged; take the constraint out only if the real robot has none"
+        )
+        yield Finding(Severity.ERROR, "loop", message)
     floating = [name for name, kind in kinds.items() if kind == "free" and name not in fixed]
     floats = bool(floating)
     posed = log.base_pos is not None and log.base_quat is not None

@@ -115,9 +115,10 @@ def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[s
     if not publishers:
         raise LogError("the joint states name no joints")
     publishers, notes = _one_source_a_joint(publishers)
+    publishers, left_out = _with_torque(publishers)
     names = [name for one in publishers for name in one.names]
     stream = _stream(publishers[0])
-    notes, streams = [*notes, *stream.notes], [stream]
+    notes, streams = [*notes, *left_out, *stream.notes], [stream]
     for one in publishers[1:]:
         moved, note = onto(stream.time_ns, _stream(one), f"joint states of {listed(one.names)}")
         notes.append(note)
@@ -136,6 +137,15 @@ def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[s
                 "a log needs position and effort of every joint"
             )
     return out, stream, notes
+
+
+def _with_torque(publishers: list[Publisher]) -> tuple[list[Publisher], list[str]]:
+    """Publishers that give position and effort, where some do, and a note of the others: grippers often lack effort."""
+    whole = [one for one in publishers if one.has("position", "effort")]
+    if not whole:
+        return publishers, []
+    rest = [one for one in publishers if one not in whole]
+    return whole, [f"left out, no {one.lacking()}: {listed(one.names)}" for one in rest]
 
 
 def _stream(publisher: Publisher) -> Stream:

@@ -1,0 +1,178 @@
+"""Whether a log's torque is the torque of its model: said in one line, with a number and a way on, before any fit.
+
+Every joint's torque is compared with what the model needs (`torque_parts`), and with `other_readings`: without gravity,
+with gravity turned, by one gain for each joint, with joints in another order, and late. A reading is a finding where it
+leaves less than a third of what the plain model leaves (a ninth of the energy), and little of the torque itself.
+Friction, rotor inertia, offsets and a load at the robot's ends are free in all of them, so that none of these is taken
+for another reading; what else is wrong in a model is for a diagnosis.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.logs.log import Log, TorqueUnit
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight import other_readings
+from jax_inertia.preflight.compared import Compared, norm
+from jax_inertia.preflight.other_readings import FITS, Reading, error
+from jax_inertia.preflight.torque_parts import LAG, parts, reach
+
+# Of the energy that the plain model leaves, another reading leaves less than this.
+_LEAVES = 1.0 / 9.0
+# Where the plain model leaves less than this of the torque's energy, nothing is read otherwise.
+_SOUND = 0.05
+# What says more must leave less than this share of what a simpler reading leaves.
+_BETTER = 0.25
+# A diagnosis looks for shorter delays itself [s].
+_LATE = 0.03
+# A body's radius of gyration beyond so many times the robot's reach is a unit's fault.
+_SIZES = 10.0
+# Friction and rotor inertia that a model lacks are told from this share of a joint's torque on.
+_DRY = 0.03
+
+# From the simplest to what explains most.
+_READINGS = (
+    other_readings.gains,
+    other_readings.weightless,
+    other_readings.order,
+    other_readings.inertia_unit,
+    other_readings.external,
+    other_readings.pairs,
+    other_readings.motion,
+    other_readings.mount,
+)
+
+
+def against_model(log: Log, robot: Robot) -> tuple[Finding, ...]:
+    """Findings on a log in N m that `preflight` passes, against its model; none where all is as it should be.
+
+    An error is for a log whose estimate would be senseless, a warning for who reads results. Of logs with a floating
+    base or contacts, and of those that hardly move, nothing is said.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.preflight.against_model import against_model
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> against_model(swing(), load_model(double_pendulum()))
+    ()
+    """
+    if told := tuple(bodies(robot)):
+        return told
+    if log.tau_unit is not TorqueUnit.NEWTON_METRE or (split := parts(log, robot)) is None:
+        return ()
+    compared = Compared.of(split)
+    if not compared.judged.any():
+        return ()
+    late, compared = in_time(compared)
+    other = otherwise(compared)
+    # What is late by part of a sample still looks like friction.
+    return (*other, *late) or tuple(without_friction(compared))
+
+
+def bodies(robot: Robot) -> Iterator[Finding]:
+    """A body whose inertia is in another unit than its mass, by its radius of gyration beside the robot's reach."""
+    far = reach(robot)
+    pi = np.asarray(robot.pi)
+    mass = np.maximum(pi[:, 0], 1e-12)
+    centre = np.sum((pi[:, 1:4] / mass[:, None]) ** 2, axis=1)
+    square = np.where(pi[:, 0] > 1e-6, 0.5 * pi[:, [4, 7, 9]].sum(axis=1) / mass - centre, 0.0)
+    worst = int(np.argmax(square))
+    if square[worst] > (_SIZES * far) ** 2:
+        moment = 2.0 / 3.0 * mass[worst] * square[worst]
+        message = (
+            f"{robot.body_names[worst]}: {mass[worst]:.3g} kg with {moment:.2g} kg m² is a "
+            f"body of {np.sqrt(square[worst]):.3g} m on a robot of {far:.2g} m: inertia in another unit (g mm², g "
+            "cm²)? give kg m² in the model"
+        )
+        yield error("inertia_unit", message)
+
+
+def in_time(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
+    """What is late by more than a diagnosis looks for, and the torques where they belong."""
+    most = min(int(LAG / c.parts.period), int(c.parts.index[0]))
+    span = np.arange(-most, most + 1)
+    shifts, lags = np.zeros(len(c.judged), int), {}
+    for j in np.flatnonzero(c.judged).tolist():
+        basis = np.linalg.qr(np.stack([c.weight[:, j], c.inertia[:, j]], axis=1))[0]
+        shifted = np.stack([c.parts.later(int(s), j) for s in span], axis=1)
+        fitted = np.sum((basis.T @ shifted) ** 2, axis=0)
+        left = 1.0 - fitted / np.maximum(np.sum(shifted**2, axis=0), 1e-300)
+        best = int(np.argmin(left))
+        clear = left[best] < min(_LEAVES * left[most], FITS) and 0 < best < 2 * most
+        if not clear:
+            continue
+        lag = (span[best] + _vertex(left[best - 1 : best + 2])) * c.parts.period
+        if abs(lag) > max(_LATE, 1.5 * c.parts.period):
+            shifts[j], lags[j] = span[best], lag
+    if not lags:
+        return (), c
+    return tuple(_late(c, lags)), c.shifted(shifts)
+
+
+def _vertex(y: np.ndarray) -> float:
+    """Where a parabola through three equal steps is least, from the middle one."""
+    bend = y[0] - 2.0 * y[1] + y[2]
+    return float(0.5 * (y[0] - y[2]) / bend) if bend > 0 else 0.0
+
+
+def _late(c: Compared, lags: dict[int, float]) -> Iterator[Finding]:
+    values = np.array(list(lags.values()))
+    alike = len(lags) == c.judged.sum() and np.ptp(values) < 2.0 * c.parts.period
+    if alike:
+        lag = float(np.median(values))
+        which, way = "every joint", f"; give --shift-torque {-lag:.3f}"
+    else:
+        lag, which, way = float(values[0]), repr(c.parts.names[next(iter(lags))]), ""
+        if len(lags) > 1:
+            rest = ", ".join(f"{c.parts.names[j]} {1e3 * x:.0f} ms" for j, x in lags.items())
+            which = f"{which} (all: {rest})"
+    side = "behind" if lag > 0 else "ahead of"
+    yield Finding(
+        Severity.WARNING,
+        "late",
+        f"tau of {which} runs {1e3 * abs(lag):.0f} ms {side} qpos, which were stamped at different ends{way}",
+    )
+
+
+def otherwise(c: Compared) -> tuple[Finding, ...]:
+    """The reading of the log that leaves least, where the plain one leaves far more."""
+    plain = c.left_beside_load(c.tau - c.needed)
+    if plain < _SOUND:
+        return ()
+    limit, best = min(_LEAVES * plain, FITS), None
+    for reading in _READINGS:
+        for one in reading(c):
+            if one.left < limit and (best is None or one.left < _BETTER * best.left):
+                best = one
+    if best is not None:
+        return (best.finding,)
+    return tuple(other_readings.nothing(c))
+
+
+def without_friction(c: Compared) -> Iterator[Finding]:
+    """A model without friction, damping and armature at any joint, where the log shows them at most of its joints."""
+    robot = c.parts.robot
+    if any(np.any(np.asarray(x)) for x in (robot.frictionloss, robot.damping, robot.armature)):
+        return
+    if c.left(c.needed) > FITS:
+        return
+    parts, load = c.parts, c.masses(c.tau - c.needed)
+    missing = c.raw - parts.weight - parts.inertia
+    # A load may look like friction, and be taken for one.
+    lost = np.minimum(parts.lost(missing), parts.lost(missing - parts.load @ load))
+    unknown = norm(c.tau - c.needed - c.load @ load)
+    # Sums over the rows that are used, as root mean squares.
+    rows = np.sqrt(np.maximum(parts.used.sum(axis=0), 1))
+    clear = np.flatnonzero(c.judged & (lost * rows > np.maximum(_DRY * c.size, unknown)))
+    if 2 * len(clear) <= c.judged.sum():
+        return
+    text = ", ".join(f"{parts.names[j]} {lost[j]:.2g}" for j in clear)
+    message = (
+        "the model has no friction, damping or armature at any joint, and tau holds them (rms in N m: "
+        f"{text}); diagnose fits all three at every joint, estimate does with --calibrate"
+    )
+    yield Finding(Severity.WARNING, "no_friction", message)
+
+
+__all__ = ["Reading", "against_model"]

@@ -1,0 +1,151 @@
+"""A log's torque beside its model's, less friction: the shares of energy by which readings of the log are judged."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Bool, Float
+
+from jax_inertia.preflight.torque_parts import Parts
+
+# Joints with less than this share of the largest torque are not judged.
+_SLIGHT = 0.02
+# Joints that carry: gravity is more than this share of what they need.
+_CARRIES = 0.3
+# A reading leaves less than this share of the logged torque (root mean square).
+_UNEXPLAINED = 0.5
+# Mean share of the joints' energy that a load as heavy as the robot must explain.
+_AS_HEAVY = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """Torques of R rows and n joints [N m], and the sizes that differences are measured by."""
+
+    parts: Parts
+    tau: Float[np.ndarray, "R n"]
+    weight: Float[np.ndarray, "R n"]
+    inertia: Float[np.ndarray, "R n"]
+    load: Float[np.ndarray, "R n masses"]
+    shifts: np.ndarray
+    """Samples of the grid by which each joint's torque was put later."""
+
+    @classmethod
+    def of(cls, parts: Parts) -> "Compared":
+        """As logged."""
+        weight, inertia, load = (
+            parts.less_friction(x) for x in (parts.weight, parts.inertia, parts.load)
+        )
+        shifts = np.zeros(len(parts.names), int)
+        return cls(parts, parts.logged(shifts), weight, inertia, load, shifts)
+
+    def shifted(self, shifts: np.ndarray) -> "Compared":
+        """The same with each torque so many samples later."""
+        return dataclasses.replace(self, tau=self.parts.logged(shifts), shifts=shifts)
+
+    @functools.cached_property
+    def raw(self) -> Float[np.ndarray, "R n"]:
+        """As logged, friction and all."""
+        parts = self.parts
+        columns = [parts.torque[parts.index + s, j] for j, s in enumerate(self.shifts)]
+        return np.stack(columns, axis=1)
+
+    @functools.cached_property
+    def needed(self) -> Float[np.ndarray, "R n"]:
+        """What the model needs."""
+        return self.weight + self.inertia
+
+    @functools.cached_property
+    def size(self) -> Float[np.ndarray, " n"]:
+        """The larger of each joint's two torques (norm over all rows), and no trifle."""
+        size = np.maximum(norm(self.tau), norm(self.needed))
+        return np.maximum(size, max(_SLIGHT * size.max(initial=0.0), 1e-300))
+
+    @functools.cached_property
+    def judged(self) -> Bool[np.ndarray, " n"]:
+        """Joints whose model's torque is no trifle."""
+        needed = norm(self.needed)
+        return needed > _SLIGHT * needed.max(initial=0.0)
+
+    @functools.cached_property
+    def carrying(self) -> Bool[np.ndarray, " n"]:
+        """Judged joints that carry a weight."""
+        return self.judged & (norm(self.weight) > _CARRIES * norm(self.needed))
+
+    def missed(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
+        """Share of each joint's energy that is in what a reading leaves."""
+        return (norm(residual) / self.size) ** 2
+
+    def left(
+        self, needed: Float[np.ndarray, "R n"], tau: Float[np.ndarray, "R n"] | None = None
+    ) -> float:
+        """The mean of that over the judged joints if they need so much, once the best load is carried.
+
+        All is left where that does not explain what was logged, or is next to nothing beside it: then the load alone,
+        or nothing at all, would be the reading.
+        """
+        judged = self.judged
+        tau = self.tau if tau is None else tau
+        logged = np.linalg.norm(tau[:, judged])
+        if np.linalg.norm(needed[:, judged]) < _CARRIES * logged:
+            return np.inf
+        unexplained = self.carried(tau - needed)[:, judged]
+        if np.linalg.norm(unexplained) > _UNEXPLAINED * logged:
+            return np.inf
+        return self.left_beside_load(tau - needed)
+
+    def left_beside_load(self, residual: Float[np.ndarray, "R n"]) -> float:
+        """`left` of what is to be explained by a load alone; one as heavy as the robot counts as `_AS_HEAVY`."""
+        masses = self.masses(residual)
+        share = self.missed(residual - self.load @ masses)[self.judged]
+        return float(np.mean(share) + _AS_HEAVY * np.sum((masses / self.mass) ** 2))
+
+    def left_of_torque(self, residual: Float[np.ndarray, "R n"], joints: np.ndarray) -> float:
+        """The mean share of some joints' logged torque alone: for readings that say that it is tiny, or huge."""
+        share = (norm(residual) / np.maximum(norm(self.tau), 1e-300)) ** 2
+        return float(np.mean(share[joints]))
+
+    def carried(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R n"]:
+        """What is left of torques beside the best load at the robot's ends."""
+        return residual - self.load @ self.masses(residual)
+
+    def masses(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " masses"]:
+        """The load, of no negative mass, that explains torques best [kg]; none where that is not found."""
+        basis, triangle = self._load
+        wanted = np.concatenate([(residual / self.size).ravel(), np.zeros(self.load.shape[-1])])
+        try:
+            return scipy.optimize.nnls(triangle, basis.T @ wanted)[0]
+        except RuntimeError:
+            return np.zeros(self.load.shape[-1])
+
+    @functools.cached_property
+    def mass(self) -> float:
+        """Of the robot [kg]."""
+        return max(float(np.sum(self.parts.robot.pi[:, 0])), 1e-12)
+
+    @functools.cached_property
+    def _load(self) -> tuple[np.ndarray, np.ndarray]:
+        columns = (self.load / self.size[:, None]).reshape(-1, self.load.shape[-1])
+        cost = np.sqrt(_AS_HEAVY * self.judged.sum()) / self.mass
+        return np.linalg.qr(np.concatenate([columns, cost * np.eye(columns.shape[1])]))
+
+    def factors(self) -> tuple[float, float]:
+        """Factors at gravity's and inertia's torque, both free at every joint that carries, weighed by its torque."""
+        top, bottom = np.zeros(2), np.zeros(2)
+        for j in np.flatnonzero(self.carrying).tolist():
+            columns = np.stack([self.weight[:, j], self.inertia[:, j]], axis=1)
+            energy = np.sum(columns**2, axis=0)
+            gain = np.linalg.lstsq(columns, self.tau[:, j], rcond=None)[0]
+            top, bottom = top + energy * gain, bottom + energy
+        out = top / np.maximum(bottom, 1e-300)
+        return float(out[0]), float(out[1])
+
+    def called(self, some) -> str:
+        """Names of joints by index."""
+        return ", ".join(self.parts.names[j] for j in some)
+
+
+def norm(x: Float[np.ndarray, "R *n"]) -> Float[np.ndarray, "*n"]:
+    """Root of the sum of squares over the rows."""
+    return np.sqrt(np.sum(x**2, axis=0))

@@ -1,0 +1,300 @@
+"""Other ways to read a log than its model's, with what each leaves: units, signs, order, gravity, zeros, couplings.
+
+Each yields `Reading`s: a finding, and the share of the torque's energy that is left if it is true.
+"""
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+
+from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.model.robot import HINGE
+from jax_inertia.preflight.compared import Compared, norm
+
+# Gains outside of these are another unit; a drive's own tolerance, and a wrong model's, are within.
+LOW, HIGH = 0.35, 3.0
+# Of one gear: the gains of all joints agree within this share.
+_ALIKE = 0.1
+# Joints that are not part of a reading miss less than this share of their energy.
+FITS = 0.1
+# Below this, tilt is an effect of a diagnosis [rad].
+_TURNED = 0.2
+# Gravity may come out this much off 9.81 m/s².
+_STRENGTH = 0.15
+# A motor whose joint needs next to nothing is felt from this share of the largest torque on.
+_FELT = 0.02
+# Zeros may be off at so many joints.
+_ZEROS = 3
+# A torque that is a part of what the model needs, and one that is next to nothing beside it.
+_PART, _NOTHING = 0.5, 0.15
+
+
+class Reading(NamedTuple):
+    """A way to read the log, and the share of the torque's energy that it leaves."""
+
+    left: float
+    finding: Finding
+
+
+def error(check: str, message: str) -> Finding:
+    """What makes an estimate senseless."""
+    return Finding(Severity.ERROR, check, message)
+
+
+def gains(c: Compared) -> Iterator[Reading]:
+    """One factor for each joint: another unit, a gear's other side, a sign."""
+    square = np.maximum(np.sum(c.needed**2, axis=0), 1e-300)
+    gain = np.sum(c.tau * c.needed, axis=0) / square
+    left = c.tau - c.needed * gain
+    # What carries nothing is moved by friction, and a factor is poorly known.
+    where = np.flatnonzero(c.carrying if c.carrying.any() else c.judged)
+    g = gain[where]
+    if np.all(np.abs(g) < LOW) or np.all(np.abs(g) > HIGH):
+        if c.left_of_torque(left, where) < FITS:
+            yield Reading(float(np.mean(c.missed(left)[where])), _unit(g))
+        return
+    turned = np.array([j for j in np.flatnonzero(c.judged) if LOW < -gain[j] < HIGH], int)
+    if len(turned):
+        factor = np.where(np.isin(np.arange(len(gain)), turned), -1.0, 1.0)
+        which = "every joint" if len(turned) == c.judged.sum() else c.called(turned)
+        message = (
+            f"tau of {which} is minus what the model needs (factor {np.median(gain[turned]):.2f}): its sign is turned, "
+            "or it is the load's torque and not the motor's; turn the sign of tau: --tau-unit turned --gains -1 (1 for "
+            "joints that are right)"
+        )
+        yield Reading(c.left(c.needed, c.tau * factor), error("sign", message))
+    off = np.array([j for j in where if not LOW < abs(gain[j]) < HIGH], int)
+    others = np.setdiff1d(where, off)
+    if len(off) and len(others) > 1:
+        rest = c.missed(c.carried(c.tau - c.needed))
+        if np.all(rest[others] < FITS):
+            text = ", ".join(f"{c.parts.names[j]} is {gain[j]:.3g}" for j in off)
+            message = (
+                f"tau of {text} times what the model needs, and as it should be at the other joints: another unit or "
+                "gear there? give --tau-unit and every joint's --gains (N m per unit)"
+            )
+            if c.left_of_torque(left, off) < FITS:
+                fits = np.where(np.isin(np.arange(len(gain)), off), c.missed(left), rest)
+                yield Reading(float(np.mean(fits[where])), error("unit", message))
+
+
+def _unit(gain: np.ndarray) -> Finding:
+    middle = float(np.median(gain))
+    alike = bool(np.ptp(gain) < _ALIKE * abs(middle))
+    span = f"{middle:.4g}" if alike else f"{gain.min():.2g} to {gain.max():.2g}"
+    if np.all(np.abs(gain) > HIGH):
+        ask = (
+            f"N mm, or masses of the model in another unit? give --tau-unit mNm --gains {1 / middle:.3g}, or mend the "
+            "model"
+        )
+    elif alike:
+        ask = (
+            f"the motor's side of a gear of {1 / middle:.3g}? give --tau-unit motor --gains {1 / middle:.4g}; or "
+            "motor currents? give --tau-unit A"
+        )
+    else:
+        ask = "motor currents? give --tau-unit A"
+    return error(
+        "unit",
+        f"tau is {span} times what the model needs, at every joint that carries: not N m of the joint; {ask}",
+    )
+
+
+def weightless(c: Compared) -> Iterator[Reading]:
+    """Gravity taken out of the torque by the controller."""
+    if not c.carrying.any():
+        return
+    gravity, inertia = c.factors()
+    if abs(gravity) < 0.25:
+        message = (
+            f"tau holds no gravity (factor {gravity:.2f} at the model's gravity torque, {inertia:.2f} at its inertia): "
+            "the controller took it out; --gravity-compensated adds the model's gravity to tau"
+        )
+        yield Reading(c.left(c.inertia), error("gravity", message))
+
+
+def order(c: Compared) -> Iterator[Reading]:
+    """Columns of torque that go in another order than the joints."""
+    parts, n = c.parts, len(c.parts.names)
+    if n < 2:
+        return
+    seen = np.stack([parts.one(c.raw, j) for j in range(n)], axis=1)
+    off = np.sum((seen - c.needed[:, :, None]) ** 2, axis=0)
+    size = np.maximum(np.sum(seen**2, axis=0), np.sum(c.needed**2, axis=0)[:, None])
+    cost = off / np.maximum(size, 1e-300) * np.where(c.judged, 1.0, 1e-3)[:, None]
+    joint, column = scipy.optimize.linear_sum_assignment(cost)
+    moved = [(j, k) for j, k in zip(joint, column, strict=True) if j != k and c.judged[j]]
+    if not moved or np.any([cost[j, k] > FITS for j, k in moved]):
+        return
+    text = "; ".join(
+        f"tau of {parts.names[k]!r} is what {parts.names[j]!r} needs" for j, k in moved
+    )
+    message = f"{text}: columns go in the order of joint_names"
+    yield Reading(c.left(c.needed, seen[:, joint, column]), error("order", message))
+
+
+def inertia_unit(c: Compared) -> Iterator[Reading]:
+    """Inertias of the model in another unit, masses right."""
+    joints = np.flatnonzero(c.judged)
+    scale = c.size[joints]
+    a, b = ((x[:, joints] / scale).ravel() for x in (c.inertia, c.tau - c.weight))
+    factor = float(a @ b / max(a @ a, 1e-300))
+    if not 0.1 < factor < 10.0:
+        message = (
+            f"tau fits gravity and {factor:.2g} times the model's inertia torque: inertias of the model in another "
+            "unit? give kg m²"
+        )
+        left = c.tau - c.weight - factor * c.inertia
+        if c.left_of_torque(left, joints) < FITS:
+            yield Reading(float(np.mean(c.missed(left)[joints])), error("inertia_unit", message))
+
+
+def external(c: Compared) -> Iterator[Reading]:
+    """Nothing but a load's torque: what is left once a controller took its whole model out."""
+    size = _size(c)
+    if size < _PART:
+        message = (
+            f"tau is {100 * size:.0f} % of what the model needs, and a load at the robot's end, without the robot, is "
+            "all there is in it: the external torque that a controller estimates; log what motors or sensors give"
+        )
+        for tau in (c.tau, -c.tau):
+            if c.left_of_torque(c.carried(tau), np.flatnonzero(c.carrying)) < FITS:
+                yield Reading(c.left_beside_load(tau), error("external", message))
+
+
+def nothing(c: Compared) -> Iterator[Finding]:
+    """A torque in which there is nothing of the model's, and next to nothing at all."""
+    size, (gravity, inertia) = _size(c), c.factors()
+    if size < _NOTHING and max(abs(gravity), abs(inertia)) < LOW:
+        yield error(
+            "external",
+            f"tau is {100 * size:.0f} % of what the model needs, with neither gravity nor inertia in it (factors "
+            f"{gravity:.2f} and {inertia:.2f}): the external torque that a controller estimates, or no torque in N m; "
+            "log what motors or sensors give",
+        )
+
+
+def _size(c: Compared) -> float:
+    """Torque beside the model's at the joints that carry."""
+    if not c.carrying.any():
+        return np.inf
+    return float(np.linalg.norm(c.tau[:, c.carrying]) / np.linalg.norm(c.needed[:, c.carrying]))
+
+
+def pairs(c: Compared) -> Iterator[Reading]:
+    """Two joints driven by two motors through a constant matrix: a differential, a parallel ankle."""
+    off = c.missed(c.tau - c.needed)
+    # One of the motors may have a joint to turn that needs next to nothing.
+    felt = np.flatnonzero(c.judged | (norm(c.tau) > _FELT * c.size.max()))
+    for i, j in itertools.combinations(felt.tolist(), 2):
+        others = [k for k in felt if k not in (i, j)]
+        if (
+            max(off[i], off[j]) < FITS
+            or min(off[i], off[j]) < 0.3 * FITS
+            or np.any(off[others] > FITS)
+        ):
+            continue
+        both = [i, j]
+        # Friction of either joint may be in either motor's torque.
+        rows = c.parts.used[:, i] & c.parts.used[:, j]
+        basis = np.linalg.qr(np.hstack([c.parts.friction[k][rows] for k in both]))[0]
+        raw, weight = c.raw[rows][:, both], (c.parts.weight + c.parts.inertia)[rows][:, both]
+        tau, needed = (x - basis @ (basis.T @ x) for x in (raw, weight))
+        matrix = np.linalg.lstsq(needed, tau, rcond=None)[0].T
+        alone = tau - needed * np.sum(tau * needed, axis=0) / np.sum(needed**2, axis=0)
+        left = tau - needed @ matrix.T
+        share, before = (float(np.mean(norm(x) ** 2 / norm(tau) ** 2)) for x in (left, alone))
+        mixed = abs(matrix[0, 1] * matrix[1, 0]) > 0.1 * abs(matrix[0, 0] * matrix[1, 1])
+        if not mixed or share > 0.25 * before or abs(np.linalg.det(matrix)) < 1e-6:
+            continue
+        inverse = np.linalg.inv(matrix)
+        p, r = (c.parts.names[k] for k in both)
+        lines = [
+            f"{name} = {x:.3g} tau[{p}] {'-' if y < 0 else '+'} {abs(y):.3g} tau[{r}]"
+            for name, (x, y) in zip((p, r), inverse, strict=True)
+        ]
+        message = (
+            f"tau of {p} and {r} are the torques of two motors that drive both joints (differential, parallel ankle): "
+            f"{', '.join(lines)} fits all of it; put the joints' torques into tau"
+        )
+        yield Reading(share * 2 / len(felt), error("coupled", message))
+
+
+def motion(c: Compared) -> Iterator[Reading]:
+    """Positions in degrees, axes turned, zeros off by a quarter or half a turn."""
+    parts, n = c.parts, len(c.parts.names)
+    kinds = dict(zip(parts.robot.joint_names, parts.robot.joint_type, strict=True))
+    hinge = np.array([kinds[name] == HINGE for name in parts.names])
+    ones, zeros = np.ones(n), np.zeros(n)
+    if hinge.any():
+        needed = parts.moved(np.where(hinge, np.pi / 180.0, 1.0), zeros)
+        message = "torques fit the motion if qpos is in degrees; expected rad: jax-inertia convert --degrees"
+        yield Reading(c.left(needed), error("degrees", message))
+    for j in range(n):
+        turned = np.where(np.arange(n) == j, -1.0, 1.0)
+        needed = parts.moved(turned, zeros)
+        name = parts.names[j]
+        message = (
+            f"torques fit the motion if {name!r} runs the other way: its axis is turned in the model, or qpos and tau "
+            "in the log; turn the sign of both"
+        )
+        yield Reading(c.left(needed, c.tau * turned), error("axis", message))
+        message = f"torques fit the motion if qpos of {name!r} has the other sign; turn it"
+        yield Reading(c.left(needed), error("axis", message))
+    yield from _zeros(c, ones, hinge)
+
+
+def _zeros(c: Compared, ones: np.ndarray, hinge: np.ndarray) -> Iterator[Reading]:
+    offset, best = np.zeros(len(ones)), c.left_beside_load(c.tau - c.needed)
+    for _ in range(_ZEROS):
+        tried = [
+            np.where(np.arange(len(ones)) == j, turn, offset)
+            for j in np.flatnonzero(hinge & (offset == 0)).tolist()
+            for turn in (0.5 * np.pi, -0.5 * np.pi, np.pi)
+        ]
+        needed = [c.parts.moved(ones, x) for x in tried]
+        left = [c.left_beside_load(c.tau - x) for x in needed]
+        # One that is off more must help.
+        if not left or min(left) > 0.5 * best:
+            return
+        least = int(np.argmin(left))
+        best, offset = left[least], tried[least]
+        text = ", ".join(
+            f"{np.degrees(offset[j]):+.0f}° ({offset[j]:+.4f} rad) at {c.parts.names[j]}"
+            for j in np.flatnonzero(offset)
+        )
+        message = f"torques fit the motion if the zero of qpos is elsewhere: add {text}"
+        yield Reading(c.left(needed[least]), error("zero", message))
+
+
+def mount(c: Compared) -> Iterator[Reading]:
+    """A base that is mounted at another angle than the model's."""
+    parts = c.parts
+    pull = parts.less_friction(parts.gravity) / c.size[:, None]
+    rows = pull[:, c.judged].reshape(-1, 3)
+    wanted = ((c.tau - c.needed) / c.size)[:, c.judged].ravel()
+    # Directions of which the robot feels nothing stay the model's.
+    gravity = parts.direction + np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
+    before, after = np.linalg.norm(parts.direction), np.linalg.norm(gravity)
+    if before == 0 or abs(after / before - 1.0) > _STRENGTH:
+        return
+    angle = float(np.arccos(np.clip(gravity @ parts.direction / (before * after), -1, 1)))
+    if angle < _TURNED:
+        return
+    needed = c.inertia + parts.less_friction(parts.gravity @ gravity)
+    message = (
+        f"torques fit the motion if gravity is turned by {np.degrees(angle):.0f}°, to "
+        f"({', '.join(f'{x:.2f}' for x in gravity)}) m/s²: the base is mounted otherwise than in the model; give "
+        f"--mount={mounting(gravity)}"
+    )
+    yield Reading(c.left(needed), error("mount", message))
+
+
+def mounting(gravity: np.ndarray) -> str:
+    """Angles "RX,RY" about x and y [degrees] of a base, upright in the model, in which gravity points so."""
+    x, y, z = gravity / np.linalg.norm(gravity)
+    angles = np.degrees([np.arctan2(-y, -z), np.arcsin(np.clip(x, -1.0, 1.0))])
+    return ",".join(f"{angle:.1f}" for angle in angles + 0.0)

@@ -1,0 +1,234 @@
+"""What a log's torque is made of if its model is right: gravity, inertia, friction, a load, row by row.
+
+One joint's torque is, for a motion (q, v, a) of the log,
+
+    τ = g(q) + M(q) a + c(q, v) + spring + F sign(v) + d v + J a + b + load,
+
+with friction, rotor inertia J and offset b free at every joint. `Parts` holds these columns on rows of the log, and
+the same after friction, rotor inertia and offset were taken out by least squares, so that what is left is compared by
+inner products alone.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jax_inertia.dynamics import rigid_body
+from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.bands import ESTIMATE
+from jax_inertia.signals.differences import central_differences
+from jax_inertia.signals.filtering import low_pass, mask, resample
+from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.held import position_loop
+
+ROWS = 512
+"""As many moments of a log are looked at: one size, so that a robot is compiled for once."""
+LAG = 0.3
+"""Channels may be that late [s]."""
+# Rows of a joint slower than this share of its quick ones (95th percentile) tell nothing of dry friction.
+_SLOW, _STANDS = 0.1, 0.02
+# Point masses of a load: in the middle, at the corners and in front of the faces of a cube about the frame of a body
+# that carries no other. Any body within is some mixture of them. The cube's half side is a share of the robot's reach.
+_SHARE, _REACH = 0.25, 0.15
+_CARRIERS = 3
+_FEW = 100
+
+
+@dataclasses.dataclass(frozen=True)
+class Parts:
+    """Columns on R rows of n hinges and slides, in the log's order of joints [N m or N]."""
+
+    names: tuple[str, ...]
+    period: float
+    """Of the grid, on which `torque` can be shifted [s]."""
+    index: np.ndarray
+    """Of the rows in the grid."""
+    torque: Float[np.ndarray, "T n"]
+    """As logged, low-passed, on the grid."""
+    used: Bool[np.ndarray, "R n"]
+    friction: tuple[np.ndarray, ...]
+    """An orthonormal basis of each joint's offset, rotor inertia, dry and viscous friction (R, 4), in that order."""
+    direction: Float[np.ndarray, " 3"]
+    """Of the model's gravity [m/s²]."""
+    gravity: Float[np.ndarray, "R n 3"]
+    """Torque against 1 m/s² of gravity along each axis of the world."""
+    inertia: Float[np.ndarray, "R n"]
+    """Inertial and spring torques."""
+    load: Float[np.ndarray, "R n masses"]
+    """Torque against each of some point masses of 1 kg at the robot's ends."""
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """q, v, a of the rows."""
+    robot: Robot
+    rows: np.ndarray
+    """Each joint's row of the equations of motion."""
+    places: np.ndarray
+    """Each joint's place in q."""
+
+    @property
+    def weight(self) -> Float[np.ndarray, "R n"]:
+        """The model's torque against gravity."""
+        return self.gravity @ self.direction
+
+    def logged(self, shifts: np.ndarray) -> Float[np.ndarray, "R n"]:
+        """Each joint's torque so many samples of the grid later, less friction."""
+        return np.stack([self.later(int(s), j) for j, s in enumerate(shifts)], axis=1)
+
+    def later(self, shift: int, joint: int) -> Float[np.ndarray, " R"]:
+        """The same of one joint."""
+        return self.one(self.torque[self.index + shift, joint], joint)
+
+    def one(self, x: np.ndarray, j: int) -> np.ndarray:
+        """What friction of joint j leaves of columns (R, ...); zero in rows that are not used."""
+        x = np.where(self.used[:, j].reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
+        basis = self.friction[j]
+        return x - np.tensordot(basis, basis.T @ x.reshape(len(x), -1), 1).reshape(x.shape)
+
+    def lost(self, missing: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
+        """Root mean square of what friction explains of joints' missing torque, beside offset and rotor inertia."""
+        out = []
+        for j, basis in enumerate(self.friction):
+            part = basis[:, 2:].T @ np.where(self.used[:, j], missing[:, j], 0.0)
+            out.append(np.sqrt(part @ part / max(self.used[:, j].sum(), 1)))
+        return np.array(out)
+
+    def less_friction(self, x: np.ndarray) -> np.ndarray:
+        """`one` of every joint: (R, n, ...) to the same shape."""
+        return np.stack([self.one(x[:, j], j) for j in range(x.shape[1])], axis=1)
+
+    def moved(self, scale: Float[np.ndarray, " n"], offset: Float[np.ndarray, " n"]) -> np.ndarray:
+        """What the model needs (R, n), less friction, if its joints are at scale · position + offset."""
+        q, v, a = (np.array(x) for x in self.motion)
+        q[:, self.places] = q[:, self.places] * scale + offset
+        v[:, self.rows] *= scale
+        a[:, self.rows] *= scale
+        return self.less_friction(_needed(self.robot, q, v, a)[:, self.rows])
+
+
+def parts(log: Log, robot: Robot) -> Parts | None:
+    """The parts of a log's torque; None where the log does not show them: contacts, a base that floats, little motion.
+
+    Log and robot are such as `preflight` passes.
+    """
+    touched = log.contact_wrench is not None or bool(log.contact_bodies)
+    if robot.has_free_base or touched or not all(robot.topology.dof_scalar):
+        return None
+    if position_loop(mask(log).log) is not None:
+        # Rebuilt from targets: what is off may be the loop's.
+        return None
+    bands = ESTIMATE.at(round(log.rate, 6))
+    edge = int(np.ceil(bands.grid / bands.before))
+    if log.duration * bands.grid < 4 * edge + _FEW:
+        return None
+    smooth = low_pass(resample(dataclasses.replace(log, qvel=None), bands.grid), bands.before)
+    observation = central_differences(generalised(smooth, robot))
+    motion = observation.motion
+    where = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+    at = dict(zip(robot.joint_names, robot.joint_qposadr, strict=True))
+    rows = np.array([where[name] for name in log.joint_names])
+    places = np.array([at[name] for name in log.joint_names])
+    grid = len(motion.time)
+    margin = edge + min(int(LAG * bands.grid), grid // 10)
+    index = np.linspace(margin, grid - 1 - margin, min(ROWS, grid - 2 * margin)).astype(int)
+    q, v, a = (np.asarray(x)[index] for x in (motion.q, motion.v, observation.a))
+    gravity, inertia, load = _columns(robot, q, v, a)
+    speed, quick = v[:, rows], np.percentile(np.abs(np.asarray(motion.v)[:, rows]), 95, axis=0)
+    used = np.asarray(motion.valid)[index][:, rows] & (np.abs(speed) > _SLOW * quick)
+    used &= (quick > _STANDS) & (used.sum(axis=0) >= min(_FEW, len(index) // 4))
+    friction = []
+    for j in range(len(rows)):
+        columns = [np.ones(len(index)), a[:, rows[j]], np.sign(speed[:, j]), speed[:, j]]
+        stacked = np.stack(columns, axis=1) * used[:, [j]]
+        stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+        basis, triangle = np.linalg.qr(stacked)
+        friction.append(basis * (np.abs(np.diag(triangle)) > 1e-6))
+    return Parts(
+        log.joint_names,
+        1.0 / bands.grid,
+        index,
+        np.asarray(motion.tau)[:, rows],
+        used,
+        tuple(friction),
+        np.asarray(robot.gravity),
+        gravity[:, rows],
+        inertia[:, rows],
+        load[:, rows],
+        (q, v, a),
+        robot,
+        rows,
+        places,
+    )
+
+
+def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Gravity (R, nv, 3), inertia (R, nv), load (R, nv, masses) of some moments, at most `ROWS`."""
+    still, limp = np.zeros_like(v), dataclasses.replace(robot, stiffness=jnp.zeros(robot.nv))
+    gravity = [_needed(dataclasses.replace(limp, gravity=e), q, still, still) for e in jnp.eye(3)]
+    inertia = _needed(dataclasses.replace(robot, gravity=jnp.zeros(3)), q, v, a)
+    bare = dataclasses.replace(limp, armature=jnp.zeros(robot.nv))
+    if robot.compensated is not None:
+        bare = dataclasses.replace(bare, compensated=jnp.zeros_like(robot.compensated))
+    bare = dataclasses.replace(bare, pi=jnp.zeros_like(robot.pi))
+    load = [
+        _needed(bare.believed((body,), jnp.asarray(point)[None]), q, v, a)
+        for body in carriers(robot)
+        for point in _points(min(_SHARE * reach(robot), _REACH))
+    ]
+    return np.stack(gravity, axis=-1), inertia, np.stack(load, axis=-1)
+
+
+def _needed(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Float[np.ndarray, "R nv"]:
+    """Torque that the model needs without its dry and viscous friction."""
+    none = jnp.zeros(robot.nv)
+    robot = dataclasses.replace(robot, frictionloss=none, damping=none)
+    count = len(q)
+    padded = [np.concatenate([x, np.repeat(x[-1:], ROWS - count, axis=0)]) for x in (q, v, a)]
+    return np.asarray(_compiled(robot, *padded))[:count]
+
+
+# Run in a few milliseconds; compiling with all optimisation takes far longer.
+_QUICK = {"xla_backend_optimization_level": 0}
+
+
+def _of_samples(robot: Robot, q, v, a):
+    def one(q, v, a):
+        passive = rigid_body.passive_torque(robot, q, v)
+        return rigid_body.inverse_dynamics(robot, q, v, a) - passive
+
+    return jax.vmap(one)(q, v, a)
+
+
+_compiled = eqx.filter_jit(_of_samples, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+
+
+def reach(robot: Robot) -> float:
+    """Sum of the distances from joint to joint [m], and at least a decimetre."""
+    return max(float(np.linalg.norm(robot.placement_position, axis=1)[1:].sum()), 0.1)
+
+
+def carriers(robot: Robot) -> tuple[int, ...]:
+    """Bodies that carry no other, by index; those at the end of the longest chains where there are many."""
+    moves = robot.topology.body_dof
+    inner = {
+        i
+        for i in range(robot.nb)
+        for j in range(robot.nb)
+        if moves[j].sum() > moves[i].sum() and np.all(moves[j] >= moves[i])
+    }
+    ends = [i for i in range(robot.nb) if i not in inner]
+    return tuple(sorted(ends, key=lambda i: -moves[i].sum())[:_CARRIERS])
+
+
+def _points(half: float) -> Float[np.ndarray, "masses 10"]:
+    """Inertial parameters of 1 kg at each of some points."""
+    corners = half * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    rows = []
+    faces = half * np.concatenate([np.eye(3), -np.eye(3)])
+    for c in np.concatenate([np.zeros((1, 3)), corners, faces]):
+        i = c @ c * np.eye(3) - np.outer(c, c)
+        rows.append([1.0, *c, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
+    return np.array(rows)
