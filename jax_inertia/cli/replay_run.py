@@ -18,13 +18,14 @@ from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log, LogError, read_log
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import loadable
 from jax_inertia.preflight.preflight import Finding, Severity, preflight
 from jax_inertia.replay import command, report
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.loop import Loop, position_loop
-from jax_inertia.replay.pipeline import check_base, diagnose
+from jax_inertia.replay.pipeline import FLOATS, diagnose
 from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.simulate import Plant, fixed_base, record_of
 
@@ -51,22 +52,27 @@ def nominal_spec(model: Path, fix_base: bool) -> MjSpec:
 
 def read(model: Path, log: Path, fix_base: bool) -> tuple[Log, tuple[Finding, ...]]:
     """A log with targets and what is to be said of it; raises `LogError` with one line, names the file."""
-    compiled = compile_spec(nominal_spec(model, fix_base), model)
-    check_base(compiled)
-    robot = load_model(compiled)
+    robot = load_model(compile_spec(nominal_spec(model, fix_base), model))
     one = read_log(log, names=robot)
-    if one.qpos_target is None:
-        raise LogError(
-            f"{log}: a replay needs the positions that the joints were told: qpos_target"
-        )
-    found = preflight(one, robot)
     try:
-        found.raise_for_errors()
+        findings = usable(one, robot)
     except LogError as error:
         raise LogError(f"{log}: {error}") from None
-    for finding in found.of(Severity.WARNING):
-        warn(f"{log.name}: {finding.message}")
-    return one, found.findings
+    for finding in findings:
+        if finding.severity is Severity.WARNING:
+            warn(f"{log.name}: {finding.message}")
+    return one, findings
+
+
+def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
+    """What there is to say of a log that is to be replayed; LogError where it cannot be."""
+    if log.qpos_target is None:
+        raise LogError("a replay needs the positions that the joints were told: qpos_target")
+    if robot.has_free_base:
+        raise LogError(FLOATS)
+    found = preflight(log, robot)
+    found.raise_for_errors()
+    return found.findings
 
 
 def replay(model: Path, log: Log, gains: Gains) -> tuple[Loop, Replayed]:
