@@ -56,13 +56,7 @@ def diagnose(
     check_base(spec().compile())
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
     torque = typical_torque(plant, records)
-    m, dofs = plant.model, plant.dof
-    inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
-    own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
-    period = records[0].period
-    table = tuple(
-        p for p in ordinary(loop, *own, inertia, torque, period) if p.family not in exclude
-    )
+    table = tuple(p for p in _ordinary(plant, records, torque) if p.family not in exclude)
     theta0 = np.array([p.nominal for p in table])
     floor = checks.floor(held)
     # What the clocks leave is no noise of a sample: the fit may take it up in its delay.
@@ -105,6 +99,16 @@ def diagnose(
         verdict, confidence, _headline(verdict, replayed), names, loop, effects, everything, found, replayed, worse,
         tuple(notes),
     )  # fmt: skip
+
+
+def _ordinary(
+    plant: Plant, records: Sequence[Record], torque: Float[np.ndarray, " n"]
+) -> tuple[Parameter, ...]:
+    """The ordinary numbers about those of the plant's model."""
+    m, dofs = plant.model, plant.dof
+    inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
+    own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
+    return ordinary(plant.loop, *own, inertia, torque, records[0].period)
 
 
 def _parts(logs: Sequence[Log], test_log: Log | None) -> tuple[list[Record], Record, str]:
