@@ -248,5 +248,9 @@ def add_command(
         show_rest(where, as_json=False)
         shown = "; ".join(lines) or "the position loop is as said"
         Console().print(f"targets → torque: {escape(shown)}", highlight=False, soft_wrap=True)
+        if lines:
+            # What stands above is of torque and motion alone.
+            verdict = plain(out["verdict"])
+            Console().print(f"[bold]both halves together: {verdict}[/bold]", highlight=False)
 
     return show_both
