@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # Folder: its modules and folders from the ground up; each may use those before it. A folder stands for all that is in
 # it. `gap` has no order of its own: it goes once `diagnosis` has replaced it.
 ORDER: dict[str, str] = {
-    "": """text maths logs model dynamics signals preflight estimation gap diagnosis
+    "": """text maths logs model dynamics signals preflight estimation gap diagnosis replay
         control robots cli __main__""",
     "text": "closest_names notebook_page",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
@@ -31,7 +31,8 @@ ORDER: dict[str, str] = {
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "cli": """console conventions convert diagnose_whole diagnose_run diagnose
+    "replay": "loop simulate fit checks odd result pipeline corrected report command",
+    "cli": """console gains conventions convert replay_run replay diagnose_whole diagnose_run diagnose
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """effects result figures page report settings residual hypothesis bank evidence pushes

@@ -462,11 +462,38 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real logs (../shared/data) are not here")
 def test_reads_every_real_log():
-    # Beside them lie logs of commanded positions without torque, which are no logs of this format.
-    paths = [p for p in sorted(SHARED.glob("*/*.npz")) if "tau" in np.load(p).files]
+    paths = sorted(SHARED.glob("*/*.npz"))
     assert paths
     for path in paths:
         log = read_log(path)
+        if log.tau is None:
+            assert log.qpos_target is not None, path
+            continue
         expected = {"ur10e": TorqueUnit.AMPERE, "bam_x": TorqueUnit.PWM}
         assert log.tau_unit is expected.get(path.parent.name[:5], TorqueUnit.NEWTON_METRE), path
         assert log.qvel is not None
+
+
+def test_a_robot_that_is_told_positions_has_a_log_without_torque(tmp_path):
+    told = example(
+        tau=None,
+        sigma_tau=None,
+        qpos_target=example().qpos + 0.1,
+        kp=np.array([35.0, 20.0]),
+        kd=np.array([0.8, 0.5]),
+    )
+    for name in ("log.npz", "log.csv", "log.parquet"):
+        write_log(told, tmp_path / name)
+        again = read_log(tmp_path / name)
+        assert again.tau is None
+        for field in ("qpos", "qpos_target", "kp", "kd"):
+            np.testing.assert_array_equal(getattr(again, field), getattr(told, field))
+    assert "no torque" in repr(told)
+    arrays = dict(np.load(tmp_path / "log.npz"))
+    np.savez(tmp_path / "gain.npz", **arrays | {"kp": np.array([35.0, -1.0])})
+    with pytest.raises(LogError, match=r"kp holds -1.0; a gain is finite and not negative"):
+        read_log(tmp_path / "gain.npz")
+    del arrays["qpos_target"]
+    np.savez(tmp_path / "none.npz", **arrays)
+    with pytest.raises(LogError, match=r"'tau' is missing; .* \(or qpos_target"):
+        read_log(tmp_path / "none.npz")

@@ -257,11 +257,14 @@ def test_a_lerobot_dataset_with_a_file_for_each_episode(tmp_path, arrow):
 
 def test_lerobot_without_torque_says_what_there_is(tmp_path, arrow):
     data = arrays()
-    table = {"observation.state": data["qpos"], "action": data["qpos"], "timestamp": data["time"]}
-    path = write_parquet(tmp_path / "log.parquet", table)
-    message = refusal(path)
-    assert "no torque" in message
-    assert "--column tau=NAME; it has observation.state, action" in message
+    table = {"observation.state": data["qpos"], "timestamp": data["time"]}
+    message = refusal(write_parquet(tmp_path / "log.parquet", table))
+    assert "no torque (observation.effort) and no targets (action)" in message
+    assert "--column tau=NAME or qpos_target=NAME; it has observation.state" in message
+    path = write_parquet(tmp_path / "told.parquet", table | {"action": data["qpos"]})
+    log = read_log(path, options=Options(joints=JOINTS))
+    assert log.tau is None
+    np.testing.assert_array_equal(log.qpos_target, data["qpos"])
     options = Options(columns={"tau": "action"}, joints=JOINTS)
     assert read_log(path, options=options).tau.shape == (60, 2)
 

@@ -5,11 +5,13 @@ import textwrap
 from pathlib import Path
 
 from jax_inertia.cli.conventions import add_conventions
+from jax_inertia.cli.gains import add_gains
 
 _DESCRIPTION = """
 Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
 shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added); of a URDF whose inertials are at fault corrected.urdf too.
+effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG without torque, of a robot that is
+told positions, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
 """
 _EXAMPLES = """
 examples:
@@ -21,6 +23,9 @@ examples:
 
   without an effect that cannot be (this arm has no belts)
     jax-inertia diagnose log.npz --model arm.xml --exclude joint_elasticity backlash
+
+  a robot that is told positions, no torque in the log
+    jax-inertia diagnose log.npz --model arm.xml --test-log other.npz --kp 20 --kd 0.5
 
 No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.
 """
@@ -46,6 +51,7 @@ def add_parser(subparsers) -> None:
     add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
     effects_help = "look for so many effects at most (default 3)"
     add("--max-effects", type=_count, default=3, metavar="N", help=effects_help)
+    add_gains(add)
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
     add("--json", action="store_true", help="print report.json instead of the table")
     add_conventions(parser, gains=True)
@@ -57,11 +63,12 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia.cli import diagnose_run as pipeline
     from jax_inertia.cli.console import folder_for, output_folder, stages
 
+    gains = pipeline.Gains(args.kp, args.kd, args.fix_base)
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
-        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args)
+        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args, gains)
         with output_folder(out) as folder:
-            show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage)
+            show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage, gains)
     show(out, as_json=args.json)
     return 0
 

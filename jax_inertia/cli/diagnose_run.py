@@ -14,8 +14,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from jax_inertia.cli import diagnose_whole as output
+from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
 from jax_inertia.cli.conventions import met
+from jax_inertia.cli.replay_run import SILENT, Gains
 from jax_inertia.diagnosis.either import unknown_families, usable, whole_robot
 from jax_inertia.gap.correct import Correction, corrected
 from jax_inertia.gap.diagnosis import diagnose
@@ -72,16 +74,19 @@ def read(
     test_log: Path | None,
     exclude: Sequence[str],
     conventions: argparse.Namespace | None = None,
+    gains: Gains = SILENT,
 ) -> Inputs:
     """Read model and logs, and look at them before anything is computed; ValueError with one line.
 
-    `conventions` are the options of `cli.conventions`.
+    `conventions` are the options of `cli.conventions`, `gains` those of a position loop.
     """
     if unknown := unknown_families(exclude):
         raise ValueError(
             f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
         )
     robot = load_model(model)
+    if gains.fix_base:
+        robot = load_model(compile_spec(replay_run.nominal_spec(model, True), model))
     paths = (log, *([] if test_log is None else [test_log]))
     given = [read_log(path, names=robot) for path in paths]
     robot, told = afloat(robot, model, given[0])
@@ -93,7 +98,10 @@ def read(
     drives = None
     for path, one in zip(paths, given, strict=True):
         try:
-            one, drives, findings = usable(one, robot, drives, path.name)
+            if one.tau is None and (not logs or logs[0].tau is None):
+                findings = replay_run.usable(one, robot)
+            else:
+                one, drives, findings = usable(one, robot, drives, path.name)
         except LogError as error:
             raise LogError(f"{path}: {error}") from None
         logs.append(one)
@@ -110,8 +118,27 @@ def diagnosed(
     exclude: Sequence[str],
     max_effects: int,
     stage: Callable[[str], None],
+    gains: Gains = SILENT,
 ) -> Callable[..., None]:
-    """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`."""
+    """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`.
+
+    By replays where there is no torque; where there are both, by torque, and the position loop on its own.
+    """
+    if inputs.log.tau is None:
+        paths, logs = (inputs.path, inputs.model), (inputs.log, inputs.test_log)
+        return replay_run.diagnosed(folder, paths, logs, gains, exclude, inputs.quality, stage)
+    show_it = by_torque(folder, inputs, exclude, max_effects, stage)
+    return replay_run.add_command(folder, inputs.model, inputs.log, gains, show_it)
+
+
+def by_torque(
+    folder: Path,
+    inputs: Inputs,
+    exclude: Sequence[str],
+    max_effects: int,
+    stage: Callable[[str], None],
+) -> Callable[..., None]:
+    """Diagnose torque → motion, and write everything into a folder; what prints it."""
     whole = whole_robot(inputs.robot, inputs.log, inputs.test_log, exclude, stage)
     if whole is None:
         result = diagnosis(inputs, exclude, max_effects, stage)

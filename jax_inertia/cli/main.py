@@ -11,12 +11,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
-from jax_inertia.cli import convert, diagnose, estimate, suggest_motion
+from jax_inertia.cli import convert, diagnose, estimate, replay, suggest_motion
 from jax_inertia.cli.demo import command as demo_command
 
 _COMMANDS = (
     convert,
     diagnose,
+    replay,
     estimate,
     suggest_motion,
     demo_command,

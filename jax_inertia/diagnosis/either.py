@@ -21,7 +21,7 @@ from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
-from jax_inertia.preflight.preflight import Finding, Severity, preflight
+from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
 
 
 @in_double_precision
@@ -101,6 +101,8 @@ def usable(
 
     `drives` are those of the log before, if there is one: a gain that does not carry over is part of what is tested.
     """
+    if log.tau is None:
+        raise LogError(NO_TORQUE)
     found = preflight(log, robot)
     found.raise_for_errors()
     for finding in found.findings:

@@ -13,7 +13,7 @@ from jax_inertia.logs.log import Log, LogError, TorqueUnit
 from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, require
 from jax_inertia.model.robot import Robot
-from jax_inertia.preflight.preflight import Finding, Preflight, Severity, preflight
+from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Preflight, Severity, preflight
 from jax_inertia.text.closest_names import suggestion
 
 # By the bodies asked for as the model has them.
@@ -127,6 +127,8 @@ def checked(
             seen.raise_for_errors()
         except LogError as error:
             raise LogError(f"{name}: {error}") from None
+        if one.tau is None:
+            raise LogError(f"{name}: {NO_TORQUE}")
         for finding in _with_support(seen, one, robot).findings:
             told(name, finding)
             findings.append(finding)

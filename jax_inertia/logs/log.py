@@ -78,9 +78,11 @@ class Log(eqx.Module):
 
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
     moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
-    touch something, and nobody measured how. `sigma_*` are standard deviations of one sample.
-    `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or units
-    do not fit together, or a stamp is not finite; other values are not looked at, and it may be
+    touch something, and nobody measured how. `tau` may be absent where `qpos_target` is there: the
+    positions that the joints were told, each from its stamp on, by a loop of gains `kp` [N m/rad] and
+    `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample. `tau_unit_text` is the unit in
+    the log's own words. Raises `LogError` where shapes, names or units do not fit together, or a stamp
+    is not finite; other values are not looked at, and it may be
     traced.
 
     >>> import numpy as np
@@ -94,13 +96,15 @@ class Log(eqx.Module):
     time: Float[AnyArray, "T"]
     joint_names: tuple[str, ...] = eqx.field(static=True, converter=partial(_tuple, "joint_names"))
     qpos: Float[AnyArray, "T n"]
-    tau: Float[AnyArray, "T n"]
+    tau: Float[AnyArray, "T n"] | None = None
     qvel: Float[AnyArray, "T n"] | None = None
     tau_kind: TorqueKind = eqx.field(static=True, converter=_kind, default=TorqueKind.UNKNOWN)
     tau_unit: TorqueUnit = eqx.field(static=True, converter=_unit, default=TorqueUnit.NEWTON_METRE)
     tau_unit_text: str = eqx.field(static=True, default="")
     tau_command: Float[AnyArray, "T n"] | None = None
     qpos_target: Float[AnyArray, "T n"] | None = None
+    kp: Float[AnyArray, "n"] | None = None
+    kd: Float[AnyArray, "n"] | None = None
     sigma_qpos: Float[AnyArray, "n"] | None = None
     sigma_tau: Float[AnyArray, "n"] | None = None
     base_pos: Float[AnyArray, "T 3"] | None = None
@@ -183,6 +187,8 @@ class Log(eqx.Module):
         """
         if self.tau_unit is TorqueUnit.NEWTON_METRE:
             raise ValueError("tau is in N m already; gains are for currents and counts")
+        if self.tau is None:
+            raise ValueError("the log has no tau to give gains to")
         gain = gains if isinstance(gains, jax.Array) else np.asarray(gains, dtype=float)
         if gain.shape not in ((), (len(self.joint_names),)):
             raise ValueError(
@@ -217,10 +223,11 @@ class Log(eqx.Module):
         return f"{self.duration:.4g} s at {rate}"
 
     def __repr__(self) -> str:
-        has = ", ".join(name for name in CHANNELS if getattr(self, name) is not None)
+        names = [name for name in CHANNELS if getattr(self, name) is not None]
+        has, torque = ", ".join(names), f"torque {self.tau_kind} in {self.tau_unit_text}"
         text = (
             f"Log({self._span}, {len(self.time)} samples; joints {', '.join(self.joint_names)}; {has}; "
-            f"torque {self.tau_kind} in {self.tau_unit_text}"
+            + (torque if "tau" in names else "no torque")
         )
         if self.contact_bodies:
             text += f"; contacts {', '.join(self.contact_bodies)}"
@@ -366,9 +373,12 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     }
     arrays |= {
         "joint_names": np.array(log.joint_names),
-        "tau_kind": np.array(str(log.tau_kind)),
-        "tau_unit": np.array(log.tau_unit_text),
     }
+    if log.tau is not None:
+        arrays |= {
+            "tau_kind": np.array(str(log.tau_kind)),
+            "tau_unit": np.array(log.tau_unit_text),
+        }
     if log.contact_bodies:
         arrays["contact_bodies"] = np.array(log.contact_bodies)
     if path.suffix.lower() == ".npz":

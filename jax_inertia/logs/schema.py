@@ -18,6 +18,8 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
     "qvel": ("T", "n"),
     "tau_command": ("T", "n"),
     "qpos_target": ("T", "n"),
+    "kp": ("n",),
+    "kd": ("n",),
     "sigma_qpos": ("n",),
     "sigma_tau": ("n",),
     "base_pos": ("T", 3),
@@ -26,7 +28,10 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
     "base_angvel": ("T", 3),
     "contact_wrench": ("T", "C", 6),
 }
-_REQUIRED = ("time", "joint_names", "qpos", "tau")
+_REQUIRED = ("time", "joint_names", "qpos")
+_DRIVEN = ("tau", "qpos_target")
+"""What a joint did must be known, and what made it do so: its torque, or the position that it was told."""
+_PER_JOINT = ("sigma_qpos", "sigma_tau", "kp", "kd")
 TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
 CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and name != "time")
 
@@ -102,7 +107,12 @@ def check_declared(shapes: Mapping[str, tuple[int, ...]]) -> None:
 def _require_all(names: Collection[str]) -> None:
     for name in _REQUIRED:
         if name not in names:
-            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}")
+            raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}, tau")
+    if not any(name in names for name in _DRIVEN):
+        raise LogError(
+            f"array 'tau' is missing; a log holds {', '.join(_REQUIRED)}, tau (or qpos_target, of a robot that is told "
+            "positions)"
+        )
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]], joints: int, contacts: int) -> None:
@@ -140,7 +150,7 @@ def fields_of(
     fields["joint_names"] = _names("joint_names", arrays["joint_names"])
     if "contact_bodies" in arrays:
         fields["contact_bodies"] = _names("contact_bodies", arrays["contact_bodies"])
-    for name in ("sigma_qpos", "sigma_tau"):
+    for name in _PER_JOINT:
         if name in fields and fields[name].shape == ():
             fields[name] = np.full(len(fields["joint_names"]), fields[name])
     unit = _word("tau_unit", arrays, "N m")
@@ -159,9 +169,9 @@ def fields_of(
     }
     check_time(fields["time"])
     check_structure(fields)
-    for name in ("sigma_qpos", "sigma_tau"):
+    for name in _PER_JOINT:
         if name in fields:
-            _check_sigma(name, fields[name])
+            _check_size(name, fields[name])
     return fields
 
 
@@ -185,11 +195,10 @@ def _word(array: str, arrays: Mapping[str, np.ndarray], default: str) -> str:
     return " ".join(str(value.item()).split())
 
 
-def _check_sigma(array: str, value: np.ndarray) -> None:
+def _check_size(array: str, value: np.ndarray) -> None:
     if (bad := ~(np.isfinite(value) & (value >= 0))).any():
-        raise LogError(
-            f"{array} holds {value[bad][0]}; a standard deviation is finite and not negative"
-        )
+        what = "gain" if array in ("kp", "kd") else "standard deviation"
+        raise LogError(f"{array} holds {value[bad][0]}; a {what} is finite and not negative")
 
 
 def _require_times(shape: tuple[int, ...]) -> None:
@@ -226,6 +235,8 @@ def _notes(arrays: Mapping[str, np.ndarray], others: Sequence[str]) -> tuple[str
         shown = ", ".join(repr(name[:60]) for name in others[:20])
         more = f" and {len(others) - 20} more" if len(others) > 20 else ""
         notes.append(f"ignored, not part of the log contract: {shown}{more}")
+    if "tau" not in arrays:
+        return tuple(notes)
     if "tau_kind" not in arrays:
         notes.append("tau_kind is missing: whether torque was commanded or measured is not known")
     if "tau_unit" not in arrays:

@@ -29,6 +29,11 @@ _JITTER_NOTE, _JITTER_WARNING = 0.05, 0.3
 _FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
 _SLOWEST, _FASTEST = 10.0, 2e4
 _NO_MOTION = 0.5
+NO_TORQUE = (
+    "the log has no torque (tau), which this needs; of a robot that is told positions, `jax-inertia diagnose` and "
+    "`jax-inertia replay` go by qpos_target and qpos alone"
+)
+"""What who needs torque says of a log without."""
 
 
 @runtime_checkable
@@ -120,6 +125,8 @@ def require_usable(
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
     >>> require_usable(swing(), load_model(double_pendulum()))
     """
+    if log.tau is None:
+        raise LogError(NO_TORQUE)
     if not any_unit and log.tau_unit is not TorqueUnit.NEWTON_METRE:
         raise LogError(
             f"tau is in {log.tau_unit_text[:60]!r}, not N m; apply one gain per joint first: "

@@ -32,14 +32,18 @@ def dropped(log: Log, time: np.ndarray) -> Iterator[Finding]:
 
 def frozen(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Channels that stand still, to the last bit, while something says that they should not."""
-    qpos, tau = np.asarray(log.qpos), np.asarray(log.tau)
+    qpos = np.asarray(log.qpos)
     moving = _moving(qpos, time)
+    # Without torque it is the targets that tell whether a joint should move.
+    tau = np.asarray(log.qpos_target if log.tau is None else log.tau)
     for j, name in enumerate(log.joint_names):
         if log.qvel is not None:
             yield from _frozen_motion(name, qpos[:, j], np.asarray(log.qvel)[:, j], time)
         else:
             yield from _frozen_encoder(name, qpos[:, j], tau[:, j], time, moving)
         x = tau[:, j]
+        if log.tau is None:
+            continue
         if np.ptp(x) == 0:
             message = f"tau of {name!r} is {x[0]:g} throughout; log it, or leave the joint out"
             yield Finding(Severity.WARNING, "frozen", message)
@@ -58,6 +62,9 @@ def frozen(log: Log, time: np.ndarray) -> Iterator[Finding]:
 
 def repeated(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Rows that repeat the row before in every joint channel, far above coincidence."""
+    if log.tau is None and log.qvel is None:
+        # Encoders alone are coarse: a slow joint repeats its counts.
+        return
     rows = np.hstack([np.asarray(x) for x in (log.qpos, log.qvel, log.tau) if x is not None])
     same = (np.diff(rows, axis=0) == 0)[_moving(np.asarray(log.qpos), time)[1:]]
     if not same.size:
@@ -74,6 +81,8 @@ def repeated(log: Log, time: np.ndarray) -> Iterator[Finding]:
 
 def saturated(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Torque piled up at its exact extreme value while the robot moves."""
+    if log.tau is None:
+        return
     moving = _moving(np.asarray(log.qpos), time)
     for j, name in enumerate(log.joint_names):
         x = np.asarray(log.tau)[:, j]

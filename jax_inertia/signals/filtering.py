@@ -63,7 +63,9 @@ def mask(log: Log) -> Masked:
     return Masked(
         _continuous(log).map_channels(partial(_bridged, time)),
         motion_valid,
-        np.isfinite(np.asarray(log.tau)) & ~after_gap[:, None],
+        # Without torque no equation of a joint stands on measurements.
+        (np.zeros(np.shape(log.qpos), bool) if log.tau is None else np.isfinite(log.tau))
+        & ~after_gap[:, None],
     )
 
 

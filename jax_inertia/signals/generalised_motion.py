@@ -74,6 +74,8 @@ def generalised(
     """
     source = log if isinstance(log, Masked) else mask(log)
     data, fixed = source.log, dict(fixed or {})
+    if data.tau is None:
+        raise LogError("the log has no torque (tau): the equations of motion cannot be closed")
     base = _base_joint(data, robot, fixed)
     _check_names(data, robot, fixed, base)
     samples = len(data.time)

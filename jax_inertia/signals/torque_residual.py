@@ -129,10 +129,12 @@ def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
     data = source.log
     late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5
     if (loop := position_loop(data)) is None:
-        tau = later(data.tau, late)
+        tau = later(np.asarray(data.tau), late)
     else:
         inertia = _inertia(robot, data)
-        tau = np.where(loop.kp > 0, of_loop(data, loop, *inertia), later(data.tau, late))
+        tau = np.where(
+            loop.kp > 0, of_loop(data, loop, *inertia), later(np.asarray(data.tau), late)
+        )
     data = dataclasses.replace(data, tau=tau, qvel=None)
     if data.contact_wrench is not None:
         data = dataclasses.replace(data, contact_wrench=later(data.contact_wrench, 0.5))

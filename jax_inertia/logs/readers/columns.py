@@ -6,6 +6,7 @@ A column is named after the array and what it belongs to:
     qpos.<joint>  qvel.<joint>  tau.<joint>    rad, rad/s, N m (on slides m, m/s, N)
     tau_command.<joint>  qpos_target.<joint>
     sigma_qpos.<joint>  sigma_tau.<joint>      one value, repeated
+    kp.<joint>  kd.<joint>                     of the position loop, one value, repeated
     base_pos.{x,y,z}  base_quat.{w,x,y,z}  base_linvel.{x,y,z}  base_angvel.{x,y,z}
     contact_wrench.<body>.{fx,fy,fz,mx,my,mz}
     tau_unit  tau_kind                         text, repeated
@@ -75,7 +76,8 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
                 f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
             )
     for array in ("time", "qpos", "tau"):
-        if array not in found:
+        # Who is told positions may have no torque.
+        if array not in found and not (array == "tau" and "qpos_target" in found):
             raise LogError(missing(array, [*plan.others, *plan.columns]))
     if not any(len(x) for x in values.values() if x.ndim):
         raise LogError("has headings and no rows; expected at least two samples")
@@ -83,7 +85,8 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
     notes: list[str] = []
     joints, left_out = _joints(found, values, names)
     if left_out:
-        notes.append(f"left out, without position or without torque: {listed(left_out)}")
+        driven = "torque" if "tau" in found else "target"
+        notes.append(f"left out, without position or without {driven}: {listed(left_out)}")
     units, stated, timed = set(), False, False
     for array, parts in found.items():
         scaled = {key: _in_si(plan.columns[h], values[h]) for key, h in parts.items()}
@@ -196,7 +199,8 @@ def _joints(
             raise LogError(f"columns hold lists of {width}; name their joints with --joints")
         return list(names), []
     having = {array: [of for of, _ in found[array]] for array in PER_JOINT if array in found}
-    placed, driven = set(having["qpos"]), set(having["tau"])
+    drive = "tau" if "tau" in having else "qpos_target"
+    placed, driven = set(having["qpos"]), set(having[drive])
     for array, owners in having.items():
         for name in owners:
             if name not in placed:
@@ -204,7 +208,7 @@ def _joints(
                 raise LogError(f"{array}.{name} has no qpos.{name} beside it; {hint}")
     joints = [name for name in having["qpos"] if name in driven]
     if not joints:
-        raise LogError("no joint has both a column qpos and a column tau")
+        raise LogError(f"no joint has both a column qpos and a column {drive}")
     return joints, [name for name in having["qpos"] if name not in driven]
 
 

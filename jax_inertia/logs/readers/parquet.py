@@ -212,11 +212,11 @@ def _lerobot(headings: Sequence[str], options: Options) -> Options:
             known[target] = whole
         elif target in _PARTED and parts:
             known[target] = parts
-    if "tau" not in known and "tau" not in options.columns:
+    if not {"tau", "qpos_target"} & (known.keys() | options.columns.keys()):
         own = [h for h in headings if h.startswith(("observation.", "action"))]
         raise LogError(
-            "this dataset has no torque (observation.effort); name what stands for it with "
-            f"--column tau=NAME; it has {listed(own, 20)}"
+            "this dataset has no torque (observation.effort) and no targets (action); name what "
+            f"stands for one with --column tau=NAME or qpos_target=NAME; it has {listed(own, 20)}"
         )
     return Options(**{**vars(options), "columns": {**known, **options.columns}})
 

@@ -1,0 +1,256 @@
+"""What `jax-inertia replay`, and `diagnose` of a log without torque, compute, write and print."""
+
+import functools
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from jax_inertia.cli.console import warn
+from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.gap.words import chance, number, percent, plain, unit
+from jax_inertia.logs.log import Log, LogError, read_log
+from jax_inertia.model.load import compile_spec, load_model, load_spec
+from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.model.robot import Robot
+from jax_inertia.model.write import loadable
+from jax_inertia.preflight.preflight import Finding, Severity, preflight
+from jax_inertia.replay import command, report
+from jax_inertia.replay.checks import floor, objections
+from jax_inertia.replay.corrected import corrected
+from jax_inertia.replay.loop import Loop, position_loop
+from jax_inertia.replay.pipeline import FLOATS, diagnose
+from jax_inertia.replay.result import Diagnosis, Replayed, total
+from jax_inertia.replay.simulate import Plant, fixed_base, record_of
+
+
+class Gains(NamedTuple):
+    """What the command line says of the position loop and of the base."""
+
+    kp: Sequence[float] | None = None
+    kd: Sequence[float] | None = None
+    fix_base: bool = False
+
+
+SILENT = Gains()
+"""Nothing said."""
+
+
+def nominal_spec(model: Path, fix_base: bool) -> MjSpec:
+    """The model's spec, its base fixed where asked for."""
+    spec = load_spec(model)
+    if fix_base:
+        fixed_base(spec)
+    return spec
+
+
+def read(model: Path, log: Path, fix_base: bool) -> tuple[Log, tuple[Finding, ...]]:
+    """A log with targets and what is to be said of it; raises `LogError` with one line, names the file."""
+    robot = load_model(compile_spec(nominal_spec(model, fix_base), model))
+    one = read_log(log, names=robot)
+    try:
+        findings = usable(one, robot)
+    except LogError as error:
+        raise LogError(f"{log}: {error}") from None
+    for finding in findings:
+        if finding.severity is Severity.WARNING:
+            warn(f"{log.name}: {finding.message}")
+    return one, findings
+
+
+def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
+    """What there is to say of a log that is to be replayed; LogError where it cannot be."""
+    if log.qpos_target is None:
+        raise LogError("a replay needs the positions that the joints were told: qpos_target")
+    if robot.has_free_base:
+        raise LogError(FLOATS)
+    found = preflight(log, robot)
+    found.raise_for_errors()
+    return found.findings
+
+
+def replay(model: Path, log: Log, gains: Gains) -> tuple[Loop, Replayed]:
+    """The log's targets through the model as it is."""
+    spec = nominal_spec(model, gains.fix_base)
+    compiled = compile_spec(spec, model)
+    loop = position_loop(log, compiled, gains.kp, gains.kd, model_first=True)
+    plant, record = Plant(spec, log.joint_names, loop), record_of(log)
+    path = plant.replay((), np.zeros((1, 0)), record)[0]
+    return loop, Replayed(record, path, path, floor(record), "the log")
+
+
+def write_replay(folder: Path, log: Log, loop: Loop, done: Replayed) -> dict:
+    """replay.json and replay.png; the former."""
+    names = log.joint_names
+    out = {
+        "schema": 1,
+        "error": {
+            "rms": total(done.before),
+            "floor": total(done.floor),
+            "unit": "rad",
+            "per_joint": {
+                name: {"rms": float(b), "max": float(m), "floor": float(f)}
+                for name, b, m, f in zip(names, done.before, largest(done), done.floor, strict=True)
+            },
+        },
+        "loop": report.loop_report(names, loop),
+        "notes": list(objections(done.record, names)),
+    }
+    out = report.clean(out)
+    (folder / "replay.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+    figure = report.figure(names, done, both=False)
+    FigureCanvasAgg(figure).print_png(str(folder / "replay.png"))
+    return out
+
+
+def largest(done: Replayed) -> np.ndarray:
+    """The largest error of each joint [rad]."""
+    return np.abs(done.nominal - done.record.q)[done.record.settled].max(axis=0)
+
+
+def show_replay(out: dict, where: Path) -> None:
+    """The table of a replay."""
+    console, whole = Console(), out["error"]
+    table = Table(title="replay of the targets, rad", title_justify="left")
+    for name in ("joint", "error, rms", "largest", "encoders and clocks leave", "kp", "kd"):
+        table.add_column(name)
+    for name, own in whole["per_joint"].items():
+        gains = out["loop"]["joints"][name]
+        cells = (own["rms"], own["max"], own["floor"], gains["kp"], gains["kd"])
+        table.add_row(escape(name), *map(number, cells))
+    console.print(table)
+    for note in out["notes"]:
+        console.print(f"note: {escape(note)}", soft_wrap=True, highlight=False)
+    text = f"all joints: {number(whole['rms'])} rad rms; gains of the {out['loop']['source']}"
+    console.print(text, highlight=False)
+    console.print(f"figure: {escape(str(where / 'replay.png'))}", soft_wrap=True, highlight=False)
+
+
+def diagnosed(
+    folder: Path,
+    paths: tuple[Path, Path],
+    logs: tuple[Log, Log | None],
+    gains: Gains,
+    exclude: Sequence[str],
+    quality: Sequence[Finding],
+    stage: Callable[[str], None],
+) -> Callable[..., None]:
+    """Diagnose from targets and positions, write all; what prints it. `paths`: log and model."""
+    source, model = paths
+    found = diagnose(
+        [logs[0]],
+        functools.partial(nominal_spec, model, gains.fix_base),
+        test_log=logs[1],
+        kp=gains.kp,
+        kd=gains.kd,
+        exclude=exclude,
+        progress=stage,
+    )
+    stage("writing")
+    spec = nominal_spec(model, gains.fix_base)
+    remarks = corrected(spec, found)
+    out = report.to_report(found, quality=quality)
+    out["notes"] += remarks
+    (folder / "report.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+    (folder / "policy.json").write_text(json.dumps(out["policy"], indent=1) + "\n")
+    text = loadable(spec, model)
+    if said := distrust(found):
+        text = f"<!-- {said} -->\n{text}"
+        warn(said)
+    (folder / "corrected.xml").write_text(text)
+    (folder / "report.html").write_text(report.page(found, out, (source.name, model.name)))
+    return functools.partial(show, found, out)
+
+
+def distrust(found: Diagnosis) -> str:
+    """Why corrected.xml is not to be relied on; nothing where it is."""
+    r = found.replayed
+    if total(r.after) > total(r.before):
+        return f"corrected.xml replays {r.of} worse than the nominal model"
+    if found.worse:
+        return (
+            f"corrected.xml replays {', '.join(found.worse)} worse than the nominal model".replace(
+                "--", "- -"
+            )
+        )
+    if found.verdict is Verdict.UNKNOWN:
+        return "verdict unknown: the numbers in this model are the nearest ones, and no correction"
+    return ""
+
+
+def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
+    """Headline, effects, joints."""
+    if as_json:
+        print(json.dumps(out, indent=1, allow_nan=False))
+        return
+    console = Console()
+    console.print(
+        f"[bold]{plain(str(found.verdict))}[/bold] (confidence {chance(found.confidence)})"
+    )
+    console.print(escape(found.headline), highlight=False, soft_wrap=True)
+    if found.effects:
+        table = Table()
+        for name in ("effect", "where", "size, 95 % interval", "returns without it"):
+            table.add_column(name)
+        for e in found.effects:
+            size = f"{number(e.size.value)} [{number(e.size.low)}, {number(e.size.high)}]{unit(e.size.unit)}"
+            table.add_row(plain(e.family), escape(e.name), size, percent(e.share))
+        console.print(table)
+    joints = Table(title="replay error of each joint [rad]", title_justify="left")
+    for name in ("joint", "nominal", "corrected", "floor"):
+        joints.add_column(name)
+    for name, own in out["shrink"]["replay"]["per_joint"].items():
+        joints.add_row(escape(name), *(number(own[k]) for k in ("before", "after", "floor")))
+    console.print(joints)
+    for text in (*out["doubts"], *out["notes"]):
+        console.print(f"note: {escape(text)}", highlight=False, soft_wrap=True)
+    console.print(f"report: {escape(str(where / 'report.html'))}", soft_wrap=True, highlight=False)
+
+
+def add_command(
+    folder: Path, model: Path, log: Log, gains: Gains, show_rest: Callable[..., None]
+) -> Callable[..., None]:
+    """Add what the torques say of the position loop to a report that is written; what prints both.
+
+    A loop that differs from what is said of it is a gap of its own, whatever the motion says.
+    """
+    halves = command.command_half(log)
+    if not halves:
+        return show_rest
+    try:
+        loop = position_loop(log, compile_spec(load_spec(model), model), gains.kp, gains.kd)
+        kp, kd = loop.kp, loop.kd
+    except LogError:
+        # Nobody says them: what is measured is in the report, and differs from nothing.
+        kp = kd = np.zeros(len(log.joint_names))
+    half = report.clean(command.to_report(halves, kp, kd, log.joint_names))
+    path = folder / "report.json"
+    out = json.loads(path.read_text())
+    out["command"] = half
+    added = [e | {"half": "command", "ordinary": True, "equivalent": []} for e in half["effects"]]
+    out["effects"] = [*out["effects"], *added]
+    lines = [command.sentence(e) for e in half["effects"]]
+    if lines and out["verdict"] == "no_gap":
+        out["verdict"] = "explained"
+        out["headline"] = f"torque and motion agree; between targets and torque: {'; '.join(lines)}"
+    path.write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+
+    def show_both(where: Path, *, as_json: bool) -> None:
+        if as_json:
+            print(json.dumps(out, indent=1, allow_nan=False))
+            return
+        show_rest(where, as_json=False)
+        shown = "; ".join(lines) or "the position loop is as said"
+        Console().print(f"targets → torque: {escape(shown)}", highlight=False, soft_wrap=True)
+        if lines:
+            # What stands above is of torque and motion alone.
+            verdict = plain(out["verdict"])
+            Console().print(f"[bold]both halves together: {verdict}[/bold]", highlight=False)
+
+    return show_both

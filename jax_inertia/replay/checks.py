@@ -1,0 +1,106 @@
+"""Whether log and model mean the same, how far off replays may be for no reason, and which numbers are worth having."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import Loop, Parameter
+from jax_inertia.replay.simulate import Record
+
+LOOSE_TIME = 1e-3
+"""How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""
+_REPEATS = 0.05
+_AGAINST = -0.5
+_MOVES = 0.02
+_FAR = 0.3
+
+
+def objections(record: Record, names: Sequence[str]) -> tuple[str, ...]:
+    """What looks wrong about signs and zeros, one line a joint."""
+    out = []
+    for j, name in enumerate(names):
+        q, target = record.q[:, j], record.target[:, j]
+        if min(np.ptp(q), np.ptp(target)) > _MOVES and np.corrcoef(q, target)[0, 1] < _AGAINST:
+            out.append(
+                f"{name!r} moves against its targets: is the sign of qpos or of qpos_target turned?"
+            )
+        far = float(np.median(q - target))
+        if abs(far) > _FAR:
+            out.append(
+                f"{name!r} stays {far:.2f} rad from its targets: do both have the same zero?"
+            )
+        if np.ptp(target) == 0 and np.ptp(q) > 0.1:
+            out.append(
+                f"qpos_target of {name!r} never changes, and it moves by {np.ptp(q):.2f} rad"
+            )
+    return tuple(out)
+
+
+def encoder_noise(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
+    """Standard deviation of one sample of each encoder [rad]: of its counts, or of what is no smooth motion."""
+    out = np.zeros(q.shape[1])
+    for j, x in enumerate(q.T):
+        values = np.unique(x)
+        steps = np.diff(values)
+        steps = steps[steps > 1e-9]
+        counted = len(values) < (1.0 - _REPEATS) * len(x) and steps.size > 0
+        # Third differences of white noise have √20 of its deviation; the median leaves jolts out.
+        rough = 1.4826 * float(np.median(np.abs(np.diff(x, 3)))) / np.sqrt(20.0)
+        out[j] = float(np.median(steps)) / np.sqrt(12.0) if counted else rough
+    return out
+
+
+def floor(record: Record) -> Float[np.ndarray, " n"]:
+    """What a replay errs by though nothing is wrong, rms [rad]: by encoders, and `LOOSE_TIME` at a joint's speed."""
+    speed = np.sqrt(np.mean(np.gradient(record.q, record.time, axis=0) ** 2, axis=0))
+    return np.sqrt(encoder_noise(record.q) ** 2 + (LOOSE_TIME * speed) ** 2)
+
+
+def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
+    """What `LOOSE_TIME` adds to each number's deviation: kp · δ is a damping, kd · δ an inertia."""
+    sd = LOOSE_TIME / np.sqrt(3.0)
+    out = np.zeros(len(table))
+    for k, p in enumerate(table):
+        if p.family in ("target_delay", "target_lag"):
+            out[k] = sd
+        elif p.family == "viscous_friction":
+            out[k] = loop.kp[p.joint] * sd
+        elif p.family == "armature":
+            out[k] = loop.kd[p.joint] * sd
+    return out
+
+
+def needed(found: Fit, extra: Float[np.ndarray, " P"]) -> list[int]:
+    """Which numbers differ from the nominal model's for a reason, the surest first.
+
+    Backwards, on the cost's parabola: the number whose return costs least, the others following, is given up for as
+    long as that costs less than a number is worth: ln N for N independent samples (BIC). `extra`: deviations of the
+    numbers beside those of the fit.
+    """
+    mean = np.array([p.nominal for p in found.table])
+    off = found.theta - mean
+    covariance = np.linalg.inv(found.hessian) + np.diag(extra**2)
+    price = float(np.log(max(found.samples, 2.0)))
+    left = [k for k in range(len(off)) if abs(off[k]) > 0]
+    gone = [k for k in range(len(off)) if k not in left]
+    order = []
+    before = _return(covariance, off, gone)
+    while left:
+        costs = [_return(covariance, off, [*gone, k]) - before - price for k in left]
+        least = int(np.argmin(costs))
+        if costs[least] > 0:
+            break
+        order.append(left[least])
+        gone.append(left.pop(least))
+        before = _return(covariance, off, gone)
+    return sorted(left, key=lambda k: -abs(off[k]) / np.sqrt(covariance[k, k]))
+
+
+def _return(covariance: np.ndarray, off: np.ndarray, gone: Sequence[int]) -> float:
+    """What it costs to take some numbers back, the others following."""
+    if not gone:
+        return 0.0
+    part = covariance[np.ix_(gone, gone)]
+    return float(off[list(gone)] @ np.linalg.solve(part, off[list(gone)]))

@@ -1,0 +1,166 @@
+"""The position loop of a robot, and what a replay may change about loop and joints, as one vector of numbers.
+
+The torque at a joint is what its loop gives, within its limit:
+
+    τ = clip(kp (q*(t − d) − q) + b, ± L) − v q̇
+
+v being the loop's kd and the joint's viscous friction in one: from positions alone nothing tells them apart.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.model.mujoco_types import MjModel
+from jax_inertia.text.closest_names import listed
+
+
+class Loop(NamedTuple):
+    """kp [N m/rad], kd [N m s/rad] and torque limit [N m, inf where none] of each of the log's joints."""
+
+    kp: Float[np.ndarray, " n"]
+    kd: Float[np.ndarray, " n"]
+    limit: Float[np.ndarray, " n"]
+    source: str
+    """Where kp is from: "log", "option" or "model"."""
+
+
+def actuators_on(model: MjModel, joint: int) -> list[int]:
+    """The actuators that act on one joint of a compiled model."""
+    on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
+def position_loop(
+    log: Log,
+    model: MjModel,
+    kp: Sequence[float] | None = None,
+    kd: Sequence[float] | None = None,
+    *,
+    model_first: bool = False,
+) -> Loop:
+    """The loop of each joint of a log: as given, else as logged, else of the model's position actuators.
+
+    `model_first`: a model that has position actuators everywhere is taken at its word before the log is. Raises
+    `LogError` naming the joints whose kp nobody says.
+    """
+    n = len(log.joint_names)
+    own = np.full((n, 2), np.nan)
+    limit = np.full(n, np.inf)
+    for j, name in enumerate(log.joint_names):
+        joint = model.joint(name).id
+        if model.jnt_actfrclimited[joint]:
+            limit[j] = np.abs(model.jnt_actfrcrange[joint]).max()
+        for a in actuators_on(model, joint):
+            gear = model.actuator_gear[a, 0]
+            if model.actuator_forcelimited[a]:
+                limit[j] = min(limit[j], abs(gear) * np.abs(model.actuator_forcerange[a]).max())
+            affine = model.actuator_biastype[a] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+            if affine and model.actuator_biasprm[a, 1] < 0:
+                # Control is the joint's position where the gear is 1; with another one it is the motor's.
+                own[j] = -(gear**2) * model.actuator_biasprm[a, 1:3]
+    given = _one_each("--kp", kp, n), _one_each("--kd", kd, n)
+    whole = model_first and bool(np.all(own[:, 0] > 0))
+    logged = (None, None) if whole else (log.kp, log.kd)
+    source = "model" if given[0] is None and logged[0] is None else "log"
+    source = source if given[0] is None else "option"
+    gains = []
+    for k in range(2):
+        said = given[k] if given[k] is not None else logged[k]
+        gains.append(own[:, k] if said is None else np.asarray(said, float))
+    if lacking := [x for x, g in zip(log.joint_names, gains[0], strict=True) if not g > 0]:
+        raise LogError(
+            f"kp of {listed(lacking)} is not known: the log holds no kp and the model has no position actuator there; "
+            "give --kp (N m/rad, one for all joints or one each) and --kd"
+        )
+    return Loop(gains[0], np.nan_to_num(np.maximum(gains[1], 0.0)), limit, source)
+
+
+def _one_each(name: str, values: Sequence[float] | None, n: int) -> np.ndarray | None:
+    if values is None:
+        return None
+    out = np.asarray(values, float).ravel()
+    if out.size not in (1, n) or not np.all(np.isfinite(out) & (out >= 0)):
+        raise ValueError(
+            f"{name} has {out.size} values; expected one, or one for each of {n} joints, none below 0"
+        )
+    return np.broadcast_to(out, (n,)).copy()
+
+
+class Parameter(NamedTuple):
+    """One number that a replay depends on: where the nominal model has it, how far off it may well be, its bounds."""
+
+    family: str
+    joint: int
+    """Place among the log's joints; −1 for all of them."""
+    nominal: float
+    sd: float
+    """Of the prior, about the nominal value."""
+    low: float
+    high: float
+    body: str = ""
+
+
+UNITS: Mapping[str, str] = {
+    "armature": "kg m^2",
+    "viscous_friction": "N m s/rad",
+    "coulomb_friction": "N m",
+    "encoder_offset": "rad",
+    "kp_scale": "1",
+    "target_delay": "s",
+    "torque_bias": "N m",
+    "torque_saturation": "N m",
+    "target_lag": "s",
+    "payload": "kg",
+}
+LOGARITHMIC = ("kp_scale", "torque_saturation")
+"""Families whose number in the vector is a logarithm: of kp over the one that is said, of the limit in N m."""
+ORDINARY = (
+    "armature",
+    "viscous_friction",
+    "coulomb_friction",
+    "encoder_offset",
+    "kp_scale",
+    "target_delay",
+)
+# How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
+_KP_SAID, _KP_GUESSED = 0.3, 2.0
+_OFFSET, _DELAY = 0.05, 0.02
+_LONGEST_DELAY = 0.3
+# A model without friction or rotor is still one of a joint that has them.
+_DRY_SHARE = 0.3
+
+
+def ordinary(
+    loop: Loop,
+    armature: Float[np.ndarray, " n"],
+    damping: Float[np.ndarray, " n"],
+    friction: Float[np.ndarray, " n"],
+    inertia: Float[np.ndarray, " n"],
+    torque: Float[np.ndarray, " n"],
+    period: float,
+) -> tuple[Parameter, ...]:
+    """What every robot of this kind has: five numbers a joint and one delay of the targets.
+
+    `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
+    model lacks may be. Stamps of targets may be up to one `period` of the log late.
+    """
+    out = []
+    said = _KP_GUESSED if loop.source == "model" else _KP_SAID
+    for j in range(len(loop.kp)):
+        viscous = loop.kd[j] + damping[j]
+        # Critical damping is what a designer aims at.
+        typical = max(viscous, 0.5 * float(np.sqrt(loop.kp[j] * inertia[j])))
+        dry = max(friction[j], _DRY_SHARE * torque[j])
+        out += [
+            Parameter("armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), 1e-5, np.inf),
+            Parameter("viscous_friction", j, viscous, typical, 0.0, np.inf),
+            Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
+            Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
+            Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
+        ]
+    return (*out, Parameter("target_delay", -1, 0.0, _DELAY, -period, _LONGEST_DELAY))
