@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 _DESCRIPTION = """
@@ -44,7 +45,14 @@ def add_parser(subparsers) -> None:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add = parser.add_argument
+    _add_any(parser.add_argument)
+    _add_tables(parser.add_argument_group("CSV, Parquet, LeRobot").add_argument)
+    _add_bags(parser.add_argument_group("ROS bags and MCAP").add_argument)
+    parser.set_defaults(run=run)
+
+
+def _add_any(add: Callable[..., object]) -> None:
+    """Add what holds for a log of any kind."""
     kinds = (
         ".csv, .parquet, .bag, .mcap, .db3, .npz, or the folder of a ROS 2 bag or LeRobot dataset"
     )
@@ -66,7 +74,9 @@ def add_parser(subparsers) -> None:
     )
     add("--json", action="store_true", help="print what was written as JSON")
 
-    add = parser.add_argument_group("CSV, Parquet, LeRobot").add_argument
+
+def _add_tables(add: Callable[..., object]) -> None:
+    """Add which columns are what, and which episode is read."""
     add(
         "--column",
         type=_pair,
@@ -82,7 +92,9 @@ def add_parser(subparsers) -> None:
     )
     add("--calibration", type=Path, metavar="FILE", help=calibration_help)
 
-    add = parser.add_argument_group("ROS bags and MCAP").add_argument
+
+def _add_bags(add: Callable[..., object]) -> None:
+    """Add which topics are what, and how their wrenches are meant."""
     joints_help = (
         "sensor_msgs/JointState, one topic or several (default: all, put together by joint)"
     )
@@ -106,7 +118,6 @@ def add_parser(subparsers) -> None:
         action="store_true",
         help="they are the robot's on its surroundings",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

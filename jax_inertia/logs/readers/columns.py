@@ -15,7 +15,7 @@ A heading may end in a unit, `qpos.elbow [deg]`, which is then converted. A colu
 `qpos` with one entry a joint.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -59,53 +59,21 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
 
     Joints without position or torque are left out, with a note. Raises `LogError` for what is missing.
     """
-    found: dict[str, dict[tuple[str, str], str]] = {}
-    for heading, column in plan.columns.items():
-        if heading in values and (values[heading].dtype.kind == "U") != (
-            column.array in UNIT_TEXTS
-        ):
-            holds, right = (
-                ("numbers", "text") if column.array in UNIT_TEXTS else ("text", "numbers")
-            )
-            raise LogError(f"column {heading!r} holds {holds}; expected {right}")
-        if heading in values and values[heading].ndim > 1 and (column.of or column.part):
-            raise LogError(f"column {heading!r} holds lists; expected one number in each row")
-        parts = found.setdefault(column.array, {})
-        if (before := parts.setdefault((column.of, column.part), heading)) != heading:
-            raise LogError(
-                f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
-            )
-    for array in ("time", "qpos", "tau"):
-        # Who is told positions may have no torque.
-        if array not in found and not (array == "tau" and "qpos_target" in found):
-            raise LogError(missing(array, [*plan.others, *plan.columns]))
-    if not any(len(x) for x in values.values() if x.ndim):
-        raise LogError("has headings and no rows; expected at least two samples")
+    found = _found(plan, values)
     out: dict[str, np.ndarray] = {}
     notes: list[str] = []
     joints, left_out = _joints(found, values, names)
     if left_out:
         driven = "torque" if "tau" in found else "target"
         notes.append(f"left out, without position or without {driven}: {listed(left_out)}")
-    units, stated, timed = set(), False, False
     for array, parts in found.items():
         scaled = {key: _in_si(plan.columns[h], values[h]) for key, h in parts.items()}
-        if array in UNIT_TEXTS:
-            out[array] = values[parts["", ""]]
-        elif array in PER_JOINT:
+        if array in PER_JOINT:
             lacking = [name for name in joints if (name, "") not in parts]
-            if ("", "") in parts:
-                out[array] = _rows(array, scaled["", ""], len(names))
-            elif lacking:
+            if lacking and ("", "") not in parts:
                 notes.append(f"{array} is left out: there is none for {listed(lacking)}")
-                continue
             else:
-                out[array] = np.stack([scaled[name, ""] for name in joints], axis=-1)
-            if array in _CONSTANT:
-                out[array] = _constant(array, out[array])
-            if array == "tau":
-                units |= {plan.columns[h].unit for h in parts.values()}
-            stated |= array == "qpos" and any(plan.columns[h].unit for h in parts.values())
+                out[array] = _by_joint(array, scaled, joints)
         elif array in BASE:
             out[array] = _components(array, "", BASE[array], scaled)
         elif array == "contact_wrench":
@@ -114,18 +82,11 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
             out |= {array: np.stack(wrenches, axis=1), "contact_bodies": np.array(bodies)}
         else:
             out[array] = scaled["", ""]
-            timed |= array == "time" and bool(plan.columns[parts["", ""]].unit)
     out["joint_names"] = np.array(joints, dtype=np.str_)
-    if unit := _one_unit(units):
-        out["tau_unit"] = np.array(unit)
-    if current := next((h for h in found.get("tau", {}).values() if is_current(h)), ""):
-        out.setdefault("tau_kind", np.array("current"))
-        if "tau_unit" not in out:
-            out["tau_unit"] = np.array("unknown (a current)")
-            notes.append(
-                f"{current.partition('[')[0][:60]!r} holds currents, not N m; --tau-unit says in what unit"
-            )
-    return Contents(out, plan.others, notes, stated, timed)
+    meaning, note = _torque_meaning(plan, found.get("tau", {}).values(), out)
+    stated = any(plan.columns[h].unit for h in found["qpos"].values())
+    timed = bool(plan.columns[found["time"]["", ""]].unit)
+    return Contents(out | meaning, plan.others, notes + note, stated, timed)
 
 
 def spread(
@@ -181,6 +142,36 @@ def headings_of(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return out | {name: arrays[name] for name in UNIT_TEXTS if name in arrays}
 
 
+def _found(plan: Plan, values: Mapping[str, np.ndarray]) -> dict[str, dict[tuple[str, str], str]]:
+    """Headings by array, and by owner and component; raises `LogError` where these make no log."""
+    found: dict[str, dict[tuple[str, str], str]] = {}
+    for heading, column in plan.columns.items():
+        if heading in values:
+            _check_form(heading, column, values[heading])
+        parts = found.setdefault(column.array, {})
+        if (before := parts.setdefault((column.of, column.part), heading)) != heading:
+            raise LogError(
+                f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
+            )
+    for array in ("time", "qpos", "tau"):
+        # Who is told positions may have no torque.
+        if array not in found and not (array == "tau" and "qpos_target" in found):
+            raise LogError(missing(array, [*plan.others, *plan.columns]))
+    if not any(len(x) for x in values.values() if x.ndim):
+        raise LogError("has headings and no rows; expected at least two samples")
+    return found
+
+
+def _check_form(heading: str, column: Column, value: np.ndarray) -> None:
+    """Raise `LogError` for text among numbers, numbers for text, and lists for one number."""
+    text = column.array in UNIT_TEXTS
+    if (value.dtype.kind == "U") != text:
+        holds, right = ("numbers", "text") if text else ("text", "numbers")
+        raise LogError(f"column {heading!r} holds {holds}; expected {right}")
+    if value.ndim > 1 and (column.of or column.part):
+        raise LogError(f"column {heading!r} holds lists; expected one number in each row")
+
+
 def _joints(
     found: Mapping[str, Mapping[tuple[str, str], str]],
     values: Mapping[str, np.ndarray],
@@ -227,6 +218,17 @@ def _in_si(column: Column, value: np.ndarray) -> np.ndarray:
     return value if factor == 1.0 else value * factor
 
 
+def _by_joint(
+    array: str, columns: Mapping[tuple[str, str], np.ndarray], joints: Sequence[str]
+) -> np.ndarray:
+    """(T, joints), or (joints,) where one value is repeated; of a column of lists or one a joint."""
+    if ("", "") in columns:
+        value = _rows(array, columns["", ""], len(joints))
+    else:
+        value = np.stack([columns[name, ""] for name in joints], axis=-1)
+    return _constant(array, value) if array in _CONSTANT else value
+
+
 def _rows(array: str, value: np.ndarray, joints: int) -> np.ndarray:
     value = value[:, None] if value.ndim == 1 else value
     if value.shape[1] != joints:
@@ -247,6 +249,28 @@ def _components(
         owner = f"{array}.{of}" if of else array
         raise LogError(f"{owner}.{missing[0]} is missing; {owner} has {', '.join(parts)}")
     return np.stack([values[of, part] for part in parts], axis=-1)
+
+
+def _torque_meaning(
+    plan: Plan, headings: Collection[str], given: Collection[str]
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """`tau_unit` and `tau_kind` as the headings of tau tell them, with notes.
+
+    A unit in a heading goes before a column `tau_unit`; a heading that says current goes after those `given`.
+    """
+    out: dict[str, np.ndarray] = {}
+    notes: list[str] = []
+    if unit := _one_unit({plan.columns[h].unit for h in headings}):
+        out["tau_unit"] = np.array(unit)
+    if current := next((h for h in headings if is_current(h)), ""):
+        if "tau_kind" not in given:
+            out["tau_kind"] = np.array("current")
+        if "tau_unit" not in given and not unit:
+            out["tau_unit"] = np.array("unknown (a current)")
+            notes.append(
+                f"{current.partition('[')[0][:60]!r} holds currents, not N m; --tau-unit says in what unit"
+            )
+    return out, notes
 
 
 def _one_unit(units: set[str]) -> str:
