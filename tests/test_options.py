@@ -1,6 +1,7 @@
 """Every option of every command, with values that it cannot have: one line on stderr, status 2, nothing written."""
 
 import argparse
+import dataclasses
 import os
 
 import mujoco
@@ -65,6 +66,14 @@ BAD = {
         "--shift-torque": ["4", "nan", "x"],
         "--fix": ["shoulder", "shoulder=inf", "nobody=0", "shoulder=0"],
         "--joints": ["nobody", ""],
+        "--kp": ["x", "1 2 3"],
+        "--kd": ["x", "1 2 3"],
+        "--out": ["log.npz"],
+    },
+    "replay": {
+        "--model": ["no.xml", "log.npz"],
+        "--kp": ["x", "1 2 3", "-1"],
+        "--kd": ["x", "1 2 3", "-1"],
         "--out": ["log.npz"],
     },
     "suggest-motion": {
@@ -88,6 +97,7 @@ READS = {
     "--calibration": ["dataset"],
 }
 GIVEN = {
+    "replay": ["told.npz", "--model", "model.xml", "--kp", "10", "--kd", "1"],
     "convert": ["log.npz", "made.npz"],
     "estimate": ["log.npz", "--model", "model.xml", "--bodies", "lower", "--out", "made"],
     "diagnose": ["log.npz", "--model", "model.xml", "--out", "made"],
@@ -106,7 +116,10 @@ def folder(tmp_path_factory):
         mujoco.mj_saveLastXML(str(made / "model.xml"), model)
     else:
         (made / "model.xml").write_text(text)
-    write_log(swing(seconds=2.0), made / "log.npz")
+    log = swing(seconds=2.0)
+    write_log(log, made / "log.npz")
+    told = dataclasses.replace(log, tau=None, qpos_target=np.asarray(log.qpos))
+    write_log(told, made / "told.npz")
     write_csv(made / "table.csv", columns())
     pytest.importorskip("pyarrow")
     write_dataset(made / "dataset")

@@ -59,7 +59,9 @@ def against_model(log: Log, robot: Robot) -> tuple[Finding, ...]:
     """
     if told := tuple(bodies(robot)):
         return told
-    if log.tau_unit is not TorqueUnit.NEWTON_METRE or (split := parts(log, robot)) is None:
+    if log.tau is None or log.tau_unit is not TorqueUnit.NEWTON_METRE:
+        return ()
+    if (split := parts(log, robot)) is None:
         return ()
     compared = Compared.of(split)
     if not compared.judged.any():
