@@ -228,6 +228,7 @@ def nearly_two(words, count, shares):
 
 
 @pytest.mark.timeout(1200)
+@pytest.mark.slow
 def test_round_trip_with_the_public_command(tmp_path):
     logs, hidden, out = tmp_path / "logs", tmp_path / "sealed", tmp_path / "found"
     seed = tmp_path / "seed"

@@ -83,7 +83,8 @@ def robot():
     return load_model(mujoco.MjModel.from_xml_string(HOPPER))
 
 
-@pytest.mark.parametrize("late", [pytest.param(0, marks=pytest.mark.slow), STEPS // 4])
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0, STEPS // 4])
 def test_blows_are_no_gap_whenever_in_its_period_a_wrench_was_measured(robot, late):
     found = diagnose(robot, kicked(late))
     assert found.verdict is Verdict.NO_GAP, found

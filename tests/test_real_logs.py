@@ -41,7 +41,7 @@ def calibrations():
     return {"repository": repository, "maker": maker}
 
 
-@pytest.mark.parametrize("name", ["repository", "maker"])
+@pytest.mark.parametrize("name", [pytest.param("repository", marks=pytest.mark.slow), "maker"])
 def test_ur10e_without_load_reads_zero(name):
     """Each free run weighed with bodies, friction and gains of the two others, and the pair's free one."""
     calibration = calibrations()[name]
