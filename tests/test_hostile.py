@@ -715,6 +715,15 @@ def test_the_second_writer_to_a_folder_is_told(tmp_path):
     assert (out / "report.json").read_text() == "second"
 
 
+def test_a_folder_may_be_named_from_here(tmp_path, monkeypatch):
+    """A temporary folder is absolute from Python 3.12 on, and is not what a killed run left."""
+    monkeypatch.chdir(tmp_path)
+    for text in ("first", "second"):
+        with console.output_folder(Path("out/here")) as folder:
+            (folder / "report.json").write_text(text)
+        assert (tmp_path / "out/here/report.json").read_text() == text
+
+
 def test_commands_say_warnings_in_one_line_or_not_at_all(capfd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with console.warnings_as_lines():

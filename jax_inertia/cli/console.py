@@ -94,7 +94,8 @@ def output_folder(out: Path, of: str = "report") -> Iterator[Path]:
                 )
             for orphan in out.glob(f".part-{glob.escape(of)}-????????"):
                 # Who made it and still lived would hold the lock.
-                if alone and orphan != part:
+                # By name: mkdtemp gives an absolute path from Python 3.12 on, a glob what it was asked.
+                if alone and orphan.name != part.name:
                     shutil.rmtree(orphan, ignore_errors=True)
             yield part
             for file in sorted(part.iterdir()):
