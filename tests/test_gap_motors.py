@@ -58,6 +58,7 @@ def test_what_motors_miss_is_told_beside_a_push(robot):
     assert found.trace.torque_noise[:4] == pytest.approx(12 * MISSED[:4], rel=0.25)
 
 
+@pytest.mark.slow
 def test_what_a_controller_makes_of_its_encoders_is_no_noise_of_torques(robot):
     """It moves the robot. Taken for noise of the torque it hides a gain that is off by a thousandth."""
     log = simulate(

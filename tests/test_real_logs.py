@@ -61,6 +61,7 @@ def test_ur10e_s_payload_is_weighed():
     assert 0.85 * ur10e.TRUE_KG < value < ur10e.TRUE_KG
 
 
+@pytest.mark.slow
 def test_ur10e_online_weighs_the_pair():
     """Five iterations in U Uᵀ on the calibrated model; the load above the calibrated wrist, after the last sample."""
     fit = calibrations()["maker"].fit(free())
