@@ -303,7 +303,9 @@ def _reader(kind: str, path: Path) -> tuple[Callable[[], None], tuple[type, ...]
     sound = Options() if kind not in ("ROS 1 bag", "db3", "mcap") else ros
 
     def check(log: Log) -> None:
-        assert log.qpos.shape == log.tau.shape == (len(log.time), len(log.joint_names))
+        # A robot that is told positions has targets instead of torques.
+        moved = log.qpos_target if log.tau is None else log.tau
+        assert log.qpos.shape == moved.shape == (len(log.time), len(log.joint_names))
         assert np.all(np.diff(log.time) > 0)
 
     def one_log() -> None:
