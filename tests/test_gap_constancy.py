@@ -66,6 +66,7 @@ def shove(turning: float):
     return force
 
 
+@pytest.mark.slow
 def test_a_push_with_a_sudden_beginning_and_end_is_sized(robot):
     found = diagnose(robot, simulate(force=shove(0.0)))
     assert found.verdict is Verdict.EXPLAINED

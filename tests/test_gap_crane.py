@@ -121,6 +121,7 @@ def test_a_soft_gear_is_named_on_a_log_that_begins_amid_the_motion(robot):
     assert learned is None or learned == pytest.approx(TAU, rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_sliding_joints_friction_is_in_newtons_and_glitches_are_left_out(robot):
     log = glitched(simulate(friction=120.0))
     assert torque_spikes(log).sum() == 6

@@ -181,6 +181,7 @@ def push_log():
         ),
     ],
 )
+@pytest.mark.slow
 def test_a_push_may_happen_again_on_another_motion(robot, push_log, again, shrinks):
     other = simulate(force=again, seconds=6.0, seed=5)
     found = diagnose(robot, push_log, test_log=other)

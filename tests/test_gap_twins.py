@@ -65,6 +65,7 @@ def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family, p
 @pytest.mark.parametrize(
     ("how", "family"), [({"lag": 0.008}, "actuator_lag"), ({"delay": 8}, "time_delay")]
 )
+@pytest.mark.slow
 def test_a_lag_and_a_delay_of_a_slow_motion(robot, how, family):
     """They part where the motion is quick, however little of it is."""
     found = diagnose(robot, late(**how, seed=4, wave=quick_and_slow, encoder=2e-5))

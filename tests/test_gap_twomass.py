@@ -216,6 +216,7 @@ def test_a_stiff_joint_behind_a_rough_encoder_is_no_dead_zone_of_nothing():
 
 
 @pytest.mark.parametrize("half", [pytest.param(0.01, marks=pytest.mark.slow), 0.0003])
+@pytest.mark.slow
 def test_play_between_stops_of_mujoco_is_named_and_sized(half):
     robot, teeth = load_model(mujoco.MjModel.from_xml_string(ARM)), TEETH.format(half)
     found = diagnose(robot, log_of(teeth), test_log=log_of(teeth, seed=5))

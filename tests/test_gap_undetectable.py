@@ -44,6 +44,7 @@ def weighed(size):
         ("payload", "lower", "kg", weighed),
     ],
 )
+@pytest.mark.slow
 def test_a_little_more_is_found_and_far_less_is_not(robot, smallest, family, place, unit, hidden):
     size = smallest[family, place]
     assert size.unit == unit

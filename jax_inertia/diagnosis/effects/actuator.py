@@ -1,5 +1,7 @@
 """Effects between the logged torque and the joint: gain, limit, delay, lag."""
 
+import abc
+
 import numpy as np
 from scipy import signal
 
@@ -72,9 +74,9 @@ class _Late(Effect):
     def shapes(self, context, place):
         return [(1e-3,)]
 
+    @abc.abstractmethod
     def late(self, tau: np.ndarray, step: float, by: float) -> np.ndarray:
         """The torque later by `by` [s]."""
-        raise NotImplementedError
 
     def columns(self, context, place, shape):
         rows = list(context.joint_dofs.values()) if place.kind == "global" else [place.index]

@@ -1,5 +1,7 @@
 """Generic alternatives: shapes that no named effect has. They compete for the residual, and say what it resembles."""
 
+import abc
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, of_row, peak_of
@@ -12,9 +14,9 @@ HATS = 8
 class _Free(Effect):
     named, form_error = False, 0.1
 
+    @abc.abstractmethod
     def signal(self, context, place) -> np.ndarray:
         """What the torque is a free function of (T,)."""
-        raise NotImplementedError
 
     def columns(self, context, place, shape):
         x = self.signal(context, place)
