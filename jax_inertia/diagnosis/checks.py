@@ -1,5 +1,6 @@
 """Predictive checks, never fitted: the residual of a run that played no part, and ties between hypotheses."""
 
+import abc
 import dataclasses
 
 import numpy as np
@@ -44,11 +45,46 @@ class Check:
         return float(max(self.after**2 - self.noise**2, 0.0) / whole)
 
 
-class OtherRun:
+class _Run(abc.ABC):
+    """Rows that are predicted and not fitted."""
+
+    residual: Residual
+    evidence: Evidence
+
+    @abc.abstractmethod
+    def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
+        """Residual of every row after everything chosen [N m]."""
+
+    def error(self, now: Posterior) -> float:
+        """Residual after, rms over moving rows [N m]."""
+        return rms(self.left(now), self.residual.weight)
+
+    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
+        """Before, with the ordinary effects, after."""
+        y, weight = self.residual.y, self.residual.weight
+        left = self.left(whole)
+        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
+        return Check(
+            rms(y, weight),
+            self.error(ordinary),
+            rms(left, weight),
+            noise,
+            rows(y, weight),
+            rows(left, weight),
+            left,
+            expected(self.residual, self.evidence),
+        )
+
+
+class OtherRun(_Run):
     """Another log of the same robot, predicted from the first."""
 
     def __init__(self, residual: Residual, evidence: Evidence):
         self.residual, self.evidence, self._columns = residual, evidence, {}
+
+    def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
+        """Residual of this run at numbers from the first."""
+        return self.residual.y - self.predicted(now)
 
     def predicted(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Torque of everything chosen on this run, at numbers from the first."""
@@ -65,28 +101,8 @@ class OtherRun:
             self._columns[id(h)] = (h, elsewhere(h, self.residual))
         return self._columns[id(h)][1]
 
-    def error(self, now: Posterior) -> float:
-        """Residual after, rms over moving rows [N m]."""
-        return rms(self.residual.y - self.predicted(now), self.residual.weight)
 
-    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
-        """Before, with the ordinary effects, after."""
-        y, weight = self.residual.y, self.residual.weight
-        left = y - self.predicted(whole)
-        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
-        return Check(
-            rms(y, weight),
-            self.error(ordinary),
-            rms(left, weight),
-            noise,
-            rows(y, weight),
-            rows(left, weight),
-            left,
-            expected(self.residual, self.evidence),
-        )
-
-
-class HeldOut:
+class HeldOut(_Run):
     """The log itself, each of a few stretches predicted from the others."""
 
     def __init__(self, selection: Selection, settings: Settings):
@@ -94,34 +110,14 @@ class HeldOut:
         count = len(self.residual.y)
         self.fold = np.minimum(np.arange(count) * settings.folds // count, settings.folds - 1)
 
-    def left(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "R n"]:
-        """What is left of each stretch."""
+    def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
+        """Residual of each stretch, fitted to the others."""
         y, out = self.residual.y, np.zeros_like(self.residual.y)
         for k in np.unique(self.fold):
-            others = self.evidence.without(self.fold == k).posterior(chosen)
+            others = self.evidence.without(self.fold == k).posterior(now.chosen)
             part = self.fold == k
             out[part] = (y - others.fitted)[part]
         return out
-
-    def error(self, now: Posterior) -> float:
-        """As of `OtherRun`."""
-        return rms(self.left(now.chosen), self.residual.weight)
-
-    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
-        """As of `OtherRun`."""
-        y, weight = self.residual.y, self.residual.weight
-        left = self.left(whole.chosen)
-        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
-        return Check(
-            rms(y, weight),
-            self.error(ordinary),
-            rms(left, weight),
-            noise,
-            rows(y, weight),
-            rows(left, weight),
-            left,
-            expected(self.residual, self.evidence),
-        )
 
 
 def expected(residual: Residual, evidence: Evidence) -> Float[np.ndarray, " n"]:

@@ -1,14 +1,11 @@
 """report.json of a whole-robot diagnosis, schema 1."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.report import clean, located
 from jax_inertia.preflight.preflight import Finding as Quality
 
 
@@ -55,20 +52,20 @@ def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str,
         "doubts": [],
         "notes": list(found.notes),
     }
-    return {name: _clean(value) for name, value in report.items()}
+    return {name: clean(value) for name, value in report.items()}
 
 
 def _effect(f: Found) -> dict[str, Any]:
     return {
         "family": f.family,
-        "location": _place(f.place),
+        "location": located(f.place),
         "ordinary": f.ordinary,
         "parameters": {name: _number(p) for name, p in f.parameters.items()},
         "share": f.share,
         "evidence": f.evidence,
         "probability": f.probability,
         "equivalent": [
-            {"family": t.family, "location": _place(t.place), "kind": t.kind} for t in f.equivalent
+            {"family": t.family, "location": located(t.place), "kind": t.kind} for t in f.equivalent
         ],
     }
 
@@ -86,21 +83,3 @@ def _shrink(s: Shrink) -> dict[str, Any]:
         "unit": "N m",
         "per_joint": {n: {"before": b, "after": a} for n, (b, a) in s.per_joint.items()},
     }
-
-
-def _place(place: Place) -> dict[str, Any]:
-    return {"kind": place.kind, "name": place.name}
-
-
-def _clean(x):
-    """Plain floats; what is not finite becomes null, which JSON has."""
-    if isinstance(x, dict):
-        return {k: _clean(v) for k, v in x.items()}
-    if isinstance(x, list):
-        return [_clean(v) for v in x]
-    if isinstance(x, np.bool_ | bool):
-        return bool(x)
-    if isinstance(x, float | np.generic):
-        value = float(x)
-        return value if math.isfinite(value) else None
-    return x

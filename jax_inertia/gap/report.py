@@ -43,7 +43,7 @@ def to_report(
         },
         "when": [[round(t, 3) for t in w] for w in found.when],
         "undetectable_below": [
-            {"family": family, "location": _place(place), "value": p.value, "unit": p.unit}
+            {"family": family, "location": located(place), "value": p.value, "unit": p.unit}
             for family, place, p in found.undetectable_below
         ],
         "suggested_motion": _motion(suggestions(found)),
@@ -54,13 +54,13 @@ def to_report(
         "doubts": list(found.doubts),
         "notes": list(found.notes),
     }
-    return {name: _clean(value) for name, value in report.items()}
+    return {name: clean(value) for name, value in report.items()}
 
 
 def _effect(f: Finding) -> dict[str, Any]:
     return {
         "family": f.family,
-        "location": _place(f.place),
+        "location": located(f.place),
         "parameters": {
             name: {"value": p.value, "ci95": [p.low, p.high], "unit": p.unit}
             for name, p in f.parameters.items()
@@ -68,7 +68,7 @@ def _effect(f: Finding) -> dict[str, Any]:
         "explained_heldout": f.explained,
         "probability": f.probability,
         "equivalent": [
-            {"family": t.family, "location": _place(t.place), "kind": t.kind} for t in f.equivalent
+            {"family": t.family, "location": located(t.place), "kind": t.kind} for t in f.equivalent
         ],
     }
 
@@ -128,16 +128,17 @@ def _where(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _place(place: Place) -> dict[str, Any]:
+def located(place: Place) -> dict[str, Any]:
+    """A place as the contract writes it."""
     return {"kind": place.kind, "name": place.name}
 
 
-def _clean(x):
+def clean(x):
     """Plain floats; what is not finite becomes null, which JSON has."""
     if isinstance(x, dict):
-        return {k: _clean(v) for k, v in x.items()}
+        return {k: clean(v) for k, v in x.items()}
     if isinstance(x, list):
-        return [_clean(v) for v in x]
+        return [clean(v) for v in x]
     if isinstance(x, float | np.generic):
         value = float(x)
         return value if math.isfinite(value) else None
