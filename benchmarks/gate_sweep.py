@@ -40,7 +40,7 @@ from jax_inertia.maths.noise import IndependentNoise  # noqa: E402
 from jax_inertia.model.robot import Robot  # noqa: E402
 from jax_inertia.signals.differences import Observation  # noqa: E402
 from jax_inertia.signals.generalised_motion import Motion  # noqa: E402
-from jax_inertia.signals.residual import torque_residuals  # noqa: E402
+from jax_inertia.signals.torque_residual import torque_residuals  # noqa: E402
 
 ROWS = 29
 # Probabilities of keeping a good measurement, then raw thresholds, then no gate.
@@ -115,7 +115,7 @@ def sweep(robot: Robot, logs: Noisy, scale: np.ndarray, tick: float) -> Noisy:
     valid = jnp.ones(robot.nv, bool)
 
     def one(log: Noisy, told: Float[jax.Array, ""], reopen, gamma):
-        regressors, deltas = log["y"] / told, log["delta"] / told
+        regressors, residuals = log["y"] / told, log["residual"] / told
         at = lambda f: (f.gate, f.reopen_after)  # noqa: E731
         own = eqx.tree_at(at, filter_, (FixedGate(gamma), reopen))
 
@@ -124,7 +124,7 @@ def sweep(robot: Robot, logs: Noisy, scale: np.ndarray, tick: float) -> Noisy:
             seen = made.innovation
             return state, (own.chart.to_pi(state.belief.mean)[0], seen.nis, seen.accepted)
 
-        return jax.lax.scan(step, own.initial(), (regressors, deltas))[1]
+        return jax.lax.scan(step, own.initial(), (regressors, residuals))[1]
 
     def of_log(log: Noisy, told):
         wrench = jax.vmap(lambda q, f: foot_wrenches(robot, q, f))(log["q"], log["force"])
@@ -141,9 +141,10 @@ def sweep(robot: Robot, logs: Noisy, scale: np.ndarray, tick: float) -> Noisy:
             quaternions=(3,),
         )
         zero = jnp.zeros(robot.nv)
-        y, delta = torque_residuals(robot, Observation(motion, log["a"]), filter_.bodies, zero)
+        observed = Observation(motion, log["a"])
+        y, residual = torque_residuals(robot, observed, filter_.bodies, zero)
         # Whitened once: R is the same at every tick but for its scale.
-        white = {"y": jnp.einsum("ij,tjbp->tibp", root, y), "delta": delta @ root.T}
+        white = {"y": jnp.einsum("ij,tjbp->tibp", root, y), "residual": residual @ root.T}
         each = jax.vmap(one, in_axes=(None, None, None, 0))
         each = jax.vmap(each, in_axes=(None, None, 0, None))
         each = jax.vmap(each, in_axes=(None, 0, None, None))

@@ -19,7 +19,7 @@ from jax_inertia.maths.gates import ChiSquaredGate
 from jax_inertia.maths.noise import IndependentNoise
 from jax_inertia.model.load import body_pi
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import torque_residuals
+from jax_inertia.signals.torque_residual import torque_residuals
 
 FAST = {"xla_backend_optimization_level": 0}
 STILL = Load(0.0)
@@ -111,12 +111,12 @@ def test_on_linear_data_the_filter_is_batch_least_squares(iterations):
         drift=STILL,
     )
     state, _ = run(estimator, estimator.initial(), log)
-    y, delta = residuals(robot, log, estimator.bodies, jnp.zeros(3))
-    weight = np.tile(1 / sigma, len(delta))
+    y, residual = residuals(robot, log, estimator.bodies, jnp.zeros(3))
+    weight = np.tile(1 / sigma, len(residual))
     root = np.linalg.inv(np.linalg.cholesky(np.asarray(estimator.prior.covariance)))
     rows = np.concatenate([root, np.asarray(y).reshape(-1, 10) * weight[:, None]])
     right = np.concatenate(
-        [root @ np.asarray(estimator.prior.mean), np.asarray(delta).ravel() * weight]
+        [root @ np.asarray(estimator.prior.mean), -np.asarray(residual).ravel() * weight]
     )
     scale = np.linalg.norm(rows, axis=0)
     mean = np.linalg.lstsq(rows / scale, right)[0] / scale
@@ -142,23 +142,23 @@ def humanoid_case():
 
 
 def test_humanoid_s_residual_vanishes_on_and_off_the_ground():
-    """Δτ = Y π with the true parameters: force and moment of every contact are where they belong."""
+    """y = −Y π with the true parameters: force and moment of every contact are where they belong."""
     _, robot, log = humanoid_case()
     bodies = tuple(robot.body_index(name) for name in (TORSO, FOREARM))
-    y, delta = residuals(robot, log, bodies, jnp.zeros(robot.nv))
-    left = np.asarray(delta) - np.einsum("tvbp,bp->tv", y, robot.pi[np.array(bodies)])
+    y, others = residuals(robot, log, bodies, jnp.zeros(robot.nv))
+    residual = np.asarray(others) + np.einsum("tvbp,bp->tv", y, robot.pi[np.array(bodies)])
     vertical = np.asarray(log.motion.wrench)[:, :, 2]
     assert np.any(vertical.sum(axis=1) == 0)
     assert np.any((vertical[:, 0] == 0) & (vertical[:, 1] > 0))
     assert np.any(np.all(vertical > 100, axis=1))
     assert np.max(np.abs(np.asarray(log.motion.wrench)[:, :, 3:])) > 10
-    assert np.max(np.abs(left)) < 1e-8 * np.max(np.abs(delta))
+    assert np.max(np.abs(residual)) < 1e-8 * np.max(np.abs(others))
     # The convention is what makes it vanish: without wrenches, or with moments about another point, it does not.
     wrench = np.array(log.motion.wrench)
     for wrong in (0 * wrench, np.concatenate([wrench[..., :3], 0 * wrench[..., 3:]], axis=-1)):
         other = eqx.tree_at(lambda o: o.motion.wrench, log, wrong)
         _, moved = residuals(robot, other, bodies, jnp.zeros(robot.nv))
-        assert np.max(np.abs(np.asarray(moved - delta))) > 1.0
+        assert np.max(np.abs(np.asarray(moved - others))) > 1.0
 
 
 def test_humanoid_s_torso_and_forearm_are_found_while_it_steps():
@@ -186,7 +186,7 @@ def test_humanoid_s_torso_and_forearm_are_found_while_it_steps():
 @pytest.mark.parametrize("chart", [PAPER, UUT], ids=["paper", "uut"])
 def test_analytic_and_autodiff_jacobian_give_the_same_numbers(chart):
     _, estimator, log = near()
-    y, delta = residuals(estimator.robot, log, estimator.bodies, jnp.zeros(3))
+    y, residual = residuals(estimator.robot, log, estimator.bodies, jnp.zeros(3))
     beliefs = []
     for analytic in (True, False):
         one = estimator_of(
@@ -198,7 +198,7 @@ def test_analytic_and_autodiff_jacobian_give_the_same_numbers(chart):
             def body(state, x):
                 return one.update(state, *x, jnp.ones(3, bool), 0.01)[0], None
 
-            return jax.lax.scan(body, state, (y, delta))[0]
+            return jax.lax.scan(body, state, (y, residual))[0]
 
         beliefs.append(updates(one.initial()).belief)
     np.testing.assert_allclose(beliefs[0].mean, beliefs[1].mean, rtol=1e-9, atol=1e-11)
@@ -356,9 +356,10 @@ def test_bias_is_the_mean_residual_and_accumulates():
     estimator = estimator_of(robot)
     calibrate = eqx.filter_jit(lambda s, o: estimator.calibrate_bias(s, o), compiler_options=FAST)
     state = calibrate(estimator.initial(), log)
-    y, delta = residuals(robot, log, estimator.bodies, jnp.zeros(3))
-    left = np.asarray(delta) - np.asarray(y)[:, :, 0] @ np.asarray(robot.pi[robot.body_index(TIP)])
-    np.testing.assert_allclose(state.bias, np.nanmean(left, axis=0), atol=1e-12)
+    y, others = residuals(robot, log, estimator.bodies, jnp.zeros(3))
+    own = np.asarray(y)[:, :, 0] @ np.asarray(robot.pi[robot.body_index(TIP)])
+    residual = np.asarray(others) + own
+    np.testing.assert_allclose(state.bias, -np.nanmean(residual, axis=0), atol=1e-12)
     np.testing.assert_allclose(state.bias, offset, atol=0.1)
     assert equal_bits(state.belief, estimator.initial().belief)
     # Once more on the same window: nothing is left. On one with 0.3 N m more: that much is added.

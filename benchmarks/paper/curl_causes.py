@@ -36,7 +36,7 @@ from jax_inertia.maths.spatial import cross
 from jax_inertia.model.load import set_inertials
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import FRICTION_VELOCITY
+from jax_inertia.signals.torque_residual import FRICTION_VELOCITY
 
 SEED = 1000
 """Of the log: none of the runs that are scored has its noise."""

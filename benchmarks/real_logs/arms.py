@@ -19,7 +19,7 @@ from jax_inertia.maths.inertial_parameters import PI_NAMES
 from jax_inertia.maths.least_squares import Identifiability, weighted_least_squares
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import FRICTION_VELOCITY, torque_residuals
+from jax_inertia.signals.torque_residual import FRICTION_VELOCITY, torque_residuals
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,10 @@ def evaluate(arm: Arm) -> ArmResult:
 
 
 def _rms(robot: Robot, bias: np.ndarray, log: Observation) -> np.ndarray:
-    regressor, delta = _residuals(robot, log, (0,), jnp.asarray(bias))
-    left = delta - regressor[:, :, 0] @ robot.pi[0]
+    regressor, others = _residuals(robot, log, (0,), jnp.asarray(bias))
+    residual = others + regressor[:, :, 0] @ robot.pi[0]
     valid = np.asarray(log.motion.valid)
-    return np.sqrt(np.sum(np.where(valid, left, 0.0) ** 2, axis=0) / valid.sum(axis=0))
+    return np.sqrt(np.sum(np.where(valid, residual, 0.0) ** 2, axis=0) / valid.sum(axis=0))
 
 
 def _spread(log: Observation) -> np.ndarray:

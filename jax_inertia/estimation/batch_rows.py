@@ -12,19 +12,19 @@ from jaxtyping import Array, Bool, Float
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import FRICTION_VELOCITY, torque_residuals
+from jax_inertia.signals.torque_residual import FRICTION_VELOCITY, torque_residuals
 
 TERMS = 4
 """Columns of each joint's own terms, the last ones: damping, dry friction, armature, offset."""
 
 
 class Rows(eqx.Module):
-    """columns @ w + base = gain · raw + noise, row by row; all zero where not valid."""
+    """columns @ w + base − gain · raw = noise, row by row: the torque residual; all zero where not valid."""
 
     columns: Float[np.ndarray, "T nv c"]
     """Regressors of the bodies that are fitted, of the load carried, then the joint terms."""
     base: Float[np.ndarray, "T nv"]
-    """What the chosen bodies must explain besides the logged torque: minus all else that the model knows."""
+    """What the model needs without the chosen bodies [N m]."""
     raw: Float[np.ndarray, "T nv"]
     """The logged torque in its own unit."""
     valid: Bool[np.ndarray, "T nv"]
@@ -32,8 +32,8 @@ class Rows(eqx.Module):
     def residual(
         self, w: Float[np.ndarray, "nv c"], gain: Float[np.ndarray, " nv"]
     ) -> Float[np.ndarray, "T nv"]:
-        """What is left of every row, in the log's own unit."""
-        return (self.base - np.einsum("tjc,jc->tj", self.columns, w)) / gain + self.raw
+        """The torque residual of every row, in the log's own unit."""
+        return (self.base + np.einsum("tjc,jc->tj", self.columns, w)) / gain - self.raw
 
     def rms(self, x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
         """Root mean square of each joint's valid rows."""
@@ -60,7 +60,7 @@ class Rows(eqx.Module):
         gain: Float[np.ndarray, " nv"],
         free: Bool[np.ndarray, " nv"],
     ) -> Float[np.ndarray, "T nv"]:
-        """What least squares over each joint's own columns leaves, each joint by itself, in the log's own unit.
+        """Residual of least squares over each joint's own columns, each joint by itself, in the log's own unit.
 
         Where the gain is free it is one more unknown, and elsewhere as given.
         """
@@ -69,9 +69,9 @@ class Rows(eqx.Module):
             inverse = 0.0 if free[j] else 1.0 / gain[j]
             x = r[:, : -1 if free[j] else -2]
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-            w, *_ = np.linalg.lstsq(x / size, -(r[:, -1] + inverse * r[:, -2]), rcond=1e-8)
+            w, *_ = np.linalg.lstsq(x / size, r[:, -1] - inverse * r[:, -2], rcond=1e-8)
             w = np.append(w / size, [inverse] * (not free[j]))
-            out[:, j] = self.raw[:, j] + self.base[:, j] * w[-1] + self.columns[:, j] @ w[:-1]
+            out[:, j] = self.base[:, j] * w[-1] + self.columns[:, j] @ w[:-1] - self.raw[:, j]
         return out
 
 
@@ -137,7 +137,7 @@ def _block(
     bias: Float[Array, " nv"],
     carrier: int | None,
 ) -> tuple[Array, Array, Array]:
-    """(regressors of the chosen bodies, what they must explain, the carrier's regressor or no columns)."""
+    """(regressors of the chosen bodies, what the model needs without them, the carrier's regressor or no columns)."""
     regressor, base = torque_residuals(robot, observation, chosen, bias)
     if carrier is None:
         return regressor, base, jnp.zeros((*base.shape, 0))

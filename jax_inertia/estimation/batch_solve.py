@@ -24,7 +24,7 @@ _UNIT, _TOLERANCE = 0.1, 1e-4
 
 
 class Problem(eqx.Module):
-    """Compressed rows and priors: in units of the log, joint j's residual is triangle_j @ [−w/gain, 1/gain, 1]."""
+    """Compressed rows and priors: in units of the log, joint j's residual is triangle_j @ [w/gain, 1/gain, −1]."""
 
     triangles: Float[Array, "nv k k"]
     chart: Chart
@@ -116,7 +116,7 @@ def _residual(z: Float[Array, " z"], problem: Problem) -> Float[Array, " m"]:
     unknowns = unpack(problem, z)
     one = jnp.ones_like(unknowns.gains)[:, None]
     gain = unknowns.gains[:, None]
-    vector = jnp.concatenate([-unknowns.weights(problem.chart) / gain, one / gain, one], axis=1)
+    vector = jnp.concatenate([unknowns.weights(problem.chart) / gain, one / gain, -one], axis=1)
     data = jnp.einsum("jrc,jc->jr", problem.triangles, vector)
     # Noise in the log's own unit: in torque units, shrinking the gain and the model together would shrink it too.
     return jnp.concatenate([(data / problem.noise[:, None]).ravel(), z])

@@ -26,7 +26,7 @@ from jax_inertia.estimation.motion_limits import Limits
 from jax_inertia.estimation.priors import Load, Uncertainty
 from jax_inertia.maths import charts
 from jax_inertia.model.robot import HINGE, SLIDE, Robot
-from jax_inertia.signals.residual import FRICTION_VELOCITY
+from jax_inertia.signals.torque_residual import FRICTION_VELOCITY
 
 MOST_SAMPLES = 1_000_000
 """Of a motion: hours at rates that robots are driven at."""

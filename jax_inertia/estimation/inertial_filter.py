@@ -30,7 +30,8 @@ from jax_inertia.maths.gates import ChiSquaredGate, Gate
 from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import agreed_residual, torque_residual, torque_residuals
+from jax_inertia.signals.errors_in_variables import agreed_residual
+from jax_inertia.signals.torque_residual import torque_residual, torque_residuals
 
 
 class State(eqx.Module):
@@ -111,11 +112,14 @@ class Estimator(eqx.Module):
         self,
         state: State,
         regressor: Float[Array, "nv bodies 10"],
-        delta: Float[Array, " nv"],
+        residual: Float[Array, " nv"],
         valid: Bool[Array, " nv"],
         dt: Float[Array, ""] | float,
     ) -> tuple[State, Step]:
-        """`step` for a regressor Y^est and Δτ computed before.
+        """`step` for a regressor Y^est and a torque residual y computed before (`signals.torque_residual`).
+
+        The measurement is Δτ = −y = Y π + noise (Foster et al., eq. measurement), so an innovation is measured minus
+        predicted torque.
 
         A χ² gate alone would reject a genuine pick-up for ever. Impacts pass in some 50 ms; where everything is
         rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
@@ -133,11 +137,11 @@ class Estimator(eqx.Module):
             own = x.reshape(-1, 10)
             g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
             rows = jnp.einsum("vbp,bpj->vbj", take_rows(regressor, moved), g)
-            return spread_rows(rows.reshape(len(moved), -1), moved, len(delta))
+            return spread_rows(rows.reshape(len(moved), -1), moved, len(residual))
 
         belief, innovation = kalman.update(
             belief,
-            delta,
+            -residual,
             predicted,
             self.noise,
             jacobian=jacobian,
@@ -198,14 +202,14 @@ class Estimator(eqx.Module):
     def calibrate_bias(self, state: State, observations: Observation) -> State:
         """Take the mean residual over a window into the bias, parameters held (Foster et al., sec. IV-B).
 
-        b ← b + mean(Δτ − h(x)): accumulated, so that a second window refines the first. Rows that are nowhere
+        b ← b − mean(y + Y π): accumulated, so that a second window refines the first. Rows that are nowhere
         valid keep their bias. A load carried meanwhile would be calibrated away: call it unloaded.
         """
-        regressors, deltas = torque_residuals(self.robot, observations, self.bodies, state.bias)
-        left = deltas - jnp.einsum("tvbp,bp->tv", regressors, self._pi(state.belief.mean))
-        used = jnp.asarray(observations.motion.valid) & jnp.isfinite(left)
-        mean = jnp.sum(jnp.where(used, left, 0.0), 0) / jnp.maximum(jnp.sum(used, 0), 1)
-        return eqx.tree_at(lambda s: s.bias, state, state.bias + mean)
+        regressors, others = torque_residuals(self.robot, observations, self.bodies, state.bias)
+        residual = others + jnp.einsum("tvbp,bp->tv", regressors, self._pi(state.belief.mean))
+        used = jnp.asarray(observations.motion.valid) & jnp.isfinite(residual)
+        mean = jnp.sum(jnp.where(used, residual, 0.0), 0) / jnp.maximum(jnp.sum(used, 0), 1)
+        return eqx.tree_at(lambda s: s.bias, state, state.bias - mean)
 
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
@@ -246,7 +250,7 @@ def make_estimator(
     in which they may drift by the prior (default: an hour with a gate that reopens, which is what notices a new load;
     else 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the noise of
     accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards zero
-    (`residual.agreed_residual`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
+    (`errors_in_variables`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
     probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`.
 
     What is left out is safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate

@@ -30,11 +30,9 @@ from jax_inertia.maths import charts
 from jax_inertia.model.robot import HINGE, Robot
 from jax_inertia.preflight.preflight import require_usable
 from jax_inertia.signals.bands import ESTIMATE, of_estimate
-from jax_inertia.signals.differences import Observation, central_differences
-from jax_inertia.signals.filtering import low_pass, resample
-from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.holds import Holds, holds_of, without_friction
-from jax_inertia.signals.residual import torque_residuals
+from jax_inertia.signals.torque_residual import observed, torque_residuals
 
 _PIECE_SECONDS = 2.0
 # A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
@@ -67,14 +65,14 @@ def observe(
     """
     require_usable(log, robot, any_unit=any_unit)
     bands = of_estimate(round(log.rate, 6), rate, cutoff)
-    motion = generalised(low_pass(resample(log, bands.grid), bands.before), robot)
+    whole = observed(log, robot, bands)
     edge = int(np.ceil(bands.grid / bands.before))
-    if len(motion.time) < 2 * edge + 22:
+    if len(whole.a) < 2 * edge + 20:
         raise LogError(
             f"{log.duration:.3g} s of log at {bands.grid:g} Hz are too short for a low-pass of {bands.before:g} Hz; "
             "raise the cutoff or record longer"
         )
-    observation = jax.tree.map(lambda x: x[edge:-edge], central_differences(motion))
+    observation = jax.tree.map(lambda x: x[edge:-edge], whole)
     if not np.any(observation.motion.valid):
         raise LogError(
             "no sample is complete (position, velocity and torque all finite); nothing to fit"
@@ -191,23 +189,23 @@ def regressors(
     bodies: Sequence[int | str],
     bias: Float[np.ndarray, " nv"] | None = None,
 ) -> tuple[Float[np.ndarray, "T nv n"], Float[np.ndarray, "T nv"], np.ndarray]:
-    """(Y^est with n = 10 × bodies, Δτ, which rows to use) of every observation, zero where not to be used.
+    """(Y^est with n = 10 × bodies, residual y, which rows to use) of every observation, zero where not to be used.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimation import log_filter
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
     >>> robot = load_model(double_pendulum())
     >>> log = log_filter.observe(swing(load=0.5), robot)
-    >>> y, missing, valid = log_filter.regressors(robot, log, ["lower"])
-    >>> y.shape, missing.shape, bool(valid.all())
+    >>> y, residual, valid = log_filter.regressors(robot, log, ["lower"])
+    >>> y.shape, residual.shape, bool(valid.all())
     ((378, 2, 10), (378, 2), True)
     """
     chosen = resolve_bodies(robot, bodies)
     bias = np.zeros(robot.nv) if bias is None else bias
-    y, delta = (np.asarray(x) for x in _residuals(robot, observation, chosen, jnp.asarray(bias)))
-    y = y.reshape(*delta.shape, -1)
-    valid = np.asarray(observation.motion.valid) & np.isfinite(delta) & np.isfinite(y).all(-1)
-    return np.where(valid[..., None], y, 0.0), np.where(valid, delta, 0.0), valid
+    y, residual = (np.asarray(x) for x in _residuals(robot, observation, chosen, jnp.asarray(bias)))
+    y = y.reshape(*residual.shape, -1)
+    valid = np.asarray(observation.motion.valid) & np.isfinite(residual) & np.isfinite(y).all(-1)
+    return np.where(valid[..., None], y, 0.0), np.where(valid, residual, 0.0), valid
 
 
 def residual_noise(
@@ -223,7 +221,7 @@ def residual_noise(
 
     `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
     residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
-    enough to see what is left); where the median piece leaves far less than the whole, its noise is taken instead. In a
+    enough to see its residual); where the median piece has far less than the whole, its noise is taken instead. In a
     log that rests in one pose after another, dry friction is left out of that comparison (`holds`), and is noise.
 
     >>> from jax_inertia import load_model
@@ -237,19 +235,19 @@ def residual_noise(
     >>> bool((noise < 0.05).all()), changed
     (True, False)
     """
-    y, delta, valid = regressors(robot, observation, bodies, bias)
+    y, others, valid = regressors(robot, observation, bodies, bias)
     period = float(np.median(np.diff(np.asarray(observation.motion.time))))
     length = int(_PIECE_SECONDS / period)
     nominal = np.asarray(robot.pi)[list(resolve_bodies(robot, bodies))].ravel()
-    left = delta - y @ nominal
+    residual = others + y @ nominal
     sigma = np.broadcast_to(np.asarray(prior.sigma_pi()), (len(nominal) // 10, 10)).ravel()
-    starts = range(0, len(delta) - length + 1, length)
+    starts = range(0, len(others) - length + 1, length)
     if len(starts) < 3:
         return whole.noise, False
     parts = [slice(k, k + length) for k in starts]
     if (holds := holds_of(observation)) is not None:
-        return whole.noise, _changed_between_holds(y, left, valid, sigma, whole, holds, parts)
-    fits = [_fit_piece(y[p], left[p], valid[p], sigma, whole.rms_after) for p in parts]
+        return whole.noise, _changed_between_holds(y, residual, valid, sigma, whole, holds, parts)
+    fits = [_fit_piece(y[p], residual[p], valid[p], sigma, whole.rms_after) for p in parts]
     rms, noise = (np.nanmedian(x, axis=0) for x in zip(*fits, strict=True))
     changed = bool(np.any(whole.rms_after > _CHANGED * np.where(rms > 0, rms, np.inf)))
     use = changed & np.isfinite(noise)
@@ -258,7 +256,7 @@ def residual_noise(
 
 def _changed_between_holds(
     y: np.ndarray,
-    left: np.ndarray,
+    residual: np.ndarray,
     valid: np.ndarray,
     sigma: np.ndarray,
     whole: BatchFit,
@@ -268,7 +266,7 @@ def _changed_between_holds(
     """Whether bodies changed in a log that rests in one pose after another, dry friction aside.
 
     Each hold has a friction of its own, which one piece takes for a load and the whole log cannot: without it in both
-    fits every such log would seem to change. Its level is that of the moving rows, or at most all that is left.
+    fits every such log would seem to change. Its level is that of the moving rows, or at most all of the residual.
     """
     rows, joints, columns = y.shape
     wide = np.zeros((rows, joints, columns + joints))
@@ -277,14 +275,16 @@ def _changed_between_holds(
     wide[:, index, columns + index] = holds.direction * valid
     reach = np.concatenate([sigma, whole.rms_after])
     moving = valid & ~holds.at_rest[:, None]
-    x = _ridge(wide * moving[..., None], left * moving, reach, np.maximum(whole.rms_after, 1e-9))
+    x = _ridge(
+        wide * moving[..., None], residual * moving, reach, np.maximum(whole.rms_after, 1e-9)
+    )
     level = np.where(moving.any(axis=0), np.abs(x[columns:]), whole.rms_after)
     noise = np.maximum(1e-9, 0.1 * level)
 
     def rms(part: slice) -> np.ndarray:
         own, ok = holds[part], valid[part]
         a = without_friction(wide[part], ok, own, noise, level)
-        b = without_friction(left[part], ok, own, noise, level)
+        b = without_friction(residual[part], ok, own, noise, level)
         return _fit_piece(a, b, ok, reach, whole.rms_after)[0]
 
     pieces = np.nanmedian([rms(part) for part in parts], axis=0)
@@ -292,22 +292,22 @@ def _changed_between_holds(
 
 
 def _ridge(
-    y: np.ndarray, left: np.ndarray, sigma: np.ndarray, noise: np.ndarray
+    y: np.ndarray, residual: np.ndarray, sigma: np.ndarray, noise: np.ndarray
 ) -> Float[np.ndarray, " n"]:
     """What of size `sigma` explains the rows best, given their noise."""
     rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
     normal = rows.T @ rows + np.eye(len(sigma))
-    return sigma * np.linalg.solve(normal, rows.T @ (left / noise).ravel())
+    return sigma * np.linalg.solve(normal, rows.T @ (residual / noise).ravel())
 
 
 def _fit_piece(
-    y: np.ndarray, left: np.ndarray, valid: np.ndarray, sigma: np.ndarray, noise: np.ndarray
+    y: np.ndarray, residual: np.ndarray, valid: np.ndarray, sigma: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rms, noise) of each row after a ridge regression of one piece, NaN for rows hardly measured."""
-    noise, after = np.maximum(noise, 1e-9), left
+    noise, after = np.maximum(noise, 1e-9), residual
     count = valid.sum(axis=0)
     for _ in range(3):
-        after = np.where(valid, left - y @ _ridge(y, left, sigma, noise), 0.0)
+        after = np.where(valid, residual - y @ _ridge(y, residual, sigma, noise), 0.0)
         noise = np.sqrt(np.sum(after**2, axis=0) / np.maximum(count, 1)).clip(1e-9)
     rms = np.where(count > len(valid) // 2, noise, np.nan)
     return rms, rms * correlation_inflation(after, valid)

@@ -123,10 +123,10 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     trace = _filter(inputs, robot, thinned, noise, prior, bias)
     time = np.asarray(thinned.motion.time)
     row_names = _row_names(robot)
-    left = _left_of(
+    residual = _residual_of(
         robot, observation, bodies, fit, bias, settings.cutoff, trace if changed else None
     )
-    notes += misfit_notes(misfits(*left), row_names)
+    notes += misfit_notes(misfits(*residual), row_names)
     if (holds := holds_of(observation)) is not None:
         notes.append(holds_note(holds, fit.rms_after, row_names))
     if (holds is None or changed) and (told := _between_reopenings(bodies, time, trace)):
@@ -305,7 +305,7 @@ def _load_with_calibration(
     return _calibrate(inputs, [*start.references, start.raw], carried).load
 
 
-def _left_of(
+def _residual_of(
     robot: Robot,
     observation: Observation,
     bodies: Sequence[str],
@@ -316,13 +316,14 @@ def _left_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(residual, torque, which rows count) of independent samples: of the fit, or of the filter with its `trace`."""
     step = log_filter.stride(observation, cutoff)
-    y, delta, valid = log_filter.regressors(robot, observation, bodies, bias)
-    left, valid = (delta - y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
+    y, others, valid = log_filter.regressors(robot, observation, bodies, bias)
+    residual, valid = (others + y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
     torque = np.nan_to_num(np.asarray(observation.motion.tau))[::step]
     if trace is not None:
-        left = np.asarray(trace.innovation.residual)
-        valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (left != 0)
-    return left, torque, valid
+        # An innovation is measured minus predicted torque.
+        residual = -np.asarray(trace.innovation.residual)
+        valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (residual != 0)
+    return residual, torque, valid
 
 
 # Where the gate reopens more often the figure tells it better.

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from jax_inertia.logs.findings import run_bounds
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import FRICTION_VELOCITY
+from jax_inertia.signals.torque_residual import FRICTION_VELOCITY
 
 # Slower than this in every joint [rad/s, m/s], for at least so long [s], is a hold.
 _STILL, _LONG = 0.02, 0.4

@@ -1,12 +1,15 @@
-"""From a log to the missing torque, through one chain of filters that both ways to diagnose share.
+"""From a log to the torque residual [N m, on slides N]: the one chain, and the one sign, of `estimate` and `diagnose`.
 
-The missing torque of a sample is what the model, moved as the log says, would have needed beyond what was logged:
+The residual of a sample is what the model, moved as the log says, needs beyond what was logged:
 
-    y = M a + c − τ_passive − τ − Σ Jᵀλ − b = −Δτ        (Δτ of `residual.torque_residual`, the paper's sign)
+    y = M a + c − τ_passive − Σ Jᵀλ + b − τ        (−Δτ of Foster et al., eq. delta-tau, b the calibration's bias)
 
-An effect of the real robot is a torque e(t; θ) on the same rows, and y = e + noise. Log and model go through the same
-low-pass before the physics (signals) and after it (y and every column e), so no side is ever differentiated or smoothed
-alone. Columns with corners (sign, clip, |τ|) are formed on the fast grid and filtered afterwards.
+An effect of the real robot is a torque e(t; θ) on the same rows, and y = e + noise. Bodies that are estimated are left
+out of M and c (`torque_residual`): with parameters π the model needs Y π more, so y + Y π is noise where π is right.
+
+Rates and low-passes are settings (`signals.bands`): a log goes through one low-pass before the physics (`observed`),
+signals and all, and the diagnosis's y and columns through a second one after it (`Prepared.finish`), so that columns
+with corners (sign, clip, |τ|) are formed on the fast grid and no side is ever differentiated or smoothed alone.
 """
 
 import dataclasses
@@ -16,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia.dynamics import rigid_body
@@ -27,12 +30,15 @@ from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, ho
 from jax_inertia.signals.creep import softness
 from jax_inertia.signals.differences import Observation, central_differences
 from jax_inertia.signals.dry_friction import at_rest, direction
-from jax_inertia.signals.filtering import bridged_smoothly, low_pass, mask, resample
-from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.filtering import Masked, bridged_smoothly, low_pass, mask, resample
+from jax_inertia.signals.generalised_motion import Motion, generalised
 from jax_inertia.signals.ground_support import BASE, Support, supported
 from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop
 from jax_inertia.signals.outliers import without_outliers
 from jax_inertia.signals.spikes import torque_spikes
+
+FRICTION_VELOCITY = 0.01
+"""The estimate's dry friction is F tanh(v / this) [rad/s]: it bears velocity noise and is far below working speeds."""
 
 
 class Prepared(eqx.Module):
@@ -62,7 +68,7 @@ class Prepared(eqx.Module):
 
     @property
     def missing(self) -> Float[np.ndarray, "T nv"]:
-        """The missing torque on the fast grid."""
+        """The torque residual y on the fast grid [N m]."""
         return self.inverse - self.tau
 
     def finish(self, x: Float[np.ndarray, "T *c"]) -> Float[np.ndarray, "R *c"]:
@@ -80,7 +86,7 @@ class Prepared(eqx.Module):
     ) -> Float[np.ndarray, "R *d"]:
         """`finish` of torques on all rows (T, nv, ...), or of one row (T, ...): what was not measured weighs nothing.
 
-        Missing torque and effects lose the same moments before the same filter, so a gap in the log leaks into neither;
+        Residual and effects lose the same moments before the same filter, so a gap in the log leaks into neither;
         and what forces of the ground that are not measured might explain. A row that those reach comes back on all.
         """
         if self.support is not None and (row is None or self.spreads(row)):
@@ -110,8 +116,19 @@ class Prepared(eqx.Module):
         return self.finish(self.measured) > 0.7
 
 
+def observed(log: Log | Masked, robot: Robot, bands: Bands) -> Observation:
+    """A log on the grid of `bands`: every channel low-passed alike, then accelerations by differences.
+
+    Where velocities come from positions, gaps are bridged by cubics (`filtering.bridged_smoothly`).
+    """
+    source = resample(log, bands.grid)
+    if source.log.qvel is None:
+        source = bridged_smoothly(source)
+    return central_differences(generalised(low_pass(source, bands.before), robot))
+
+
 def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
-    """Put a log through the chain up to the fast grid.
+    """Put a log through the chain up to the diagnosis's fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
     equation must agree. A commanded torque or a current is held over its period and so acts half a period late; a
@@ -140,8 +157,7 @@ def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
         data = dataclasses.replace(data, contact_wrench=later(data.contact_wrench, 0.5))
     source = dataclasses.replace(source, log=data)
     rate = bands.grid
-    smooth = low_pass(bridged_smoothly(resample(source, rate)), bands.before)
-    observation = central_differences(generalised(smooth, robot))
+    observation = observed(source, robot, bands)
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
     slow = below(bands.cutoff, v, rate)
@@ -210,14 +226,45 @@ def _needed_torques(robot: Robot, o: Observation) -> jax.Array:
 
 
 def needed_torque(robot: Robot, q, v, a, observation: Observation) -> jax.Array:
-    """M a + c − τ_passive − Σ Jᵀλ of one moment."""
-    out = rigid_body.inverse_dynamics(robot, q, v, a) - rigid_body.passive_torque(robot, q, v)
+    """M a + c − τ_passive − Σ Jᵀλ of one moment [N m]."""
+    rigid = rigid_body.inverse_dynamics(robot, q, v, a)
+    passive = rigid_body.passive_torque(robot, q, v)
+    return _without(rigid, passive, robot, q, observation.motion)
+
+
+def torque_residual(
+    robot: Robot, observation: Observation, bodies: tuple[int, ...], bias: Float[Array, " nv"]
+) -> tuple[Float[Array, "nv n 10"], Float[Array, " nv"]]:
+    """(Y^est, y) of one moment, y without the chosen bodies; dry friction is F tanh(v / `FRICTION_VELOCITY`).
+
+    Every channel must belong to the same moment (Foster et al., sec. III-D); `jax_inertia.signals.differences` sees
+    to it.
+    """
     motion = observation.motion
-    if motion.wrench is not None:
-        out = out - rigid_body.contact_torque(
-            robot, q, jnp.asarray(motion.wrench), motion.contact_bodies
-        )
-    return out
+    q, v, a = (jnp.asarray(x) for x in (motion.q, motion.v, observation.a))
+    regressor, others = rigid_body.condensed_dynamics(robot, q, v, a, bodies)
+    passive = rigid_body.passive_torque(robot, q, v, friction_velocity=FRICTION_VELOCITY)
+    return regressor, _without(others - jnp.asarray(motion.tau), passive, robot, q, motion) + bias
+
+
+def torque_residuals(
+    robot: Robot, observations: Observation, bodies: tuple[int, ...], bias: Float[Array, " nv"]
+) -> tuple[Float[Array, "T nv n 10"], Float[Array, "T nv"]]:
+    """`torque_residual` of every moment of a log, in chunks that stay in cache."""
+    return jax.lax.map(
+        lambda one: torque_residual(robot, one, bodies, bias),
+        jax.tree.map(jnp.asarray, observations),
+        batch_size=64,
+    )
+
+
+def _without(torque: jax.Array, passive: jax.Array, robot: Robot, q, motion: Motion) -> jax.Array:
+    """A torque less what acts without the motors: joints' passive torques, forces of contact."""
+    out = torque - passive
+    if motion.wrench is None:
+        return out
+    wrench = jnp.asarray(motion.wrench)
+    return out - rigid_body.contact_torque(robot, q, wrench, motion.contact_bodies)
 
 
 def below(cutoff: float, x: Float[np.ndarray, "T *c"], rate: float) -> Float[np.ndarray, "T *c"]:
