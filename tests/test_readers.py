@@ -149,7 +149,7 @@ def test_csv_names_what_is_wrong_with_its_columns(tmp_path):
 
     assert "no column time" in refusal(without("time"))
     assert "no column tau.<joint>" in refusal(without("tau.hip", "tau.knee"))
-    assert "tau.kne has no qpos.kne beside it; did you mean 'knee'?" in refusal(
+    assert "tau.kne has no qpos.kne with it; did you mean 'knee'?" in refusal(
         without("tau.knee", **{"tau.kne": np.zeros(60)})
     )
     assert "base_pos.z is missing" in refusal(

@@ -1,4 +1,4 @@
-"""Robots that are told positions: replays against closed forms and MuJoCo's own steps, and what is found of them."""
+"""Position-controlled robots: replays against closed forms and MuJoCo's own steps, and what is found of them."""
 
 import json
 from pathlib import Path

@@ -10,8 +10,8 @@ from jax_inertia.cli.gains import add_gains
 _DESCRIPTION = """
 Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
 shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG without torque, of a robot that is
-told positions, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
+effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG without torque, of a
+position-controlled robot, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
 """
 _EXAMPLES = """
 examples:
@@ -24,7 +24,7 @@ examples:
   without an effect that cannot be (this arm has no belts)
     jax-inertia diagnose log.npz --model arm.xml --exclude joint_elasticity backlash
 
-  a robot that is told positions, no torque in the log
+  a position-controlled robot, no torque in the log
     jax-inertia diagnose log.npz --model arm.xml --test-log other.npz --kp 20 --kd 0.5
 
 No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.

@@ -205,7 +205,7 @@ def read(args: argparse.Namespace) -> "Inputs":
                 f"{args.model} has no moving body {name!r}; {suggestion(name, robot.body_names)}"
             )
 
-    def told(path: str, finding: Finding) -> None:
+    def report(path: str, finding: Finding) -> None:
         if finding.severity is Severity.WARNING and finding.check != "torque_unit":
             warn(f"{path}: {finding.message}")
 
@@ -217,7 +217,7 @@ def read(args: argparse.Namespace) -> "Inputs":
         Settings(**{f.name: getattr(args, f.name) for f in dataclasses.fields(Settings)}),
         names=Names(str(paths[0]), [str(path) for path in paths[1:]], _option),
         found=(*found, *notes),
-        told=told,
+        report=report,
     )
 
 

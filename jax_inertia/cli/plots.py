@@ -178,7 +178,7 @@ def limits(axes: Axes, value: Float[np.ndarray, "T *k"], sigma: Float[np.ndarray
 
 
 def suggestion_figure(found: Suggestion, bounds: Limits) -> Figure:
-    """A suggested motion beside its limits, and what a log of it would leave open."""
+    """A suggested motion with its limits, and what a log of it would leave uncertain."""
     figure = Figure(figsize=(10.5, 6.4), layout="constrained")
     left, right = np.asarray(figure.subfigures(1, 2, width_ratios=[1.35, 1]))
     top, middle, bottom = left.subplots(3, 1, sharex=True)
@@ -212,6 +212,6 @@ def suggestion_figure(found: Suggestion, bounds: Limits) -> Figure:
     axes.set_yticks(at, names, fontsize=8 if len(names) <= 30 else 5)
     axes.invert_yaxis()
     axes.grid(axis="x", which="major", color="#dddddd", lw=0.6)
-    axes.set_xlabel("σ left, as a share of the prior's")
+    axes.set_xlabel("posterior σ, as a share of the prior's")
     legend_above(axes, 2)
     return figure

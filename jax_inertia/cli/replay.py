@@ -5,7 +5,7 @@ import textwrap
 from pathlib import Path
 
 _DESCRIPTION = """
-Replay the positions that LOG's joints were told through MODEL in MuJoCo, closed loop, over the whole motion: the error
+Replay LOG's position targets through MODEL in MuJoCo, closed loop, over the whole motion: the error
 of every joint in rad, as a table, replay.json and a figure (replay.png). Nothing is fitted. MODEL's position actuators
 are the loop; where it has none, kp and kd of LOG or of the options.
 """

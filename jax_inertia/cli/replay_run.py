@@ -67,7 +67,7 @@ def read(model: Path, log: Path, fix_base: bool) -> tuple[Log, tuple[Finding, ..
 def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
     """What there is to say of a log that is to be replayed; LogError where it cannot be."""
     if log.qpos_target is None:
-        raise LogError("a replay needs the positions that the joints were told: qpos_target")
+        raise LogError("a replay needs the joints' position targets: qpos_target")
     if robot.has_free_base:
         raise LogError(FLOATS)
     found = preflight(log, robot)

@@ -6,9 +6,9 @@ import textwrap
 from pathlib import Path
 
 _DESCRIPTION = """
-Optimise a motion that tells most of BODIES, within the joints' ranges, velocities and torques, free of collisions of
-the model's geoms. Writes a CSV to play (time, qpos.JOINT, qvel.JOINT, qacc.JOINT, tau_command.JOINT: what the model
-needs) and a figure beside it. The motion starts and ends at rest in one posture: go there slowly first.
+Optimise the motion most informative about BODIES, within the joints' ranges, velocities and torques, free of
+collisions of the model's geoms. Writes a CSV to play (time, qpos.JOINT, qvel.JOINT, qacc.JOINT, tau_command.JOINT: what
+the model needs) and a figure next to it. The motion starts and ends at rest in one posture: go there slowly first.
 """
 _EXAMPLES = """
 examples:

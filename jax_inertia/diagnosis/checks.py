@@ -40,7 +40,7 @@ class Check:
 
     @property
     def unexplained(self) -> float:
-        """Share of the gap's energy above the sensors' noise that is left."""
+        """Share of the gap's energy above the sensors' noise that remains."""
         whole = max(self.before**2 - self.noise**2, 1e-300)
         return float(max(self.after**2 - self.noise**2, 0.0) / whole)
 
@@ -97,7 +97,7 @@ class OtherRun(_Run):
 
     def _here(self, h: Hypothesis) -> Hypothesis:
         if id(h) not in self._columns:
-            # The hypothesis is kept beside, so that its id stays its own.
+            # The hypothesis is kept too, so that its id stays its own.
             self._columns[id(h)] = (h, elsewhere(h, self.residual))
         return self._columns[id(h)][1]
 

@@ -2,7 +2,7 @@
 
     y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
 
-y: missing torque of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
+y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
 to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
 deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
 """
@@ -57,7 +57,7 @@ class Evidence:
         count = np.maximum(weight.sum(axis=0), 1.0)
         self.count = count
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)
-        """Root mean square of each row's missing torque [N m]."""
+        """Root mean square of each row's torque residual [N m]."""
         self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
         self.correlation = np.ones(y.shape[1])
         self.form = np.zeros_like(y)

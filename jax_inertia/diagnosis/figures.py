@@ -35,7 +35,7 @@ def joints(found: Diagnosis) -> str:
 
 
 def along_time(found: Diagnosis, joint: str) -> str:
-    """Missing torque of one joint along the checked run, before and after."""
+    """Torque residual of one joint along the checked run, before and after."""
     trace = found.trace
     row = trace.rows.index(joint)
     with rc_context(_STYLE):
@@ -49,6 +49,6 @@ def along_time(found: Diagnosis, joint: str) -> str:
             y = np.where(rests, np.nan, values[:, row])
             axes.plot(trace.time, y, color=colour, linewidth=1.0, label=label)
         axes.set_xlabel("time [s]")
-        axes.set_ylabel(f"missing torque [{found.units[joint]}]")
+        axes.set_ylabel(f"torque residual [{found.units[joint]}]")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.2), ncols=2)
     return embedded(figure)

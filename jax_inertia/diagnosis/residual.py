@@ -1,4 +1,4 @@
-"""A log as rows of missing torque: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
+"""A log as rows of torque residual: y = M q̈ + h − τ in one band, on one slow grid, with a weight for each row."""
 
 import copy
 import dataclasses
@@ -48,10 +48,10 @@ class Residual:
         self.beside = self.context
         """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)
-        """Missing torque (R, n) [N m]."""
+        """Torque residual (R, n) [N m]."""
 
     def calibrated(self, ordinary: Ordinary) -> "Residual":
-        """The same rows, beside a model that has each joint's friction and rotor inertia."""
+        """The same rows, of a model that has each joint's friction and rotor inertia."""
         out = copy.copy(self)
         c, robot = self.context, self.robot
         dry = ordinary.coulomb * c.side

@@ -87,7 +87,7 @@ class Remainder:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trace:
-    """Missing torque of the checked run along time, for figures: R rows of n."""
+    """Torque residual of the checked run along time, for figures: R rows of n."""
 
     time: Float[np.ndarray, " R"]
     before: Float[np.ndarray, "R n"]
@@ -99,7 +99,7 @@ class Trace:
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """Verdict, effects, the ordinary physics of every joint, and what is left."""
+    """Verdict, effects, the ordinary physics of every joint, and the remainder."""
 
     verdict: Verdict
     confidence: float

@@ -33,7 +33,7 @@ class Settings:
     inertia_tolerance: float = 0.10
     """Of a nominal rotational inertia, relative."""
     ordinary_tolerance: float = 0.2
-    """Change of a joint's friction or rotor inertia that is none beside the model's own number, relative: dampings of a
+    """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""
     rest_speed: float = 0.02
     """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""

@@ -21,7 +21,7 @@ from jax_inertia.diagnosis.settings import Settings
 def verdict(
     check: Check, tolerated: float, listed: bool, generic_share: float, settings: Settings
 ) -> Verdict:
-    """`tolerated`: residual that is left with the model's tolerances alone, rms [N m]; `listed`: any effect is;
+    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is;
     `generic_share`: of the gap's energy that generic alternatives carry."""
     limit = settings.noise_ratio * check.noise
     if not listed:

@@ -2,7 +2,7 @@
 
 The nonlinear counterpart of the paper's eq. least-squares: bodies move in a chart (so every iterate is physical), with
 a Gaussian prior about the model; joint damping, dry friction, rotor inertia, torque offset and drive gain are fitted
-beside them where asked for. One joint's rows of a whole log are compressed by QR to a triangle as small as the number
+with them where asked for. One joint's rows of a whole log are compressed by QR to a triangle as small as the number
 of columns, so that Levenberg–Marquardt (optimistix) never sees the samples.
 
 Model errors, not sensors, make most of a real residual, and they are slow: the noise of each joint is its residual's
@@ -39,7 +39,7 @@ JOINT_TERMS = ("damping", "frictionloss", "armature", "offset")
 
 
 class Carried(eqx.Module):
-    """A load that some of the logs carry and the others do not, fitted beside the bodies.
+    """A load that some of the logs carry and the others do not, fitted together with the bodies.
 
     Its π is signed (the `Linear` chart about zero): no load then reads zero on average, which a mass that must be
     positive cannot.

@@ -71,7 +71,7 @@ class Rows(eqx.Module):
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
             w, *_ = np.linalg.lstsq(x / size, r[:, -1] - inverse * r[:, -2], rcond=1e-8)
             w = np.append(w / size, [inverse] * (not free[j]))
-            out[:, j] = self.base[:, j] * w[-1] + self.columns[:, j] @ w[:-1] - self.raw[:, j]
+            out[:, j] = self.base[:, j] * w[-1] - self.raw[:, j] + self.columns[:, j] @ w[:-1]
         return out
 
 

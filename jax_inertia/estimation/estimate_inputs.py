@@ -109,11 +109,11 @@ def checked(
     *,
     names: Names | None = None,
     found: Sequence[Finding] = (),
-    told: Callable[[str, Finding], None] = lambda name, finding: None,
+    report: Callable[[str, Finding], None] = lambda name, finding: None,
 ) -> Inputs:
     """Look at everything before anything is computed; ValueError or LogError with one line.
 
-    `found` is what is known of the log already; `told` hears of each finding, with its log's name, as it is found.
+    `found` is what is known of the log already; `report` gets each finding, with its log's name, as it is found.
     """
     if names is None:
         names = Names(calibrate=[f"calibrate[{k}]" for k in range(len(references))])
@@ -130,7 +130,7 @@ def checked(
         if one.tau is None:
             raise LogError(f"{name}: {NO_TORQUE}")
         for finding in _with_support(seen, one, robot).findings:
-            told(name, finding)
+            report(name, finding)
             findings.append(finding)
     _require_unit(log, references, settings, names)
     if (count := np.size(1.0 if settings.sigma_tau is None else settings.sigma_tau)) not in (

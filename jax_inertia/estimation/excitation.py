@@ -5,7 +5,7 @@ Each joint follows a finite Fourier series (Swevers et al. 1997, eq. 4), with ω
     q(t) = q₀ + Σₖ (aₖ sin kωt − bₖ cos kωt) / kω,    Σₖ aₖ = 0,  Σₖ k bₖ = 0,
 
 so that it starts and ends at rest in the same posture and can be repeated. What is maximised is the information that a
-log of it holds beside the prior, ½ log det (1 + Λ Σ) with Λ = Σ Yᵀ R⁻¹ Y (D-optimality; `identifiability`), by autodiff
+log of it adds to the prior, ½ log det (1 + Λ Σ) with Λ = Σ Yᵀ R⁻¹ Y (D-optimality; `identifiability`), by autodiff
 through the regressor. Limits are soft while it is sought; the answer is then shrunk about q₀ until it keeps them all.
 """
 
@@ -106,7 +106,7 @@ def suggest_motion(
     seed: int = 0,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Suggestion:
-    """Optimise a motion that tells most of `bodies`, within `limits`; the best of several starts.
+    """Optimise the motion most informative about `bodies`, within `limits`; the best of several starts.
 
     `prior` is how far they may be from the model (default: a load of a tenth of the robot), `noise` of one torque
     sample by row (default: 2 % of the torque limit, 1 N m where there is none). Torques are those of the model as it

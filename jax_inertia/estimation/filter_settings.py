@@ -91,7 +91,7 @@ def require_physical(
 def require_noise(noise: Noise, robot: Robot, form: kalman.Form | None, *, alone: bool) -> None:
     """ValueError for noise of other rows than the robot's, or of none; for a form that leaves out rows of it.
 
-    `alone`: no noise of accelerations beside it.
+    `alone`: no noise of accelerations besides it.
     """
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
         raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")

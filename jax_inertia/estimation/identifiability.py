@@ -1,7 +1,7 @@
 """What a log says of inertial parameters: which it determines, which the prior does, and of which nothing speaks.
 
 Whitened by the noise of its rows, a log is worth the information Λ = Σ Yᵀ R⁻¹ Y (Foster et al., eq. stacked and eq.
-least-squares with W = R⁻¹). Beside a prior of covariance Σ, bodies are known to (Λ + Σ⁻¹)⁻¹. A parameter by itself is
+least-squares with W = R⁻¹). With a prior of covariance Σ, bodies are known to (Λ + Σ⁻¹)⁻¹. A parameter by itself is
 often lost in a sum; `combinations` are the sums that the log does determine (base parameters, Gautier 1991).
 
     known = knowledge(robot, observation, ["hand"], fit.noise, prior=Load(3.0))

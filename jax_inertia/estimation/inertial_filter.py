@@ -5,7 +5,7 @@
     state, step = eqx.filter_jit(estimator.step)(state, observation, dt)
     estimator.estimate(state.belief).pi                                   # (bodies, 10)
 
-Left to itself it is what was measured to work on logs and in simulation loops: coordinates U Uᵀ, five iterations, a χ²
+By default it is what was measured to work on logs and in simulation loops: coordinates U Uᵀ, five iterations, a χ²
 gate that reopens, little drift. With `paper=True` it is the filter of Foster et al. to the letter: UᵀU, one iteration,
 no gate unless given; with `chart=Linear()` besides, their baseline Kalman filter.
 """
@@ -249,16 +249,16 @@ def make_estimator(
     model at the start (default: a load of a tenth of the robot's mass); `drift` how fast, per √second, or the seconds
     in which they may drift by the prior (default: an hour with a gate that reopens, which is what notices a new load;
     else 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the noise of
-    accelerations [m/s², rad/s²], which is in the regressor too: told apart, it draws inertias far less towards zero
+    accelerations [m/s², rad/s²], which is in the regressor too: modelled apart, it draws inertias far less towards zero
     (`errors_in_variables`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
     probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`.
 
-    What is left out is safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate
+    Defaults are safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate
     an outlier counts as noisier (`kalman.update`, `outliers`). With `paper` it is the paper's: `LogCholesky`, one
     iteration, no gate, no reopening, every sample at its word.
     Numbers may be traced: the whole of it runs under `jit`, `grad` and `vmap`, where they cannot be looked at.
     Raises ValueError for an unknown body, one that no chart reaches (zero mass, unphysical), noise that is not
-    positive, settings that no filter can have, or a form that leaves rows out beside correlated noise.
+    positive, settings that no filter can have, or a form that leaves rows out with correlated noise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimation.inertial_filter import make_estimator

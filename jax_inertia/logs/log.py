@@ -79,7 +79,7 @@ class Log(eqx.Module):
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
     moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
     touch something, and nobody measured how. `tau` may be absent where `qpos_target` is there: the
-    positions that the joints were told, each from its stamp on, by a loop of gains `kp` [N m/rad] and
+    position targets of the joints, each from its stamp on, by a loop of gains `kp` [N m/rad] and
     `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample. `tau_unit_text` is the unit in
     the log's own words. Raises `LogError` where shapes, names or units do not fit together, or a stamp
     is not finite; other values are not looked at, and it may be
@@ -319,7 +319,7 @@ def _of_robot(log: Log, names: JointNames) -> Log:
 
 def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
     options.check("an .npz file", ())
-    # What is wrong with names and stamps is known before the channels are unfolded; of seconds, unless told otherwise.
+    # What is wrong with names and stamps is known before the channels are unfolded; of seconds by default.
     first = {} if options.time_unit else {"time": check_time}
     arrays, others = read_npz(
         path, (*SHAPES, *TEXTS), max_bytes, declared=check_declared, first=first

@@ -30,7 +30,7 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
 }
 _REQUIRED = ("time", "joint_names", "qpos")
 _DRIVEN = ("tau", "qpos_target")
-"""What a joint did must be known, and what made it do so: its torque, or the position that it was told."""
+"""What a joint did must be known, and what made it do so: its torque, or its position target."""
 _PER_JOINT = ("sigma_qpos", "sigma_tau", "kp", "kd")
 TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
 CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and name != "time")
@@ -110,8 +110,8 @@ def _require_all(names: Collection[str]) -> None:
             raise LogError(f"array '{name}' is missing; a log holds {', '.join(_REQUIRED)}, tau")
     if not any(name in names for name in _DRIVEN):
         raise LogError(
-            f"array 'tau' is missing; a log holds {', '.join(_REQUIRED)}, tau (or qpos_target, of a robot that is told "
-            "positions)"
+            f"array 'tau' is missing; a log holds {', '.join(_REQUIRED)}, tau (or qpos_target, of a "
+            "position-controlled robot)"
         )
 
 

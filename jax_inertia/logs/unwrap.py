@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 _TURN = 2.0 * np.pi
-# What is left of a jump without its turn must be the joint's own motion, to so much [rad].
+# The rest of a jump without its turn must be the joint's own motion, to so much [rad].
 _OFF = 0.02
-# Between samples a joint turns by less than this [rad]; else turns cannot be told from motion.
+# Between samples a joint turns by less than this [rad]; else turns cannot be distinguished from motion.
 _FAR = 1.0
 
 
@@ -22,7 +22,7 @@ def unwrapped(
 ) -> tuple[Float[np.ndarray, " T"], int]:
     """A hinge's positions without jumps by whole turns [rad], and how many jumps there were.
 
-    A jump is one where what is left of it is what the velocities say, or without them what the joint did just before
+    A jump is one where the rest of it is what the velocities say, or without them what the joint did just before
     and after, to 0.02 rad; where other steps are as large as a radian nothing is done. NaN is passed over. `before` is
     the last position of what came before, where these samples go on from there.
     """
@@ -49,7 +49,7 @@ def _is_motion(time: np.ndarray, rest: np.ndarray, at: np.ndarray, qvel: np.ndar
     if qvel is not None and np.isfinite(qvel[:-1][at] + qvel[1:][at]).all():
         moved = 0.5 * (qvel[1:] + qvel[:-1])[at] * period[at]
     else:
-        # As fast as the steps beside it that are no jumps, on average.
+        # As fast as the steps around it that are no jumps, on average.
         speed = np.where(at, np.nan, rest / period)
         beside = np.concatenate([[np.nan], speed, [np.nan]])
         beside = np.stack([beside[:-2], beside[2:]])[:, at]

@@ -212,7 +212,7 @@ def update(
     noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
     So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
     nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
-    certainty to match, for ever. The innovation is told by the noise as given.
+    certainty to match, for ever. The innovation is normalised by the noise as given.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.maths.kalman import Belief, update
@@ -278,13 +278,13 @@ class _Trials(NamedTuple):
     prior: Belief
     form: Form
     linearise: Callable[[Float[Array, " n"]], tuple[Array, ...]]
-    """White (H, ν, what is left) at a point."""
+    """Whitened (H, ν, residual z − h(x)) at a point."""
     left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
     """White z − h(x)."""
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
     def run(self, first: tuple[Array, Array, Array], count: int) -> tuple[Array, Array, Array]:
-        """(mean, step, covariance), given what is left at the prior and the first step with its covariance."""
+        """(mean, step, covariance), given the whitened residual at the prior and the first step with its covariance."""
         prior, p = self.prior.mean, self.prior.covariance
         root = cholesky(p)
 

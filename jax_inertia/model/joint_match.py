@@ -26,7 +26,7 @@ def same_joints(
     """Robot and logs with the same hinges and slides where that can be, and a note of what was done.
 
     `fix` holds joints of the model at positions [rad, m]; `joints` are those of the logs that count: the others are
-    held where the first log has them, if it has. Fingers and the like, at a robot's ends and light beside it, are held
+    held where the first log has them, if it has. Fingers and the like, at a robot's ends and light against it, are held
     at the model's reference if the logs lack them, or where their master (URDF mimic) has them. What the logs have and
     the model lacks is left out. Joints that are still missing are for `preflight` to report. Raises LogError for a
     joint that neither has, and for one that is to be held and moves.

@@ -8,7 +8,7 @@ import mujoco
 
 @contextlib.contextmanager
 def mujoco_warnings(tell: Callable[[str], None] = lambda line: None) -> Iterator[list[str]]:
-    """The different warnings that MuJoCo gives while the block runs, one line each, and told as they come.
+    """The different warnings that MuJoCo gives while the block runs, one line each, as they come.
 
     Its default prints each and appends it to MUJOCO_LOG.TXT in the current folder. One handler serves the process.
     """

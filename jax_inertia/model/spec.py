@@ -63,7 +63,7 @@ def _afloat(path: Path) -> MjSpec:
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     spec = mujoco.MjSpec.from_string(text)
-    # Meshes lie beside the file, whatever was read.
+    # Meshes lie next to the file, whatever was read.
     spec.modelfiledir = str(path.parent)
     return spec
 

@@ -20,8 +20,8 @@ class ModelWarning(UserWarning):
 def repair(spec: mujoco.MjSpec) -> list[str]:
     """Make inertials of a URDF's links such that MuJoCo compiles them; a line for what that changes, with names.
 
-    A moment of inertia that is negative is raised to the least that a body can have. A link that states no inertial
-    beside others that do has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
+    A moment of inertia that is negative is raised to the least that a body can have. A link without inertial,
+    where others have one, has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
     move and have no mass (three hinges in one place stand for a ball joint) are given a nanogram.
     """
     raised, weightless = [], []

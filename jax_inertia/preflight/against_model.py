@@ -29,7 +29,7 @@ _BETTER = 0.25
 _LATE = 0.03
 # A body's radius of gyration beyond so many times the robot's reach is a unit's fault.
 _SIZES = 10.0
-# Friction and rotor inertia that a model lacks are told from this share of a joint's torque on.
+# Friction and rotor inertia that a model lacks are reported from this share of a joint's torque on.
 _DRY = 0.03
 
 # From the simplest to what explains most.
@@ -73,7 +73,7 @@ def against_model(log: Log, robot: Robot) -> tuple[Finding, ...]:
 
 
 def bodies(robot: Robot) -> Iterator[Finding]:
-    """A body whose inertia is in another unit than its mass, by its radius of gyration beside the robot's reach."""
+    """A body whose inertia is in another unit than its mass, by its radius of gyration against the robot's reach."""
     far = reach(robot)
     pi = np.asarray(robot.pi)
     mass = np.maximum(pi[:, 0], 1e-12)

@@ -1,4 +1,4 @@
-"""A log's torque beside its model's, less friction: the shares of energy by which readings of the log are judged."""
+"""A log's torque against its model's, less friction: the shares of energy by which readings of the log are judged."""
 
 import dataclasses
 import functools
@@ -82,7 +82,7 @@ class Compared:
     ) -> float:
         """The mean of that over the judged joints if they need so much, once the best load is carried.
 
-        All is left where that does not explain what was logged, or is next to nothing beside it: then the load alone,
+        All is left where that does not explain what was logged, or is next to nothing against it: then the load alone,
         or nothing at all, would be the reading.
         """
         judged = self.judged
@@ -107,7 +107,7 @@ class Compared:
         return float(np.mean(share[joints]))
 
     def carried(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R n"]:
-        """What is left of torques beside the best load at the robot's ends."""
+        """Torques less the best load at the robot's ends."""
         return residual - self.load @ self.masses(residual)
 
     def masses(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " masses"]:

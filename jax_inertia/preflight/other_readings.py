@@ -1,6 +1,6 @@
 """Other ways to read a log than its model's, with what each leaves: units, signs, order, gravity, zeros, couplings.
 
-Each yields `Reading`s: a finding, and the share of the torque's energy that is left if it is true.
+Each yields `Reading`s: a finding, and the share of the torque's energy that remains if it is true.
 """
 
 import itertools
@@ -28,7 +28,7 @@ _STRENGTH = 0.15
 _FELT = 0.02
 # Zeros may be off at so many joints.
 _ZEROS = 3
-# A torque that is a part of what the model needs, and one that is next to nothing beside it.
+# A torque that is a part of what the model needs, and one that is next to nothing compared with it.
 _PART, _NOTHING = 0.5, 0.15
 
 
@@ -153,7 +153,7 @@ def inertia_unit(c: Compared) -> Iterator[Reading]:
 
 
 def external(c: Compared) -> Iterator[Reading]:
-    """Nothing but a load's torque: what is left once a controller took its whole model out."""
+    """Nothing but a load's torque: what remains once a controller took its whole model out."""
     size = _size(c)
     if size < _PART:
         message = (
@@ -178,7 +178,7 @@ def nothing(c: Compared) -> Iterator[Finding]:
 
 
 def _size(c: Compared) -> float:
-    """Torque beside the model's at the joints that carry."""
+    """Logged against the model's torque at the joints that carry."""
     if not c.carrying.any():
         return np.inf
     return float(np.linalg.norm(c.tau[:, c.carrying]) / np.linalg.norm(c.needed[:, c.carrying]))

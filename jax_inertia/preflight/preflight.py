@@ -30,7 +30,7 @@ _FEW_SAMPLES, _SHORT_SECONDS = 10, 1.0
 _SLOWEST, _FASTEST = 10.0, 2e4
 _NO_MOTION = 0.5
 NO_TORQUE = (
-    "the log has no torque (tau), which this needs; of a robot that is told positions, `jax-inertia diagnose` and "
+    "the log has no torque (tau), which this needs; of a position-controlled robot, `jax-inertia diagnose` and "
     "`jax-inertia replay` go by qpos_target and qpos alone"
 )
 """What who needs torque says of a log without."""

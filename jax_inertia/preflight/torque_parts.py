@@ -5,7 +5,7 @@ One joint's torque is, for a motion (q, v, a) of the log,
     τ = g(q) + M(q) a + c(q, v) + spring + F sign(v) + d v + J a + b + load,
 
 with friction, rotor inertia J and offset b free at every joint. `Parts` holds these columns on rows of the log, and
-the same after friction, rotor inertia and offset were taken out by least squares, so that what is left is compared by
+the same after friction, rotor inertia and offset were taken out by least squares, so that what remains is compared by
 inner products alone.
 """
 
@@ -89,7 +89,7 @@ class Parts:
         return x - np.tensordot(basis, basis.T @ x.reshape(len(x), -1), 1).reshape(x.shape)
 
     def lost(self, missing: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
-        """Root mean square of what friction explains of joints' missing torque, beside offset and rotor inertia."""
+        """Root mean square of what friction explains of joints' torque residual, given offset and rotor inertia."""
         out = []
         for j, basis in enumerate(self.friction):
             part = basis[:, 2:].T @ np.where(self.used[:, j], missing[:, j], 0.0)

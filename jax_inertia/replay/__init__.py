@@ -1,1 +1,1 @@
-"""Robots that are told positions: the closed loop replayed in MuJoCo, and what makes its replays come true."""
+"""Position-controlled robots: the closed loop replayed in MuJoCo, and what makes its replays come true."""

@@ -77,7 +77,7 @@ def needed(found: Fit, extra: Float[np.ndarray, " P"]) -> list[int]:
 
     Backwards, on the cost's parabola: the number whose return costs least, the others following, is given up for as
     long as that costs less than a number is worth: ln N for N independent samples (BIC). `extra`: deviations of the
-    numbers beside those of the fit.
+    numbers besides those of the fit.
     """
     mean = np.array([p.nominal for p in found.table])
     off = found.theta - mean

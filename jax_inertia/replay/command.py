@@ -62,7 +62,7 @@ def command_half(log: Log) -> tuple[Half, ...]:
 
 def _joint(name, time, q, v, target, tau) -> Half | None:
     limit = _plateau(tau)
-    # What a late robot was told before the log began is not in it.
+    # What a late robot was commanded before the log began is not in it.
     known = time >= time[0] + min(_LONGEST, 0.1 * (time[-1] - time[0]))
     good = known & np.isfinite(q) & np.isfinite(v) & np.isfinite(target) & np.isfinite(tau)
     if limit is not None:
@@ -122,7 +122,7 @@ def _held(time: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _at(delay, time, q, v, target, tau, good) -> tuple[np.ndarray, float, np.ndarray]:
     """Coefficients, mean square that they leave, and columns, at one delay."""
-    # A stamp at which a target is told is one at which it is in force.
+    # A stamp at which a target is sent is one at which it is in force.
     told = _held(time, target, time - delay + 0.5 * float(np.median(np.diff(time))))
     columns = np.stack([told - q, -v, np.ones(len(q))], 1)[good]
     fit = np.linalg.lstsq(columns, tau[good], rcond=None)[0]

@@ -97,7 +97,7 @@ def _edit(spec: MjSpec, name: str, p, x: float, loop: Loop) -> None:
 def policy(found: Diagnosis) -> dict[str, Any]:
     """What a simulator for training wants: each joint's numbers and the range to draw them from.
 
-    A range is the number's 95 % interval; of what was left at the nominal model's value, the interval that the log
+    A range is the number's 95 % interval; of what stayed at the nominal model's value, the interval that the log
     allows, the nominal value included.
     """
     joints: dict[str, dict] = {}

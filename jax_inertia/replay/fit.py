@@ -5,7 +5,7 @@ an independent one, and a Gaussian prior about the nominal model:
 
     Σ_j Σ_t (q̂_tj − q_tj)² / (σ_j² T_j)  +  Σ_p ((θ_p − θ⁰_p) / s_p)²
 
-with T_j the integrated autocorrelation time of joint j's error [samples]. Replays of a robot that is told positions
+with T_j the integrated autocorrelation time of joint j's error [samples]. Replays of a position-controlled robot
 do not drift apart: the whole log is one shot, and no velocities have to be guessed between.
 """
 

@@ -25,7 +25,7 @@ from jax_inertia.replay.result import Diagnosis, Effect, Replayed, Size, total
 from jax_inertia.replay.simulate import Plant, Record, record_of
 
 FIT_SHARE = 0.7
-"""Of a log without another one beside it, what is fitted; the rest is replayed."""
+"""Of a log without another one to test on, what is fitted; the rest is replayed."""
 LONGEST = 40.0
 """Of each log, what is fitted at most [s]."""
 _AT_FLOOR = 2.0
@@ -116,9 +116,7 @@ def _parts(logs: Sequence[Log], test_log: Log | None) -> tuple[list[Record], Rec
     records = [record_of(log) for log in logs]
     for r in records:
         if np.ptp(r.target, axis=0).max() < 1e-3:
-            raise LogError(
-                "qpos_target never changes: nothing can be told of how the robot follows"
-            )
+            raise LogError("qpos_target never changes: it cannot show how the robot follows")
     if test_log is not None:
         held, of = record_of(test_log), "the other run"
     else:

@@ -131,7 +131,7 @@ def clean(x: Any) -> Any:
 
 
 def figure(names, r: Replayed, *, both: bool = True) -> Figure:
-    """Joint positions as told, as they were and as replayed, about the moment that the nominal model misses most."""
+    """Joint positions as commanded, as measured and as replayed, around the nominal model's largest error."""
     error = np.abs(r.nominal - r.record.q)
     worst = float(r.record.time[int(np.argmax(error.max(axis=1)))])
     first = min(max(worst - 0.5 * _SHOWN, 0.0), max(r.record.time[-1] - _SHOWN, 0.0))

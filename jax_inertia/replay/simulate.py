@@ -47,7 +47,7 @@ class Record(NamedTuple):
 
     @property
     def settled(self) -> Bool[np.ndarray, " T"]:
-        """Samples that count: what was told before the log began, and how fast joints were, is soon forgotten."""
+        """Samples that count: targets from before the log began, and how fast joints were, is soon forgotten."""
         return self.time >= min(SETTLING, 0.1 * self.time[-1])
 
     def between(self, first: int, last: int) -> "Record":

@@ -8,10 +8,10 @@ analysis wants; a slower log sets it, at a share of the rate of the grid that ev
 and all other bands are fixed multiples of the cutoff, so that a log of 20 Hz goes through the same filters as one of
 100 Hz, five times as slow. Up to a tenth of the grid's rate local regression onto the grid passes a signal within 1 %
 (`filtering.resample`), and differences of sixth order (`finite_difference.centred_slopes`) lose (ω h)⁶ / 140 of it,
-0.04 %; at a fifth it is 12 % and 2 %. The diagnosis, which looks at what is left after its model, ends at a tenth. The
-estimate low-passes before the model, which is not linear: what is cut of the motion is a bias there, what is left of
+0.04 %; at a fifth it is 12 % and 2 %. The diagnosis, which looks at the residual of its model, ends at a tenth. The
+estimate low-passes before the model, which is not linear: what is cut of the motion is a bias there, what remains of
 the noise is only noise, so it ends at a fifth. The grid is never denser than the log: what lies between its samples, a
-jump of a held torque or a reversal of friction, is not told by any interpolation.
+jump of a held torque or a reversal of friction, is not recovered by any interpolation.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """MuJoCo's friction loss: a soft constraint, by which a joint never stands still but creeps.
 
 With impedance d at rest and damping b the constraint's force is −(b q̇ + q̈)/R, R = A (1 − d)/d and A = [M⁻¹]ⱼⱼ,
-until it comes to the level of the friction (MuJoCo, Computation: friction loss). So beside little inertia a joint
+until it comes to the level of the friction (MuJoCo, Computation: friction loss). So with little inertia a joint
 that a simulator holds goes on for centiradians a second.
 """
 

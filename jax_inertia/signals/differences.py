@@ -1,7 +1,7 @@
 """Accelerations by differences, with every other channel given the same delay.
 
 A difference over a window of samples is not the acceleration at its last stamp: it is the mean of
-the acceleration over the window, half a window late. Set beside torques and positions of the last
+the acceleration over the window, half a window late. Combined with torques and positions of the last
 stamp, it makes a filter see inertia in phase with velocity, that is, friction. The paper (sec.
 III-D) takes accelerations "via finite differences, and the other signals are delayed to compensate
 for the lag introduced". Here, with t_{k−w}, …, t_k the window's stamps,

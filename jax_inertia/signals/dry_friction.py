@@ -15,7 +15,7 @@ STILL, DWELL = 0.012, 0.04
 # Into how many parts a sample's period is divided to see how long a joint is slow.
 PARTS = 8
 # A joint whose model creeps by its own friction stands still where it is no faster than this many times that speed; but
-# not where it is faster than this [rad/s]: beside a link that weighs nothing a model creeps for radians a second.
+# not where it is faster than this [rad/s]: with a link that weighs nothing a model creeps for radians a second.
 CREEPING, FASTEST = 1.3, 0.06
 
 

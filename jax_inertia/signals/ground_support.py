@@ -1,6 +1,6 @@
 """The ground under a floating base whose log has no contact wrenches.
 
-A foot that touches may press as it will: of the missing torque r only what no force at the feet explains says anything
+A foot that touches may press as it will: of the torque residual r only what no force at the feet explains says anything
 of the model. With Jacobians J of all feet and weights W that trust the legs' torques more than the base's acceleration,
 
     λ = (J W Jᵀ)⁻¹ J W r,    r − Jᵀ λ = (1 − Jᵀ (J W Jᵀ)⁻¹ J W) r
@@ -55,7 +55,7 @@ class Support:
     torque: Float[np.ndarray, "T nv"]
     """Of these on all rows, Σ Jᵀλ [N m]."""
     seen: Float[np.ndarray, "T nv nv"]
-    """What is left of a torque on all rows that no force at the feet explains."""
+    """The part of a torque on all rows that no force at the feet explains."""
     used_up: Bool[np.ndarray, " nv"]
     """Rows of the legs."""
 
@@ -103,10 +103,10 @@ def supported(
     robot: Robot,
     q: Float[np.ndarray, "T nq"],
     tau: Float[np.ndarray, "T nv"],
-    missing: Float[np.ndarray, "T nv"],
+    residual: Float[np.ndarray, "T nv"],
     bodies: Sequence[str] = (),
 ) -> Support | None:
-    """What holds a floating base up, where the missing torque lacks all forces of the ground; None where nothing does.
+    """What holds a floating base up, where the torque residual lacks all forces of the ground; None where nothing does.
 
     `bodies`: those that may touch; without them, all that come near the lowest points of the motion of a robot that
     does not fly. Raises LogError where forces at the feet could explain every torque.
@@ -114,11 +114,11 @@ def supported(
     gravity = np.asarray(robot.gravity)
     weight = float(jnp.sum(robot.pi[:, 0])) * float(np.linalg.norm(gravity))
     # The linear rows of a free joint are forces in world axes.
-    carried = -missing[:, :3].mean(axis=0) @ gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+    carried = -residual[:, :3].mean(axis=0) @ gravity / max(float(np.linalg.norm(gravity)), 1e-9)
     if (not bodies and carried < CARRIED * weight) or not weight:
         return None
     rotation, position = _poses(robot, q)
-    # Feet move slowly beside the grid.
+    # Feet move slowly compared with the grid.
     some = slice(None, None, max(1, len(q) // 500))
     feet = feet_of(robot, rotation[some], position[some], bodies)
     if not feet:
@@ -140,7 +140,7 @@ def supported(
     solved = np.linalg.solve(gram, weighted)
     seen = np.eye(robot.nv) - rows.transpose(0, 2, 1) @ solved
     seen[:, used_up] = 0.0
-    force = np.einsum("tmj,tj->tm", solved, missing)
+    force = np.einsum("tmj,tj->tm", solved, residual)
     wrench = np.einsum("tm,tmcw->tcw", force, ways)
     return Support(names, wrench, np.einsum("tmj,tm->tj", rows, force), seen, used_up)
 

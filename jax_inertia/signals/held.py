@@ -10,7 +10,7 @@ with the period h,
 
     M r̈ + kd ṙ + kp r = kp V (h/2 − t),  0 ≤ t < h,        τ(0) − τ̄ = M r̈(0) = kp V h/2 − kp r(0) − kd ṙ(0)
 
-is by how much the sampled torque exceeds the mean one. A loop that is slow beside h leaves kp V h/2, half a period; one
+is by how much the sampled torque exceeds the mean one. A loop much slower than h leaves kp V h/2, half a period; one
 that settles within it leaves more. The loop itself holds its torque for some δ, and so is late by d = δ/2: its mean is
 kp V d more, and the jolts are those of kd − kp d and M − kd d.
 """

@@ -1,7 +1,7 @@
 """Stretches of a log in which the robot rests, and what dry friction does to torques there.
 
 At rest dry friction is whatever balances, up to its level F: one unknown for each joint and hold, with as many rows as
-the hold has samples. Such a constant f ~ N(0, F²) beside noise σ is integrated out exactly by taking a share of the
+the hold has samples. Such a constant f ~ N(0, F²) in noise σ is integrated out exactly by taking a share of the
 mean off every column of a hold of n rows,
 
     x ← x − (1 − √(σ² / (σ² + n F²))) x̄,
@@ -59,13 +59,13 @@ def holds_of(observation: Observation) -> Holds | None:
     return Holds(runs, at_rest, moving)
 
 
-def holds_note(holds: Holds, left: Float[np.ndarray, " nv"], names: Sequence[str]) -> str:
+def holds_note(holds: Holds, residual: Float[np.ndarray, " nv"], names: Sequence[str]) -> str:
     """What is to be said of a log that rests, with what a fit leaves of each row [N m] and the rows' names."""
-    most = int(np.argmax(left))
+    most = int(np.argmax(residual))
     return (
         f"the robot rests in {len(holds.runs)} poses for {100 * holds.share:.0f} % of the log: rows at rest carry dry "
-        f"friction, an unknown of its own in each pose, which counts as noise of what is left ({names[most]}: "
-        f"{left[most]:.2g} N m rms); read the batch fit"
+        f"friction, an unknown of its own in each pose, which counts as noise of the residual ({names[most]}: "
+        f"{residual[most]:.2g} N m rms); read the batch fit"
     )
 
 

@@ -13,7 +13,7 @@ _TOLD = 5
 
 
 class Misfit(NamedTuple):
-    """One joint's residual, beside its noise and its torque, all rms [N m, N]."""
+    """One joint's residual, its noise and its torque, all rms [N m, N]."""
 
     row: int
     residual: float
@@ -22,7 +22,7 @@ class Misfit(NamedTuple):
 
     @property
     def exceeds(self) -> bool:
-        """More is left than was there: the model makes it worse than no model."""
+        """The residual exceeds the torque: the model makes it worse than no model."""
         return self.residual > self.torque
 
 
@@ -31,7 +31,7 @@ def misfits(
     torque: Float[np.ndarray, "T nv"],
     valid: Bool[np.ndarray, "T nv"],
 ) -> list[Misfit]:
-    """Rows of the equations of motion whose residual is far beside its noise, the largest first.
+    """Rows of the equations of motion whose residual is far above its noise, the largest first.
 
     Samples are spaced so that noise is white (`log_filter.thinned`): its size σ is that of the third differences, of
     which motion and what the model lacks have next to none, √20 σ.
@@ -55,13 +55,13 @@ def misfit_notes(found: Sequence[Misfit], names: Sequence[str]) -> list[str]:
     if worse := [one for one in found if one.exceeds][:_TOLD]:
         told = (f"{names[one.row]} {one.residual:.2g} N m of {one.torque:.2g}" for one in worse)
         notes.append(
-            f"what is left exceeds the torque itself ({', '.join(told)}, rms): the log's torques are not this model's; "
+            f"the residual exceeds the torque itself ({', '.join(told)}, rms): the log's torques are not this model's; "
             "look at signs, units and order of joints before any number here"
         )
     if rest := [one for one in found if not one.exceeds][:_TOLD]:
         told = (f"{names[one.row]} {one.residual:.2g} N m, noise {one.noise:.2g}" for one in rest)
         notes.append(
-            f"what is left is no noise ({'; '.join(told)}, rms): the model lacks something there; a diagnosis of "
+            f"the residual is no noise ({'; '.join(told)}, rms): the model lacks something there; a diagnosis of "
             "the same log and model says what (jax-inertia diagnose)"
         )
     return notes

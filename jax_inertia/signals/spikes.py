@@ -10,7 +10,7 @@ _SPREADS, _SHARE_OF_RANGE, _QUANTA = 15.0, 0.1, 10
 
 
 def torque_spikes(log: Log) -> Bool[np.ndarray, "T n"]:
-    """Single samples of torque that no motor makes, and that `preflight` warns of; none beside what is not finite."""
+    """Single samples of torque that no motor makes, and that `preflight` warns of; none next to what is not finite."""
     tau = np.asarray(log.tau, float)
     out = np.zeros(tau.shape, bool)
     for told, x in zip(out.T, tau.T, strict=True):

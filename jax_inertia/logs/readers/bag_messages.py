@@ -190,7 +190,7 @@ def _mcap(path: Path) -> Iterator[Message]:
 
 
 def _db3(path: Path) -> Iterator[Message]:
-    # `immutable` keeps SQLite from looking for, or writing, files beside it.
+    # `immutable` keeps SQLite from looking for, or writing, files next to it.
     database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     try:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_RECORD)

@@ -154,7 +154,7 @@ def _found(plan: Plan, values: Mapping[str, np.ndarray]) -> dict[str, dict[tuple
                 f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
             )
     for array in ("time", "qpos", "tau"):
-        # Who is told positions may have no torque.
+        # A position-controlled robot may have no torque.
         if array not in found and not (array == "tau" and "qpos_target" in found):
             raise LogError(missing(array, [*plan.others, *plan.columns]))
     if not any(len(x) for x in values.values() if x.ndim):
@@ -196,7 +196,7 @@ def _joints(
         for name in owners:
             if name not in placed:
                 hint = suggestion(name, having["qpos"])
-                raise LogError(f"{array}.{name} has no qpos.{name} beside it; {hint}")
+                raise LogError(f"{array}.{name} has no qpos.{name} with it; {hint}")
     joints = [name for name in having["qpos"] if name in driven]
     if not joints:
         raise LogError(f"no joint has both a column qpos and a column {drive}")
@@ -274,7 +274,7 @@ def _torque_meaning(
 
 
 def _one_unit(units: set[str]) -> str:
-    """The unit of all torque columns; a force on a slide joint is in N beside torques in N m."""
+    """The unit of all torque columns; a force on a slide joint is in N among torques in N m."""
     # Only units that say N m are alike; what is in amperes here and N m there has no one gain.
     given = {unit for unit in units if unit}
     if given and "" in units:

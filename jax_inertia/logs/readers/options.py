@@ -1,4 +1,4 @@
-"""What a reader is told about a file because the file does not say it."""
+"""What the user states about a file because the file does not say it."""
 
 import dataclasses
 import importlib

@@ -25,7 +25,7 @@ _LEROBOT = {
     "tau": ("observation.effort", "observation.torque", "observation.current"),
     "qpos_target": ("action",),
 }
-# What its names of joints end in, beside the joint's own name.
+# What its names of joints end in, after the joint's own name.
 _SUFFIXES = (
     *(".pos", ".position", ".qpos", ".vel", ".velocity", ".qvel"),
     *(".effort", ".torque", ".tau", ".current"),
@@ -147,7 +147,7 @@ def _values(
     parts, left = [], max_bytes
     for file in files:
         if by_episode and episode is not None and len(files) > 1:
-            # Cheap beside the rest: most files of a dataset have nothing of one episode.
+            # Cheap compared with the rest: most files of a dataset have nothing of one episode.
             own = arrow_columns.read(file, ["episode_index"], None, left)["episode_index"]
             if episode not in own:
                 continue

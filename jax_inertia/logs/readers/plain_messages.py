@@ -82,7 +82,7 @@ def joint_state(message: Mapping[str, Any], topic: str) -> SimpleNamespace:
 
 
 def header(message: Mapping[str, Any]) -> SimpleNamespace:
-    """Stamp and frame, from `header` or from beside the values; a stamp of zero where there is none."""
+    """Stamp and frame, from `header` or from next to the values; a stamp of zero where there is none."""
     inner = message.get("header")
     inner = inner if isinstance(inner, dict) else message
     frame = inner.get("frame_id", "")
