@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 ORDER: dict[str, str] = {
     "": """text maths logs model dynamics signals preflight estimation gap diagnosis replay
         control robots cli __main__""",
-    "text": "closest_names notebook_page",
+    "text": "closest_names notebook_page report_page",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
         charts noise gates kalman least_squares""",
     "logs": "npz atomic_files schema unwrap readers as_model log chunks findings",

@@ -1,14 +1,11 @@
 """report.html of a whole-robot diagnosis: one file, nothing in it is fetched, nothing in it runs."""
 
-from importlib.metadata import version
-
-import jinja2
-
 from jax_inertia.diagnosis import figures
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.words import chance, number, percent, plain
 from jax_inertia.logs.log import Log
+from jax_inertia.text.report_page import rendered
 
 COLUMNS = (
     ("viscous_friction", "viscous friction [N m s/rad]"),
@@ -21,24 +18,18 @@ COLUMNS = (
 
 def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, str], report) -> str:
     """The report as HTML, every name in it escaped; `names`: of log and model."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("jax_inertia.diagnosis"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
+    filters = {"plain": plain, "number": number, "percent": percent, "chance": chance}
     worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
     shown = remains != worst and found.remainder.where[remains] > 0
-    return environment.get_template("report.html").render(
+    return rendered(
+        "jax_inertia.diagnosis",
+        filters,
         found=found,
         correction=correction,
         log=log,
         names=names,
         report=report,
-        version=version("jax-inertia"),
         columns=COLUMNS,
         checked="the other run" if found.test is not None else "held-out stretches",
         joints_figure=figures.joints(found),

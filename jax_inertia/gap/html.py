@@ -1,10 +1,8 @@
 """report.html: one file that an engineer reads in a minute. Nothing in it is fetched, nothing in it runs."""
 
 import dataclasses
-from importlib.metadata import version
 from itertools import groupby
 
-import jinja2
 import numpy as np
 
 from jax_inertia.gap import figures
@@ -16,6 +14,7 @@ from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log
+from jax_inertia.text.report_page import rendered
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,21 +32,15 @@ class Page:
 
 def page(about: Page) -> str:
     """The report as HTML; every name in it is escaped."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("jax_inertia.gap"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
+    filters = {"plain": plain, "number": number, "percent": percent, "chance": chance}
     found, rolled = about.found, about.rollouts
     row = figures.affected(found)
-    return environment.get_template("report.html").render(
+    return rendered(
+        "jax_inertia.gap",
+        filters,
         about=about,
         found=found,
         report=about.report,
-        version=version("jax-inertia"),
         headline=found.headline,
         cards=_cards(about),
         row=found.trace.rows[row],

@@ -2,10 +2,8 @@
 
 import base64
 import io
-from importlib.metadata import version
 from typing import Any
 
-import jinja2
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -15,6 +13,7 @@ from jax_inertia.replay.corrected import policy
 from jax_inertia.replay.loop import UNITS, Loop
 from jax_inertia.replay.pipeline import PARAMETERS, size_of
 from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
+from jax_inertia.text.report_page import rendered
 
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#666666"
 _SHOWN = 10.0  # Of a motion, seconds about the worst moment.
@@ -173,19 +172,19 @@ def figure(names, r: Replayed, *, both: bool = True) -> Figure:
 
 def page(found: Diagnosis, report: dict, names: tuple[str, str]) -> str:
     """The report as one HTML file, every name in it escaped; `names`: of log and model."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("jax_inertia.replay"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {"plain": plain, "number": number, "percent": percent, "chance": chance}
+    filters = {"plain": plain, "number": number, "percent": percent, "chance": chance}
     out = io.BytesIO()
     figure(found.names, found.replayed).savefig(out, format="svg", metadata={"Date": None})
     picture = "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
     families = [f for f in PARAMETERS if any(f in own for own in report["joints"].values())]
-    return environment.get_template("report.html").render(
-        found=found, report=report, names=names, picture=picture, families=families, units=UNITS, unit_of=unit,
-        version=version("jax-inertia"),
-    )  # fmt: skip
+    return rendered(
+        "jax_inertia.replay",
+        filters,
+        found=found,
+        report=report,
+        names=names,
+        picture=picture,
+        families=families,
+        units=UNITS,
+        unit_of=unit,
+    )

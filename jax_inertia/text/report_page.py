@@ -1,0 +1,21 @@
+"""Reports as HTML: one file each, in which nothing is fetched and nothing runs; every name in it is escaped."""
+
+from importlib.metadata import version
+from typing import Any
+
+import jinja2
+
+
+def rendered(package: str, filters: dict[str, Any], **values: Any) -> str:
+    """`templates/report.html` of a package, filled with `values`; it extends `page.html`, which has the style sheet."""
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader(
+            [jinja2.PackageLoader(package), jinja2.PackageLoader("jax_inertia.text")]
+        ),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= filters
+    return environment.get_template("report.html").render(version=version("jax-inertia"), **values)
