@@ -17,13 +17,9 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
-import shutil
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import cad_truth
@@ -33,6 +29,7 @@ from cad_draw import ODD, OUTSIDE, DrawOdd, Hidden, draw_ordinary, equivalents, 
 from cad_plant import STEP, Law
 from cad_robots import CAD_ROBOTS
 from effects import Effect
+from many import parser, write_all, write_folder
 from motions import make_motion
 from plant import Noise, Plant, Unstable
 from robots import Robot
@@ -249,15 +246,8 @@ def write(out: Path, seed: int, index: int) -> str:
     if (folder / "truth.json").exists():
         return "there already"
     s, log, test, truth = make(seed, index)
-    part = out / f".{folder.name}.{os.getpid()}"
-    part.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
-    np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
-    (part / "nominal.xml").write_text(s.robot.xml)
-    (part / "truth.json").write_text(json.dumps(truth, indent=1))
-    if folder.exists():
-        shutil.rmtree(folder)
-    part.rename(folder)
+    texts = {"nominal.xml": s.robot.xml, "truth.json": json.dumps(truth, indent=1)}
+    write_folder(folder, log, test, texts)
     odd = truth["odd"]
     told = (
         f"{odd.get('mechanism', odd['family'])}@{odd['location']['name']} "
@@ -269,26 +259,8 @@ def write(out: Path, seed: int, index: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--n", type=int, default=60, help="number of logs")
-    parser.add_argument("--first", type=int, default=0, help="index of the first log")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    failed = 0
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        indices = range(args.first, args.first + args.n)
-        jobs = {pool.submit(write, args.out, args.seed, k): k for k in indices}
-        for done, job in enumerate(as_completed(jobs), start=1):
-            try:
-                line = job.result()
-            except RuntimeError as error:
-                failed, line = failed + 1, f"skipped: {error}"
-            print(f"[{done}/{args.n}] {jobs[job]:05d} {line}", flush=True)
-    if failed:
-        raise SystemExit(f"{failed} of {args.n} logs could not be drawn")
+    args = parser(__doc__, 60).parse_args()
+    write_all(args, write, args.out)
 
 
 if __name__ == "__main__":

@@ -14,18 +14,15 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
-import shutil
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from check import visibility
 from draw import Draw, equivalents, reference_peaks
 from effects import Effect
+from many import parser, write_all, write_folder
 from plant import Unstable
 from spec import Spec, draw_noise, draw_spec, simulate, slightly_wrong, to_contract
 from strata import STRATA, Stratum
@@ -173,14 +170,7 @@ def write(out: Path, stratum: str, seed: int, index: int) -> str:
     if truth_file.exists() and folder.exists():
         return "there already"
     spec, (log, test), truth = make(STRATA[stratum], seed, index)
-    part = folder.with_name(f".{folder.name}.{os.getpid()}")
-    part.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
-    np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
-    (part / "nominal.xml").write_text(spec.robot.xml)
-    if folder.exists():
-        shutil.rmtree(folder)
-    part.rename(folder)
+    write_folder(folder, log, test, {"nominal.xml": spec.robot.xml})
     truth_part = truth_file.with_suffix(f".{os.getpid()}.part")
     truth_part.write_text(json.dumps(truth, indent=1))
     truth_part.rename(truth_file)
@@ -191,30 +181,11 @@ def write(out: Path, stratum: str, seed: int, index: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--n", type=int, default=20, help="number of logs")
-    parser.add_argument("--first", type=int, default=0, help="index of the first log")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--stratum", choices=sorted(STRATA), default="mixed")
-    parser.add_argument("--jobs", type=int, default=1)
-    args = parser.parse_args()
-    for folder in ("logs", "truth"):
-        (args.out / folder).mkdir(parents=True, exist_ok=True)
-    failed = 0
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        jobs = {
-            pool.submit(write, args.out, args.stratum, args.seed, k): k
-            for k in range(args.first, args.first + args.n)
-        }
-        for done, job in enumerate(as_completed(jobs), start=1):
-            try:
-                line = job.result()
-            except RuntimeError as error:
-                failed, line = failed + 1, f"skipped: {error}"
-            print(f"[{done}/{args.n}] {jobs[job]:05d} {line}", flush=True)
-    if failed:
-        raise SystemExit(f"{failed} of {args.n} logs could not be drawn")
+    arguments = parser(__doc__, 20)
+    arguments.add_argument("--stratum", choices=sorted(STRATA), default="mixed")
+    args = arguments.parse_args()
+    (args.out / "truth").mkdir(parents=True, exist_ok=True)
+    write_all(args, write, args.out, args.stratum)
 
 
 if __name__ == "__main__":
