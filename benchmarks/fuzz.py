@@ -76,7 +76,7 @@ def fuzz(kind: str, seconds: int, out: Path) -> None:
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     with atheris.instrument_imports(include=list(GUIDES)):
         import jax_inertia.estimation.checkpoint
-        import jax_inertia.logs.log
+        import jax_inertia.logs.log_files
         import jax_inertia.logs.readers
         import jax_inertia.model.load
     corpus = Path(tempfile.mkdtemp(prefix=f"fuzz-{kind}-"))
@@ -109,7 +109,7 @@ def seeds(kind: str, package) -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "file.npz"
         if kind == "npz":
-            package.logs.log.write_log(swing(seconds=0.2), path)
+            package.logs.log_files.write_log(swing(seconds=0.2), path)
         else:
             package.estimation.checkpoint.save_state(path, _estimator(), _estimator().initial())
         return [path.read_bytes()]
@@ -129,7 +129,7 @@ def reader(kind: str, path: Path, package) -> Callable[[bytes], None]:
 
     warnings.simplefilter("ignore")
     errors = (
-        package.logs.log.LogError,
+        package.logs.npz.LogError,
         package.model.load.ModelError,
         package.estimation.checkpoint.StateError,
     )
@@ -139,7 +139,7 @@ def reader(kind: str, path: Path, package) -> Callable[[bytes], None]:
         path = path.with_suffix(f".{kind}")
 
         def read():
-            return package.logs.log.read_log(path, options=options, max_bytes=1 << 24)
+            return package.logs.log_files.read_log(path, options=options, max_bytes=1 << 24)
     elif kind == "state":
         path, estimator = path.with_suffix(".npz"), _estimator()
 

@@ -226,7 +226,7 @@ def _material(kind: str) -> tuple[list[bytes], Any]:
     from models import MODELS
 
     package = importlib.import_module("jax_inertia")
-    for name in ("logs.log", "logs.readers", "estimation.checkpoint", "model.load"):
+    for name in ("logs.log_files", "logs.readers", "estimation.checkpoint", "model.load"):
         importlib.import_module(f"jax_inertia.{name}")
     if kind.startswith("csv"):
         return [test_hostile.valid("csv")], mutations.text(["time,qpos.a,tau.a\n", '"', ",,,,"])

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from jax_inertia.estimation.pipeline import estimate
     from jax_inertia.estimation.priors import Load
     from jax_inertia.estimation.stream import Stream
-    from jax_inertia.logs.log import Log, LogError, read_log, write_log
+    from jax_inertia.logs.log import Log, LogError
+    from jax_inertia.logs.log_files import read_log, write_log
     from jax_inertia.maths.inertial_parameters import (
         centre_of_mass,
         from_com,
@@ -100,7 +101,8 @@ _MODULES = {
     "estimation.pipeline": "estimate",
     "estimation.priors": "Load",
     "estimation.stream": "Stream",
-    "logs.log": "Log LogError read_log write_log",
+    "logs.log": "Log LogError",
+    "logs.log_files": "read_log write_log",
     "maths.inertial_parameters": """centre_of_mass from_com from_log_cholesky is_physical pseudo_inertia
         to_log_cholesky""",
     "model.load": "ModelError ModelWarning load_model",

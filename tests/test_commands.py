@@ -26,7 +26,8 @@ import jax_inertia as ji
 from jax_inertia.cli.demo import command as demo_command
 from jax_inertia.cli.main import main
 from jax_inertia.estimation.inertial_filter import Estimator
-from jax_inertia.logs.log import Log, TorqueKind, read_log, write_log
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.maths.inertial_parameters import PI_NAMES, is_physical
 from jax_inertia.model.load import body_pi
 

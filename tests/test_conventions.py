@@ -9,7 +9,7 @@ from test_against_model import ARMS, log_of
 import jax_inertia as ji
 from jax_inertia.cli import diagnose, diagnose_run
 from jax_inertia.cli.main import main
-from jax_inertia.logs.log import write_log
+from jax_inertia.logs.log_files import write_log
 from jax_inertia.signals.corrections import with_model_gravity
 
 

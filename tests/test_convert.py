@@ -10,7 +10,8 @@ from log_files import JOINTS, Maker, arrays, columns, joint_messages, write_bag,
 import jax_inertia as ji
 from jax_inertia.cli.console import folder_for
 from jax_inertia.cli.main import main
-from jax_inertia.logs.log import Log, TorqueUnit, read_log, write_log
+from jax_inertia.logs.log import Log, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.signals.wrench_axes import wrenches_in_world
 
 MODEL = """<mujoco><worldbody><body name="thigh" pos="0 0 1"><joint name="hip" axis="0 1 0"/>

@@ -16,7 +16,8 @@ from jax_inertia.gap.callbacks import callback
 from jax_inertia.gap.effect import effects_in
 from jax_inertia.gap.families import LIBRARY, NAMES
 from jax_inertia.gap.units import drive_gains, in_newton_metres
-from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.model.load import compile_spec, load_spec
 
 # A name that would run, be mathematics, and end a CDATA section, if anything let it.

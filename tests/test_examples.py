@@ -27,6 +27,7 @@ MODULES = (
     *(
         "maths.least_squares",
         "logs.log",
+        "logs.log_files",
         "estimation.log_filter",
         "model.load",
         "estimation.physical_estimate",

@@ -20,7 +20,8 @@ from log_files import (
 
 from jax_inertia.cli.main import main
 from jax_inertia.logs.chunks import read_chunks
-from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.logs.readers.stamps import guess
 from jax_inertia.logs.unwrap import unwrapped

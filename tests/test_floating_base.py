@@ -13,7 +13,8 @@ import jax_inertia as ji
 from jax_inertia.cli import estimate
 from jax_inertia.cli.diagnose_run import read
 from jax_inertia.dynamics.rigid_body import inverse_dynamics
-from jax_inertia.logs.log import Log, write_log
+from jax_inertia.logs.log import Log
+from jax_inertia.logs.log_files import write_log
 from jax_inertia.model.load import compile_spec, load_spec
 from jax_inertia.model.log_match import afloat
 

@@ -38,7 +38,8 @@ import jax_inertia as ji
 from jax_inertia.cli import console
 from jax_inertia.cli.main import main
 from jax_inertia.logs.atomic_files import held
-from jax_inertia.logs.log import LogError, read_log
+from jax_inertia.logs.log import LogError
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import ModelError, write_urdf
 

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 FUZZ = settings(

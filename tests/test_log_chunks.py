@@ -13,15 +13,8 @@ from jax_inertia.estimation.inertial_filter import make_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.estimation.stream import Stream
 from jax_inertia.logs.chunks import read_chunks
-from jax_inertia.logs.log import (
-    CHANNELS,
-    Log,
-    LogError,
-    TorqueKind,
-    TorqueUnit,
-    read_log,
-    write_log,
-)
+from jax_inertia.logs.log import CHANNELS, Log, LogError, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.robots.pendulum import double_pendulum, swing
 

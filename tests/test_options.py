@@ -10,7 +10,7 @@ import pytest
 from log_files import columns, write_csv, write_dataset
 
 from jax_inertia.cli import main as command_line
-from jax_inertia.logs.log import write_log
+from jax_inertia.logs.log_files import write_log
 from jax_inertia.robots.pendulum import double_pendulum, swing
 
 # Option: the values it is given, each refused. What takes any text is given it where nothing has such a name.

@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.paper.curl_log import contract, sensed
 from benchmarks.paper.plant import Fleet, Sensors, model
 from jax_inertia import load_model
-from jax_inertia.logs.log import read_log
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.preflight.preflight import preflight
 
 

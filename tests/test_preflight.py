@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jax_inertia.logs.log import Log, LogError, TorqueUnit, read_log
+from jax_inertia.logs.log import Log, LogError, TorqueUnit
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.preflight.preflight import Severity, preflight
 from jax_inertia.signals.filtering import mask
 

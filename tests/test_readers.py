@@ -19,7 +19,8 @@ from log_files import (
     write_plain_mcap,
 )
 
-from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit, read_log
+from jax_inertia.logs.log import Log, LogError, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options, WrenchAxes, bag_collect
 
 

@@ -28,7 +28,8 @@ from world.unknowns import UNKNOWN, hide_unknown
 from jax_inertia import load_model
 from jax_inertia.gap import diagnose
 from jax_inertia.gap.finding import Diagnosis
-from jax_inertia.logs.log import Log, read_log
+from jax_inertia.logs.log import Log
+from jax_inertia.logs.log_files import read_log
 
 
 def without_noise(truth: dict, noisy: Log) -> Log:

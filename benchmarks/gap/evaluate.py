@@ -40,7 +40,7 @@ def run(job: tuple[str, str, str]) -> dict:
     import jax_inertia
     from jax_inertia.gap import diagnose
     from jax_inertia.gap.report import to_report
-    from jax_inertia.logs.log import read_log
+    from jax_inertia.logs.log_files import read_log
 
     warnings.simplefilter("ignore")
     folder = Path(data) / stratum / "logs" / name

@@ -30,7 +30,8 @@ from jax_inertia.gap import diagnose
 from jax_inertia.gap.correct import corrected
 from jax_inertia.gap.effect import Effect, effects_of
 from jax_inertia.gap.finding import Diagnosis
-from jax_inertia.logs.log import Log, read_log
+from jax_inertia.logs.log import Log
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.maths.inertial_parameters import centre_of_mass
 from jax_inertia.maths.spatial import cross
 from jax_inertia.model.load import set_inertials

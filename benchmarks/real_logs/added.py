@@ -31,7 +31,8 @@ from report import machine
 
 from jax_inertia.cli import diagnose_run as pipeline
 from jax_inertia.cli.console import stages
-from jax_inertia.logs.log import Log, TorqueKind, read_log, write_log
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.logs.log_files import read_log, write_log
 
 HERE = Path(__file__).parent
 COUNT = {"ur10e_no_load": 9, "ur10e_payload": 9, "double_pendulum": 8, "panda": 4, "lwr4": 4}

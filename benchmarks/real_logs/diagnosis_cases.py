@@ -12,7 +12,8 @@ import ur10e
 from logs import SHARED
 from ur10e_model import LINKS, makers_model
 
-from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit, read_log, write_log
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
+from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.model.load import ModelWarning, compile_spec, load_spec, set_inertials
 from jax_inertia.model.robot import Robot
 

@@ -10,7 +10,7 @@ from diagnosis_cases import Case, Files
 import jax_inertia as ji
 from jax_inertia.cli.diagnose_run import Inputs, Result
 from jax_inertia.gap.evidence import moving
-from jax_inertia.logs.log import read_log
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.torque_residual import Prepared, prepare
 

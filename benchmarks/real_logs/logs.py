@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 import jax_inertia as ji
-from jax_inertia.logs.log import read_log
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.model.load import ModelWarning
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation, central_differences

@@ -124,7 +124,8 @@ def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where the log or the model cannot be used."""
     from jax_inertia.cli.console import stages, warn
     from jax_inertia.logs.atomic_files import check_target
-    from jax_inertia.logs.log import LogError, read_log, write_log
+    from jax_inertia.logs.log import LogError
+    from jax_inertia.logs.log_files import read_log, write_log
     from jax_inertia.logs.readers import Options, WrenchAxes
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat

@@ -29,7 +29,8 @@ from jax_inertia.gap.report import to_report
 from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import percent, plain
-from jax_inertia.logs.log import Log, LogError, read_log
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.model.load import (
     compile_spec,
     is_urdf,

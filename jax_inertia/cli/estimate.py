@@ -189,7 +189,7 @@ def read(args: argparse.Namespace) -> "Inputs":
     from jax_inertia.cli.conventions import met
     from jax_inertia.estimation.estimate_inputs import Names, Settings, checked
     from jax_inertia.logs.findings import Finding, Severity
-    from jax_inertia.logs.log import read_log
+    from jax_inertia.logs.log_files import read_log
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
     from jax_inertia.text.closest_names import suggestion

@@ -15,7 +15,8 @@ from rich.table import Table
 from jax_inertia.cli.console import warn
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.gap.words import chance, number, percent, plain, unit
-from jax_inertia.logs.log import Log, LogError, read_log
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.log_files import read_log
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jax_inertia.logs.log import JointNames, Log, LogError, _log_of, _naming
+from jax_inertia.logs.as_model import JointNames
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.log_files import _log_of, _naming
 from jax_inertia.logs.readers import column_plan, columns
 from jax_inertia.logs.readers.delimited import csv_parts
 from jax_inertia.logs.readers.options import Options

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia.cli import diagnose_run
     from jax_inertia.cli.console import output_folder, stages
     from jax_inertia.cli.demo import comparison, figure, hidden, simulation
-    from jax_inertia.logs.log import write_log
+    from jax_inertia.logs.log_files import write_log
 
     scenario = simulation.Scenario(seed=args.seed)
     with stages() as stage, output_folder(args.out) as folder:

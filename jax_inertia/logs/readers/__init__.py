@@ -1,6 +1,6 @@
 """Logs in the formats that people have them in, as the arrays of the log contract.
 
-`jax_inertia.logs.log.read_log` chooses the reader by the kind of file. A reader takes nothing on trust: what a file
+`jax_inertia.logs.log_files` chooses the reader by the kind of file. A reader takes nothing on trust: what a file
 claims is checked before memory is taken for it, compressed data is unfolded within a bound, and whatever is wrong
 becomes one `LogError`. Parquet, ROS bags and MCAP need the extra `readers`.
 """
