@@ -2,7 +2,7 @@
 
     python -m benchmarks.blind --model my_robot.xml [--n 12] [--seed 1] [--jobs 2] [--out FOLDER] [--fix-base]
 
-Makes logs of robots like the model (`strata.py`: sound ones, one effect on a good model, robots as they are bought
+Makes logs of robots like the model (`mixed.py`: sound ones, one effect on a good model, robots as they are bought
 with and without an odd effect, effects that no library has, logs that mean something else), diagnoses each by the
 public command in a process that can open nothing else, and writes OUT/RESULTS.md, rows.json and summary.json. Without
 --model: the generator's own robots. A second call goes on where the first was stopped.
@@ -27,8 +27,8 @@ HERE = Path(__file__).resolve().parent
 for folder in (HERE, HERE.parent / "gap"):
     sys.path.append(str(folder))
 
+import mixed  # noqa: E402
 import solve  # noqa: E402
-import strata  # noqa: E402
 from exam import mixed_marks, mixed_page  # noqa: E402
 from own_robot import Unsuitable, own_robot  # noqa: E402
 from rich.console import Console  # noqa: E402
@@ -36,13 +36,15 @@ from rich.markdown import Markdown  # noqa: E402
 from rich.progress import track  # noqa: E402
 
 
-def generate(tasks: list[strata.Task], logs: Path, jobs: int) -> list[Path]:
+def generate(tasks: list[mixed.Task], logs: Path, jobs: int) -> list[Path]:
     """The folders of all logs that could be made."""
     logs.mkdir(parents=True, exist_ok=True)
     folders = [logs / f"{k:04d}" for k in range(len(tasks))]
     skipped = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(strata.write, t, f): (t, f) for t, f in zip(tasks, folders, strict=True)}
+        running = {
+            pool.submit(mixed.write, t, f): (t, f) for t, f in zip(tasks, folders, strict=True)
+        }
         for done in track(as_completed(running), "making logs", len(running)):
             task, folder = running[done]
             try:
@@ -89,7 +91,7 @@ def main() -> None:
         parser.error(f"{args.out} holds another check ({kept.name}); choose another --out")
     args.out.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(settings, indent=1))
-    tasks = strata.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base)
+    tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base)
     rows = examine(generate(tasks, args.out / "logs", args.jobs), args.out, args.jobs)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
     (args.out / "summary.json").write_text(json.dumps(mixed_page.summary(rows), indent=1))

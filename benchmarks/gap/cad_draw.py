@@ -157,7 +157,9 @@ def good_model(robot: Robot, hidden: Hidden, rng) -> str:
     spec = mujoco.MjSpec.from_string(robot.xml)
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)
-        set_linear(joint, "damping", float(hidden.law.viscous[k] * (1.0 + rng.uniform(-0.07, 0.07))))
+        set_linear(
+            joint, "damping", float(hidden.law.viscous[k] * (1.0 + rng.uniform(-0.07, 0.07)))
+        )
         joint.frictionloss = float(hidden.law.coulomb[k])
         joint.armature = float(hidden.armature[k])
     spec.compile()

@@ -65,7 +65,9 @@ def _no_gravity(out: Log, robot: Robot, columns: list[int], rng) -> None:
 
 
 def _amperes(out: Log, robot: Robot, columns: list[int], rng) -> None:
-    constant = np.exp(rng.uniform(np.log(4.0), np.log(20.0), len(robot.joints)))  # N m/A at the joint
+    constant = np.exp(
+        rng.uniform(np.log(4.0), np.log(20.0), len(robot.joints))
+    )  # N m/A at the joint
     _scale_torque(out, 1.0 / constant[columns])
 
 

@@ -1,6 +1,6 @@
 """Any robot on a fixed base as a nominal robot of the generator: its mechanics, and what motions and sizes suit it.
 
-Bodies, joints and gravity are kept to the last digit; meshes, actuators, sensors and contacts are left out. Motions
+Bodies, joints and gravity are kept; meshes, actuators, sensors, contacts and the joints' stops are left out. Motions
 stay inside the joints' ranges, the rated torque is what such motions ask for, loads and forces go by the robot's mass.
 """
 

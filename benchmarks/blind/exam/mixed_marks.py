@@ -1,4 +1,4 @@
-"""One log of a mixed examination (`strata`): the hidden truth beside what was said.
+"""One log of a mixed examination (`mixed`): the hidden truth beside what was said.
 
 Any tool can be marked: from it come report.json and corrected.xml, or one line that refuses the log (PROTOCOL.md). An
 effect counts as found where one that is listed, or one stated equivalent to it, is the true one or one that theory says

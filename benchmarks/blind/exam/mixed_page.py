@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+
 from exam.rates import Share, count
 
 STRATA = ("sound", "one_effect", "bare", "bare_odd", "outside", "misread")
@@ -95,9 +96,33 @@ def summary(rows: list[dict]) -> dict[str, float | int | None]:
     return out
 
 
+def leaderboard(tools: dict[str, list[dict]]) -> str:
+    """Markdown: a row a question, a column a tool, all on the same logs."""
+    lines = [
+        f"| | {' | '.join(tools)} |",
+        "|---|" + "---|" * len(tools),
+    ]
+    for name in next(iter(map(shares, tools.values()))):
+        cells = " | ".join(str(shares(rows)[name]) for rows in tools.values())
+        lines.append(f"| {name.replace('_', ' ')} | {cells} |")
+    middles = []
+    for rows in tools.values():
+        middle, low, high = median(ratios(rows, "tool"))
+        middles.append("–" if middle is None else f"{middle:.3f} [{low:.3f}, {high:.3f}]")
+    lines.append(f"| torque error of another motion, after / before | {' | '.join(middles)} |")
+    return "\n".join(lines) + "\n"
+
+
 def page(rows: list[dict], title: str, head: str = "") -> str:
     """Markdown: strata, rates, every wrong row."""
-    lines = [f"# {title}", "", head, "", "| stratum | logs | right | what right means |", "|---|---|---|---|"]
+    lines = [
+        f"# {title}",
+        "",
+        head,
+        "",
+        "| stratum | logs | right | what right means |",
+        "|---|---|---|---|",
+    ]
     for stratum in STRATA:
         if some := of(rows, stratum):
             told = count(r["right"] for r in some)
@@ -106,11 +131,16 @@ def page(rows: list[dict], title: str, head: str = "") -> str:
     for name, share in shares(rows).items():
         if share.n:
             lines.append(f"| {name.replace('_', ' ')} | {share} |")
-    for name, tool in (("as reported", "tool"), ("plain least squares", "least_squares"), ("truth in these forms", "oracle")):
+    for name, tool in (
+        ("as reported", "tool"),
+        ("plain least squares", "least_squares"),
+        ("truth in these forms", "oracle"),
+    ):
         middle, low, high = median(ratios(rows, tool))
         if middle is not None:
             lines.append(
-                f"| torque error of another motion, after / before, median: {name} | {middle:.3f} [{low:.3f}, {high:.3f}] |"
+                f"| torque error of another motion, after / before, median: {name} "
+                f"| {middle:.3f} [{low:.3f}, {high:.3f}] |"
             )
     if (error := confidence_error(rows)) is not None:
         lines.append(f"| confidence: mean distance of stated and observed | {error:.3f} |")
@@ -121,5 +151,7 @@ def page(rows: list[dict], title: str, head: str = "") -> str:
             said = f"{r['verdict']}: {listed if r['verdict'] != 'refused' else r['said'][-200:]}"
             flag = "**wrong and confident**" if r["confident_wrong"] else ""
             size = f" ({r['sigmas']:.1f} σ)" if r["sigmas"] else ""
-            lines.append(f"| {r['log']} | {r['robot']} | {r['stratum']}: {r['hidden']}{size} | {said} | {flag} |")
+            lines.append(
+                f"| {r['log']} | {r['robot']} | {r['stratum']}: {r['hidden']}{size} | {said} | {flag} |"
+            )
     return "\n".join(lines) + "\n"

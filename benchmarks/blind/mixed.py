@@ -111,7 +111,9 @@ def make(task: Task) -> cad.Made:
     made = cad.simulated(setting, "" if fault else kind)
     if fault:
         seed = [*setting.seed, 9]
-        made.log, made.test = (misread(x, fault, setting.robot, seed) for x in (made.log, made.test))
+        made.log, made.test = (
+            misread(x, fault, setting.robot, seed) for x in (made.log, made.test)
+        )
     made.truth |= {"stratum": task.stratum, "fault": fault}
     return made
 
