@@ -1,7 +1,7 @@
 """Opens a sealed set of mixed strata, checks commitment and logs, and scores any number of tools on it.
 
-    python benchmarks/blind/score_mixed.py LOGS SEALED --commitment HEX --out OUT \\
-        --tool diagnose=FOUND [--tool NAME=FOLDER ...] [--summary benchmarks/results/sealed.json] [--key FILE] [--jobs 1]
+    python benchmarks/blind/score_mixed.py LOGS SEALED --commitment HEX --out OUT [--jobs 1] \\
+        --tool diagnose=FOUND [--tool NAME=FOLDER ...] [--summary benchmarks/results/sealed.json] [--key FILE]
 
 Each tool's folder holds results/NAME/report.json (PROTOCOL.md). Writes OUT/RESULTS.md (wrong rows of the first tool),
 OUT/LEADERBOARD.md, OUT/confidence.png and OUT/rows.json. NumPy, MuJoCo and matplotlib; nothing of the package.
