@@ -1,11 +1,12 @@
 """Seals an examination: logs with hidden effects under random names, and their answers under lock and key.
 
-    python benchmarks/blind/seal.py LOGS SEALED --n 400 --jobs 2 [--seed FILE]
+    python benchmarks/blind/seal.py LOGS SEALED --n 400 --jobs 2 [--seed FILE] [--mixed]
 
 LOGS gets one folder a log, named at random: log.npz, test.npz (another motion), nominal.xml, and nothing else. SEALED
 gets the encrypted answers, the key and the commitment, which is printed: publish it before any diagnosis. The seed
 comes from the operating system, or from the bytes of FILE; it is sealed with the answers, so that anyone can make the
-logs again once they are open. A second call goes on where the first was stopped. Prints nothing about any log.
+logs again once they are open. `--mixed`: the strata of `mixed.py` instead of one and two effects on a good model
+(`world`). A second call goes on where the first was stopped. Prints nothing about any log.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ import secrets
 import shutil
 import subprocess
 import zipfile
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
+import mixed
 import numpy as np
 import vault
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -55,7 +58,10 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def write_log(setting: Setting, name: str, work: Path) -> dict:
+Planned = Setting | mixed.Task
+
+
+def write_log(setting: Planned, name: str, work: Path) -> dict:
     """One log in `work`, whole or not at all, and its answer beside it; the answer."""
     answer_file = work / "answers" / f"{name}.json"
     folder = work / "logs" / name
@@ -77,7 +83,15 @@ def write_log(setting: Setting, name: str, work: Path) -> dict:
     return answer
 
 
-def _made(setting: Setting):
+def _made(setting: Planned):
+    """Log, other motion, nominal model and truth."""
+    if isinstance(setting, mixed.Task):
+        made = mixed.make(setting)
+        return made.log, made.test, made.nominal, made.truth
+    return _made_in_world(setting)
+
+
+def _made_in_world(setting: Setting):
     """`make`, with other robots of the same kind where no draw of an effect leaves the loop stable."""
     for further in range(5):
         try:
@@ -133,7 +147,7 @@ def seal_set(
     seed: Path | None = None,
     jobs: int = 1,
     robots: list[str] | None = None,
-    settings=plan,
+    settings: Callable[..., Sequence[Planned]] = plan,
 ) -> str:
     """Everything; returns the commitment. `settings` plans the logs (tests give a smaller plan)."""
     notes = begin(sealed, count, seed, robots)
@@ -162,7 +176,13 @@ def seal_set(
     return promise
 
 
-def _each(todo: list[tuple[Setting, str]], work: Path, jobs: int):
+def plan_mixed(words: tuple[int, ...], count: int, shares: dict[str, float]) -> list[mixed.Task]:
+    """Tasks of the mixed strata; their seed is all of the set's."""
+    seed = sum(int(w) << 32 * k for k, w in enumerate(words))
+    return mixed.plan(seed, count)
+
+
+def _each(todo: list[tuple[Planned, str]], work: Path, jobs: int):
     if jobs == 1:
         for setting, name in todo:
             yield name, write_log(setting, name, work)
@@ -190,10 +210,14 @@ def main() -> None:
     parser.add_argument("--seed", type=Path, help="file whose bytes are the seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--robots", nargs="+", choices=sorted(ROBOTS))
+    parser.add_argument("--mixed", action="store_true", help="the strata of mixed.py")
     args = parser.parse_args()
+    if args.mixed and args.robots:
+        parser.error("--robots: of sets without --mixed")
     if (args.sealed / vault.ANSWERS).exists():
         parser.error(f"{args.sealed} holds sealed answers already; choose another folder")
-    promise = seal_set(args.logs, args.sealed, args.n, args.seed, args.jobs, args.robots)
+    settings = plan_mixed if args.mixed else plan
+    promise = seal_set(args.logs, args.sealed, args.n, args.seed, args.jobs, args.robots, settings)
     print(f"commitment {promise}")
 
 

@@ -7,6 +7,8 @@ here). Reads one JSON line per log from its input, runs the public command on it
 import sys
 
 PACKAGE, SCRATCH, LIBRARIES, *READABLE = sys.argv[1:]
+SAID = 4000
+"""Characters of what the command printed that are kept, its last ones."""
 
 
 def _isolate() -> None:
@@ -59,6 +61,7 @@ def _isolate() -> None:
 
 def _serve() -> None:
     import contextlib
+    import io
     import json
     import os
     import time
@@ -69,11 +72,12 @@ def _serve() -> None:
     for line in lines:
         job = json.loads(line)
         start = time.perf_counter()
+        console = io.StringIO()
         try:
             from jax_inertia.cli.main import main
 
             code = 0
-            with contextlib.redirect_stdout(sys.stderr):
+            with contextlib.redirect_stdout(console), contextlib.redirect_stderr(console):
                 try:
                     code = main(job["arguments"]) or 0
                 except SystemExit as stop:
@@ -82,6 +86,8 @@ def _serve() -> None:
         except Exception:
             answer = {"exit": 1, "error": traceback.format_exc()[-3000:]}
         answer["seconds"] = time.perf_counter() - start
+        answer["console"] = console.getvalue()[-SAID:]
+        sys.stderr.write(answer["console"])
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
 

@@ -17,15 +17,27 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import dataclasses
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cad_truth
 import mujoco
 import numpy as np
-from cad_draw import ODD, OUTSIDE, DrawOdd, Hidden, draw_ordinary, equivalents, nominal_run
+from cad_draw import (
+    ODD,
+    OUTSIDE,
+    DrawOdd,
+    Hidden,
+    as_drawn,
+    draw_ordinary,
+    equivalents,
+    good_model,
+    nominal_run,
+)
 from cad_plant import STEP, Law
 from cad_robots import CAD_ROBOTS
 from effects import Effect
@@ -52,6 +64,20 @@ class Setting:
     compensation: float
     counts: float
     options: dict
+    good: bool = False
+    """The nominal model has every joint's friction and rotor."""
+    mount: np.ndarray | None = None
+    """Gravity as it really is, in the base's axes [m/s²]; None: as the model has it."""
+
+    @property
+    def real(self) -> Robot:
+        """The drawing, mounted as it really is."""
+        if self.mount is None:
+            return self.robot
+        spec = mujoco.MjSpec.from_string(self.robot.xml)
+        spec.option.gravity = self.mount
+        spec.compile()
+        return dataclasses.replace(self.robot, xml=spec.to_xml())
 
 
 class JointLoop:
@@ -61,7 +87,7 @@ class JointLoop:
     """
 
     def __init__(self, s: Setting, inertia: np.ndarray, law: Law):
-        self.model = s.robot.model()
+        self.model = s.real.model()
         self.data = mujoco.MjData(self.model)
         omega = s.bandwidth
         stiff = (law.coulomb + law.viscous) * omega / (12.0 * 0.06)
@@ -79,13 +105,17 @@ class JointLoop:
         return np.clip(tau, -self.limit, self.limit), q_ref
 
 
-def draw_setting(seed: int, index: int) -> Setting:
+Robots = dict[str, Callable[[], Robot]]
+
+
+def draw_setting(seed: int, index: int, robots: Robots = CAD_ROBOTS) -> Setting:
+    """Robot, motions, rate and sensors of one log."""
     rng = np.random.default_rng([seed, NUMBER, index, 0])
-    names = tuple(CAD_ROBOTS)
+    names = tuple(robots)
     # The robots go round, so that a short set holds all of them.
     turn = np.random.default_rng([seed, NUMBER]).permutation(names)
     return Setting(
-        robot=CAD_ROBOTS[str(turn[index % len(turn)])](),
+        robot=robots[str(turn[index % len(turn)])](),
         seed=[seed, NUMBER, index],
         rate=int(rng.choice([1000, 500, 250], p=[0.4, 0.35, 0.25])),
         duration=20.0,
@@ -129,7 +159,7 @@ def draw_kind(seed: int, index: int) -> str:
 
 def simulate(s: Setting, hidden: Hidden, which: int, noise: Noise, preroll: float = 1.0) -> dict:
     """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
-    plant = Plant(s.robot, hidden.model(s.robot), hidden.effects())
+    plant = Plant(s.robot, hidden.model(s.real), hidden.effects())
     plant.finest = STEP
     motion = make_motion(s.robot, s.kinds[which], [*s.seed, 3, which])
     duration = (s.duration, s.test_duration)[which]
@@ -170,14 +200,30 @@ def draw_hidden(s: Setting, kind: str, attempt: int) -> Hidden:
     rng = np.random.default_rng([*s.seed, 6, attempt])
     run = nominal_run(s.robot, s.kinds[0], [*s.seed, 3, 0], s.duration)
     hidden = draw_ordinary(s.robot, run, rng)
+    if s.good:
+        hidden = as_drawn(hidden)
     if kind:
         DrawOdd(s.robot, run, hidden, rng, s.duration).make(kind)
     return hidden
 
 
-def make(seed: int, index: int) -> tuple[Setting, dict, dict, dict]:
-    """Setting, log, test log and truth; drawn again where the loop loses the motion."""
-    s, kind = draw_setting(seed, index), draw_kind(seed, index)
+@dataclass
+class Made:
+    """One robot's log and other motion, the model a diagnosis gets, and the truth."""
+
+    setting: Setting
+    log: dict[str, np.ndarray]
+    test: dict[str, np.ndarray]
+    nominal: str
+    truth: dict
+
+
+def make(seed: int, index: int) -> Made:
+    return simulated(draw_setting(seed, index), draw_kind(seed, index))
+
+
+def simulated(s: Setting, kind: str) -> Made:
+    """Both logs with one odd effect, or none where `kind` is empty; drawn again where the loop loses the motion."""
     reason = "never tried"
     for attempt in range(ATTEMPTS):
         hidden = draw_hidden(s, kind, attempt)
@@ -189,13 +235,17 @@ def make(seed: int, index: int) -> tuple[Setting, dict, dict, dict]:
             s.bandwidth = max(0.8 * s.bandwidth, 6.0)
             continue
         truth = describe(s, hidden, noise, log, test, attempt)
-        return s, to_contract(s, log, noise), to_contract(s, test, noise), truth
-    raise RuntimeError(f"log {index}: {kind or 'none'} on {s.robot.name}: {reason}")
+        nominal = s.robot.xml
+        if s.good:
+            nominal = good_model(s.robot, hidden, np.random.default_rng([*s.seed, 7]))
+        logs = to_contract(s, log, noise), to_contract(s, test, noise)
+        return Made(s, *logs, nominal, truth)
+    raise RuntimeError(f"log {s.seed[-1]}: {kind or 'none'} on {s.robot.name}: {reason}")
 
 
 def describe(s: Setting, hidden: Hidden, noise: Noise, log, test, attempt: int) -> dict:
-    seen = cad_truth.judge(s.robot, hidden, log, noise, s.rate)
-    other = cad_truth.judge(s.robot, hidden, test, noise, s.rate)
+    seen = cad_truth.judge(s.real, hidden, log, noise, s.rate)
+    other = cad_truth.judge(s.real, hidden, test, noise, s.rate)
     odd: Effect | None = hidden.odd
     entry = None
     if odd is not None:
@@ -219,7 +269,7 @@ def describe(s: Setting, hidden: Hidden, noise: Noise, log, test, attempt: int) 
         "schema": 1,
         "stratum": "cad",
         "robot": s.robot.name,
-        "joints": cad_truth.joint_terms(s.robot, hidden, seen, other),
+        "joints": cad_truth.joint_terms(s.real, hidden, seen, other),
         "odd": entry,
         "present": present,
         "ordinary_visibility": seen["visibility"] if odd is None else None,
@@ -245,9 +295,10 @@ def write(out: Path, seed: int, index: int) -> str:
     begun, folder = time.time(), out / f"{index:05d}"
     if (folder / "truth.json").exists():
         return "there already"
-    s, log, test, truth = make(seed, index)
-    texts = {"nominal.xml": s.robot.xml, "truth.json": json.dumps(truth, indent=1)}
-    write_folder(folder, log, test, texts)
+    made = make(seed, index)
+    s, truth = made.setting, made.truth
+    texts = {"nominal.xml": made.nominal, "truth.json": json.dumps(truth, indent=1)}
+    write_folder(folder, made.log, made.test, texts)
     odd = truth["odd"]
     told = (
         f"{odd.get('mechanism', odd['family'])}@{odd['location']['name']} "

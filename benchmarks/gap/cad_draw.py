@@ -6,6 +6,7 @@ a fifth of its rating: a wrist's friction is the gear's, not its light load's.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import effects as fx
@@ -27,6 +28,7 @@ from cad_plant import (
 )
 from check import inverse_dynamics
 from motions import make_motion
+from own_robot import set_linear
 from robots import Robot
 
 DEGREE = np.pi / 180.0
@@ -83,6 +85,27 @@ class Hidden:
         return [ordinary, *([self.odd] if self.odd else [])]
 
 
+def axes(robot: Robot) -> np.ndarray:
+    """World axes of the joints in the reference posture (n, 3)."""
+    model = robot.model()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data.xaxis.copy()
+
+
+def plane(robot: Robot) -> np.ndarray | None:
+    """Normal of the plane that all joints turn in; None where they do not share one."""
+    every = axes(robot)
+    hinges = robot.model().jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    same = bool(hinges.all()) and np.all(np.abs(every @ every[0]) > 1.0 - 1e-6)
+    return every[0] if same else None
+
+
+def turns_upright(robot: Robot) -> bool:
+    """Whether the first joint turns about the vertical."""
+    return bool(abs(axes(robot)[0, 2]) > 0.99)
+
+
 def truncated(rng, sigma: float, size=None):
     """Normal within two sigma: a drawing that is further off is a wrong drawing."""
     x = rng.normal(size=size)
@@ -118,6 +141,29 @@ def nominal_run(robot: Robot, kind: str, seed: list[int], duration: float) -> Mo
         seen.append(full.diagonal().copy())
     span = np.array([q.min(0), q.max(0)])
     return Motion(tau.max(0), np.percentile(tau, 90, axis=0), span, np.mean(seen, axis=0))
+
+
+def as_drawn(hidden: Hidden) -> Hidden:
+    """The same robot with friction in the drawing's own forms and half of its errors: what a good model can say."""
+    zero = np.zeros_like(hidden.bias)
+    law = dataclasses.replace(hidden.law, excess=zero, load=zero, exponent=zero + 1.0)
+    half = lambda x: [0.5 * k for k in x] if isinstance(x, list) else 0.5 * x  # noqa: E731
+    inertials = {b: {k: half(x) for k, x in e.items()} for b, e in hidden.inertials.items()}
+    return dataclasses.replace(hidden, law=law, bias=zero, inertials=inertials)
+
+
+def good_model(robot: Robot, hidden: Hidden, rng) -> str:
+    """The drawing with every joint's friction and rotor in it; dampings are up to 7 % off."""
+    spec = mujoco.MjSpec.from_string(robot.xml)
+    for k, name in enumerate(robot.joints):
+        joint = spec.joint(name)
+        set_linear(
+            joint, "damping", float(hidden.law.viscous[k] * (1.0 + rng.uniform(-0.07, 0.07)))
+        )
+        joint.frictionloss = float(hidden.law.coulomb[k])
+        joint.armature = float(hidden.armature[k])
+    spec.compile()
+    return spec.to_xml()
 
 
 def draw_ordinary(robot: Robot, run: Motion, rng) -> Hidden:
@@ -174,15 +220,15 @@ class DrawOdd:
 
     def _first_turning(self) -> int:
         """1 where the first axis is vertical: gravity sees neither its angle nor its link's load."""
-        return int(self.robot.name in ("arm3", "arm6", "arm7"))
+        return int(turns_upright(self.robot) and len(self.robot.joints) > 1)
 
     def body(self) -> str:
         return str(self.rng.choice(self.robot.bodies[self._first_turning() :]))
 
     def direction(self) -> list[float]:
         x = self.rng.normal(size=3)
-        if self.robot.name == "arm2":
-            x[1] *= 0.2  # across the plane of a planar arm nothing shows
+        if (normal := plane(self.robot)) is not None:
+            x -= 0.8 * (x @ normal) * normal  # across the plane of a planar arm nothing shows
         return x / np.linalg.norm(x)
 
     def payload(self):
@@ -211,8 +257,11 @@ class DrawOdd:
 
     def gravity_tilt(self):
         angle, about = self.size(1.0, 4.0) * DEGREE, self.rng.uniform(0, 2 * np.pi)
-        if self.robot.name == "arm2":  # about the plane's normal; the rest is invisible
-            about = self.sign() * np.pi / 2 + self.rng.normal(0, 0.2)
+        normal = plane(self.robot)
+        if normal is not None and abs(normal[2]) < 0.5:
+            # About the plane's normal; the rest is invisible.
+            turned = 0.0 if self.sign() > 0 else np.pi
+            about = np.arctan2(normal[1], normal[0]) + turned + self.rng.normal(0, 0.2)
         tilt = [float(angle * np.cos(about)), float(angle * np.sin(about))]
         return fx.GravityTilt("global", "global", {"tilt": tilt})
 
@@ -333,9 +382,11 @@ def equivalents(robot: Robot, odd: fx.Effect) -> list[dict]:
         out = [("time_delay", "global", "global", "motion_limited")]
     if isinstance(odd, JointCoupling):
         out = [("joint_coupling", "joint", odd.before, "exact")]
-    if robot.name == "arm2" and odd.family == "gravity_tilt":
-        out = [("encoder_offset", "joint", "joint1", "exact")]
-    if robot.name == "arm2" and (odd.family, odd.name) == ("encoder_offset", "joint1"):
+    normal, first = plane(robot), robot.joints[0]
+    swings = normal is not None and abs(normal[2]) < 0.5
+    if swings and odd.family == "gravity_tilt":
+        out = [("encoder_offset", "joint", first, "exact")]
+    if swings and (odd.family, odd.name) == ("encoder_offset", first):
         out = [("gravity_tilt", "global", "global", "exact")]
     if odd.family == "payload":
         out = [("com_shift", "body", odd.name, "motion_limited")]

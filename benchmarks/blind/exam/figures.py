@@ -147,3 +147,16 @@ def one_log(row: dict, folder: Path, file: Path) -> str:
         ax.tick_params(labelsize=6)
     axes[-1, 0].set_xlabel("s", fontsize=6)
     return _save(fig, file)
+
+
+def confidence(tenths: list[tuple[float, float, int]], file: Path) -> str:
+    """Stated confidence against the share that was right, with Wilson's bounds; area by the number of logs."""
+    fig, ax = plt.subplots(figsize=(4.2, 4.0))
+    ax.plot([0, 1], [0, 1], color=SOFT, lw=1)
+    for stated, right, n in tenths:
+        low, high = Share(round(right * n), n).bounds
+        ax.plot([stated, stated], [low, high], color=INK, lw=1)
+        ax.scatter([stated], [right], s=12 + 3 * n, color=INK)
+        ax.annotate(str(n), (stated, right), textcoords="offset points", xytext=(7, -9), fontsize=8)
+    ax.set(xlim=(-0.02, 1.05), ylim=(-0.02, 1.05), xlabel="stated confidence", ylabel="share right")
+    return _save(fig, file)

@@ -1,0 +1,105 @@
+"""The check on a robot of your own: hidden effects on your model, diagnosed and scored, in ten minutes.
+
+    python -m benchmarks.blind --model my_robot.xml [--n 12] [--seed 1] [--jobs 2] [--out FOLDER] [--fix-base]
+
+Makes logs of robots like the model (`mixed.py`: sound ones, one effect on a good model, robots as they are bought
+with and without an odd effect, effects that no library has, logs that mean something else), diagnoses each by the
+public command in a process that can open nothing else, and writes OUT/RESULTS.md, rows.json and summary.json. Without
+--model: the generator's own robots. A second call goes on where the first was stopped.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import shutil
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+for folder in (HERE, HERE.parent / "gap"):
+    sys.path.append(str(folder))
+
+import mixed  # noqa: E402
+import solve  # noqa: E402
+from exam import mixed_marks, mixed_page  # noqa: E402
+from own_robot import Unsuitable, own_robot  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.markdown import Markdown  # noqa: E402
+from rich.progress import track  # noqa: E402
+
+
+def generate(tasks: list[mixed.Task], logs: Path, jobs: int) -> list[Path]:
+    """The folders of all logs that could be made."""
+    logs.mkdir(parents=True, exist_ok=True)
+    folders = [logs / f"{k:04d}" for k in range(len(tasks))]
+    skipped = []
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = {
+            pool.submit(mixed.write, t, f): (t, f) for t, f in zip(tasks, folders, strict=True)
+        }
+        for done in track(as_completed(running), "making logs", len(running)):
+            task, folder = running[done]
+            try:
+                done.result()
+            except RuntimeError as error:
+                skipped.append(f"{folder.name} ({task.stratum} {task.kind}): {error}")
+    for line in skipped:
+        print(f"left out: {line}")
+    return [f for f in folders if (f / "truth.json").exists()]
+
+
+def examine(folders: list[Path], out: Path, jobs: int) -> list[dict]:
+    """Diagnoses what has no answer yet, and marks all."""
+    solve.solve([solve.Task(f, out) for f in folders], out / "work", jobs)
+    shutil.rmtree(out / "work", ignore_errors=True)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        places = [out / "results" / f.name for f in folders]
+        return list(track(pool.map(mixed_marks.mark, folders, places), "scoring", len(folders)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.blind",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--model", type=Path, nargs="+", default=[], help="MJCF or URDF files")
+    parser.add_argument("--n", type=int, default=12, help="number of logs")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=Path("blind_check"))
+    parser.add_argument("--fix-base", action="store_true", help="hold a floating base")
+    args = parser.parse_args()
+    if args.n < 1 or args.jobs < 1:
+        parser.error("--n and --jobs: expected 1 or more")
+    for path in args.model:
+        try:
+            own_robot(path, args.fix_base)
+        except Unsuitable as error:
+            parser.error(str(error))
+    settings = {"models": [str(p.resolve()) for p in args.model], "seed": args.seed, "n": args.n}
+    kept = args.out / "settings.json"
+    if kept.exists() and json.loads(kept.read_text()) != settings:
+        parser.error(f"{args.out} holds another check ({kept.name}); choose another --out")
+    args.out.mkdir(parents=True, exist_ok=True)
+    kept.write_text(json.dumps(settings, indent=1))
+    tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base)
+    rows = examine(generate(tasks, args.out / "logs", args.jobs), args.out, args.jobs)
+    (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
+    (args.out / "summary.json").write_text(json.dumps(mixed_page.summary(rows), indent=1))
+    names = ", ".join(p.name for p in args.model) or "the generator's robots"
+    text = mixed_page.page(rows, f"Blind check of {len(rows)} logs: {names}")
+    (args.out / "RESULTS.md").write_text(text)
+    Console().print(Markdown(text))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""One log of a mixed examination (`mixed`): the hidden truth beside what was said.
+
+Any tool can be marked: from it come report.json and corrected.xml, or one line that refuses the log (PROTOCOL.md). An
+effect counts as found where one that is listed, or one stated equivalent to it, is the true one or one that theory says
+is the same there. Effects that change the torque by less than `SEEN` standard deviations of what else is uncertain
+(friction's form, the drawing's tolerances, the sensors) are not asked for: silence is right there.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import evaluate_cad
+from evaluate_cad import SEEN, keys_of
+
+ORDINARY = ("viscous_friction", "coulomb_friction", "armature", "torque_bias")
+WORDS = {
+    "no_gravity": r"gravity",
+    "amperes": r"tau-unit|not N m|current",
+    "motor_side": r"tau-unit|not N m|gear",
+    "late_torque": r"shift-torque|behind|ahead|late",
+    "turned_sign": r"sign",
+    "other_order": r"is what|order",
+    "degrees": r"degrees",
+    "other_zero": r"zero",
+    "turned_mount": r"mount",
+}
+"""What a line has to say of each fault; `misread` of a report may name it instead."""
+SHOWN = 300
+"""Characters of what was printed that a row keeps."""
+
+
+def mark(folder: Path, place: Path) -> dict:
+    """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it."""
+    truth = json.loads((folder / "truth.json").read_text())
+    report, said = _answer(place)
+    odd, stratum = truth["odd"], truth["stratum"]
+    seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
+    row = {
+        "log": folder.name,
+        "stratum": stratum,
+        "robot": truth["robot"],
+        "hidden": _hidden(truth),
+        "sigmas": odd["visibility"]["sigmas"] if odd else 0.0,
+        "asked": seen if stratum in ("one_effect", "bare_odd", "outside") else True,
+        "verdict": "refused" if report is None else report["verdict"],
+        "confidence": None if report is None else report.get("confidence"),
+        "said": said[-SHOWN:],
+        "seconds": _seconds(place),
+    }
+    listed = [] if report is None else report["effects"]
+    row["listed"] = [[e["family"], e["location"]["name"]] for e in listed]
+    if stratum == "misread":
+        return row | _of_fault(truth, report, said)
+    return row | _of_effects(truth, report, row) | _errors(folder, place, truth, report)
+
+
+def _answer(place: Path) -> tuple[dict | None, str]:
+    file, run = place / "report.json", place / "run.json"
+    report = json.loads(file.read_text()) if file.exists() else None
+    said = json.loads(run.read_text()) if run.exists() else {}
+    text = f"{said.get('console', '')} {said.get('error', '')}"
+    return report, " ".join(text.split())
+
+
+def _seconds(place: Path) -> float | None:
+    run = place / "run.json"
+    return json.loads(run.read_text()).get("seconds") if run.exists() else None
+
+
+def _hidden(truth: dict) -> str:
+    if truth.get("fault"):
+        return truth["fault"]
+    odd = truth["odd"]
+    if not odd:
+        return "nothing" if truth["stratum"] == "sound" else "ordinary physics"
+    return f"{odd.get('mechanism', odd['family'])} at {odd['location']['name']}"
+
+
+def _of_fault(truth: dict, report: dict | None, said: str) -> dict:
+    """A fault is named in the line, or in the report's notes; a confident verdict on such a log is wrong."""
+    text = said if report is None else f"{said} {json.dumps(report.get('notes', ''))}"
+    named = bool(re.search(WORDS[truth["fault"]], text, re.IGNORECASE))
+    named |= report is not None and report.get("misread") == truth["fault"]
+    confident = report is not None and report["verdict"] in ("explained", "no_gap")
+    return {"right": named and not confident, "confident_wrong": confident, "named": named}
+
+
+def _of_effects(truth: dict, report: dict | None, row: dict) -> dict:
+    stratum, verdict = truth["stratum"], row["verdict"]
+    if report is None:
+        return {"right": False, "confident_wrong": False, "found": False, "there": []}
+    odd, good = truth["odd"], stratum in ("sound", "one_effect")
+    declared = keys_of(odd) if odd and odd["family"] != "unknown" else set()
+    present = {(e["family"], e["location"]["name"]) for e in truth["present"]}
+    there, hits, strange = [], [], []
+    for e in report["effects"]:
+        hit = bool(keys_of(e) & declared)
+        ordinary = e["family"] in ORDINARY or e.get("ordinary", False)
+        known = (ordinary and not good) or (e["family"], e["location"]["name"]) in present
+        there.append(hit or known)
+        if not ordinary:
+            hits.append(hit)
+        if not (hit or known):
+            strange.append(e)
+    found = any(hits)
+    right = {
+        "sound": verdict == "no_gap",
+        "one_effect": found or not row["asked"],
+        "bare": verdict != "no_gap" and not strange,
+        "bare_odd": found or not row["asked"],
+        "outside": verdict in ("unknown", "partly") or not row["asked"],
+    }[stratum]
+    wrong = {
+        "sound": verdict == "explained",
+        "one_effect": row["asked"] and not found and verdict in ("explained", "no_gap"),
+        "bare": verdict == "no_gap" or (verdict == "explained" and bool(strange)),
+        "bare_odd": row["asked"] and not found and verdict in ("explained", "no_gap"),
+        "outside": row["asked"] and verdict in ("explained", "no_gap"),
+    }[stratum]
+    return {
+        "right": right,
+        "confident_wrong": wrong,
+        "found": found,
+        "first": bool(hits) and hits[0],
+        "there": there,
+    }
+
+
+def _errors(folder: Path, place: Path, truth: dict, report: dict | None) -> dict:
+    """Torque error of the other motion [N m], away from rest: as given, plain least squares, as reported."""
+    errors = evaluate_cad.errors(folder, truth)
+    out = {name: errors[name]["away"] for name in ("nominal", "least_squares", "oracle")}
+    out["tool"] = None
+    if report is not None:
+        try:
+            own = evaluate_cad.own_error(place, folder, report)
+        except (KeyError, ValueError, TypeError):
+            own = None
+        out["tool"] = own["away"] if own else None
+        stated = (report.get("shrink") or {}).get("test_log") or {}
+        out["stated"] = [stated.get("before"), stated.get("after")]
+    return {"errors": out}

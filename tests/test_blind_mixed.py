@@ -1,0 +1,226 @@
+"""Mixed examinations: any robot's mechanics kept, strata by their shares, faults as described, marks by hand."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+for folder in ("blind", "gap"):
+    sys.path.insert(0, str(BENCHMARKS / folder))
+
+import mixed  # noqa: E402
+from check import inverse_dynamics  # noqa: E402
+from exam import mixed_marks, mixed_page  # noqa: E402
+from misread import FAULTS, misread, mount  # noqa: E402
+from own_robot import Unsuitable, own_robot  # noqa: E402
+
+SCARA = """<mujoco model="scara"><compiler angle="degree"/><option gravity="0 0 -9.7"/><worldbody>
+<body name="column" pos="0.1 0 0.4"><inertial pos="0.1 0 0" mass="3" diaginertia="0.02 0.03 0.03"/>
+<joint name="turn" axis="0 0 1" range="-120 120" limited="true" damping="0.4" armature="0.1"/>
+<body name="forearm" pos="0.3 0 0" euler="0 0 20"><inertial pos="0.1 0.02 0" mass="2" diaginertia="0.01 0.02 0.02"/>
+<joint name="fold" axis="0 0 1" stiffness="0.7" springref="10" frictionloss="0.3"/>
+<body pos="0.25 0 0"><inertial pos="0 0 -0.1" mass="0.8" diaginertia="0.004 0.004 0.001"/>
+<joint name="lift" type="slide" axis="0 0 -1" range="0 0.18" limited="true" ref="0.05"/>
+<geom type="mesh" mesh="tip" mass="0" contype="0" conaffinity="0"/></body></body></body></worldbody>
+<asset><mesh name="tip" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset>
+<actuator><motor joint="turn"/></actuator></mujoco>"""
+
+FREE = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1" mass="4"/>
+<body name="leg" pos="0 0.1 0"><joint name="hip" axis="1 0 0"/><geom size="0.04" mass="1" pos="0 0 -0.2"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.fixture
+def scara(tmp_path):
+    file = tmp_path / "scara.xml"
+    file.write_text(SCARA)
+    return file
+
+
+def test_own_robot_keeps_the_mechanics(scara):
+    """Torques of MuJoCo's inverse dynamics, to the digits that MJCF keeps; no mesh, no actuator."""
+    robot, model = own_robot(scara), mujoco.MjModel.from_xml_string(SCARA)
+    assert robot.joints == ("turn", "fold", "lift")
+    assert robot.bodies == ("column", "forearm", "body3")
+    rng = np.random.default_rng(0)
+    q, v, a = rng.uniform(-0.5, 0.5, (3, 20, 3))
+    q[:, 2] = rng.uniform(0.01, 0.17, 20)  # inside the range, whose stop is left out
+    kept = inverse_dynamics(robot.model(), q, v, a)
+    np.testing.assert_allclose(kept, inverse_dynamics(model, q, v, a), rtol=1e-6, atol=1e-6)
+    assert "mesh" not in robot.xml
+    assert "motor" not in robot.xml
+
+
+def test_own_robot_moves_within_the_ranges(scara):
+    robot = own_robot(scara)
+    low, high = np.deg2rad(120), 0.18
+    assert -low < robot.lower[0] < robot.upper[0] < low
+    assert 0.0 < robot.lower[2] < robot.upper[2] < high
+    assert np.all(robot.peak > 0)
+
+
+def test_a_floating_base_is_held_only_when_asked(tmp_path):
+    file = tmp_path / "free.xml"
+    file.write_text(FREE)
+    with pytest.raises(Unsuitable, match="--fix-base"):
+        own_robot(file)
+    robot = own_robot(file, fix_base=True)
+    assert (robot.joints, robot.bodies) == (("hip",), ("leg",))
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", "no joint"),
+        ("<mujoco><worldbody><body><joint type='ball'/><geom size='1'/></body></worldbody></mujoco>", "ball"),
+        ("not a model", "MJCF or URDF"),
+    ],
+)  # fmt: skip
+def test_unsuitable_models_are_refused_in_one_line(tmp_path, text, word):
+    file = tmp_path / "model.xml"
+    file.write_text(text)
+    with pytest.raises(Unsuitable, match=word) as caught:
+        own_robot(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_plan_holds_every_stratum_by_its_share():
+    tasks = mixed.plan(5, 200)
+    for name, share in mixed.SHARES.items():
+        assert abs(sum(t.stratum == name for t in tasks) - 200 * share) <= 1
+    assert {t.kind for t in tasks if t.stratum == "misread"} == set(FAULTS)
+    assert {t.stratum for t in mixed.plan(5, 12)} == set(mixed.SHARES)
+    assert tasks == mixed.plan(5, 200)
+    assert tasks != mixed.plan(6, 200)
+
+
+@pytest.fixture
+def log(scara):
+    robot = own_robot(scara)
+    time = np.arange(0, 4, 0.01)
+    q = np.stack([np.sin(time), np.cos(2 * time), 0.05 * np.sin(time)], 1)[:, [2, 0, 1]]
+    names = np.array(["lift", "turn", "fold"])
+    v = np.gradient(q, 0.01, axis=0)
+    return robot, {"time": time, "joint_names": names, "qpos": q, "qvel": v, "tau": 3 * v + q}
+
+
+def test_no_gravity_takes_the_models_gravity_out(log):
+    robot, clean = log
+    out = misread(clean, "no_gravity", robot, [1])
+    lacking = clean["tau"] - out["tau"]
+    assert np.abs(lacking[:, 0]).min() > 7.0  # 0.8 kg of the lift
+    np.testing.assert_allclose(lacking[:, 1], 0.0, atol=1e-12)  # an upright axis carries none
+
+
+def test_late_torque_is_the_same_curve_elsewhere(log):
+    robot, clean = log
+    out = misread(clean, "late_torque", robot, [3])
+    name = "tau" if np.any(out["tau"] != clean["tau"]) else "qpos"
+    rows = next(k for k in range(1, 30) if np.array_equal(out[name][k:], clean[name][:-k]))
+    assert 0.035 < rows * 0.01 < 0.26
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_changes_only_what_it_says_and_is_drawn_again_alike(log, fault):
+    robot, clean = log
+    first, again = (misread(clean, fault, robot, [2]) for _ in range(2))
+    for name, x in first.items():
+        np.testing.assert_array_equal(x, again[name])
+    changed = {n for n, x in first.items() if not np.array_equal(x, clean[n])}
+    assert bool(changed) == (fault != "turned_mount")
+    assert changed <= (
+        {"tau"}
+        if fault not in ("degrees", "other_zero", "late_torque")
+        else {"qpos", "qvel", "tau"}
+    )
+
+
+def test_a_mount_is_turned_by_twenty_degrees_and_more(scara):
+    robot = own_robot(scara)
+    for seed in range(20):
+        g = mount(robot, np.random.default_rng(seed))
+        assert np.linalg.norm(g) == pytest.approx(9.7)
+        assert -g[2] / 9.7 < np.cos(np.deg2rad(19))
+
+
+def truth(stratum: str, odd=None, fault: str = "", sigmas: float = 10.0) -> dict:
+    if odd:
+        odd = odd | {"visibility": {"sigmas": sigmas}, "parameters": {}, "equivalent": []}
+    return {
+        "stratum": stratum,
+        "robot": "r",
+        "odd": odd,
+        "fault": fault,
+        "present": [],
+        "joints": {},
+    }
+
+
+def effect(family: str, name: str, kind: str = "joint") -> dict:
+    return {
+        "family": family,
+        "location": {"kind": kind, "name": name},
+        "parameters": {},
+        "equivalent": [],
+    }
+
+
+PAYLOAD = {"family": "payload", "location": {"kind": "body", "name": "hand"}}
+HOSE = {"family": "unknown", "mechanism": "hose", "location": {"name": "a"}}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict", "listed", "right", "wrong"),
+    [
+        (truth("sound"), "no_gap", [], True, False),
+        (truth("sound"), "explained", [effect("cogging", "a")], False, True),
+        (truth("bare"), "explained", [effect("armature", "a")], True, False),
+        (truth("bare"), "explained", [effect("cogging", "a")], False, True),
+        (truth("bare_odd", PAYLOAD), "partly", [effect("payload", "hand", "body")], True, False),
+        (truth("bare_odd", PAYLOAD), "explained", [effect("payload", "arm", "body")], False, True),
+        (truth("bare_odd", PAYLOAD, sigmas=1.0), "explained", [effect("armature", "a")], True, False),
+        (truth("outside", HOSE), "partly", [], True, False),
+    ],
+)  # fmt: skip
+def test_marks_of_effects(hidden, verdict, listed, right, wrong):
+    report = {"verdict": verdict, "effects": listed}
+    odd = hidden["odd"]
+    row = {"verdict": verdict, "asked": not odd or odd["visibility"]["sigmas"] >= 3.0}
+    made = mixed_marks._of_effects(hidden, report, row)
+    assert (made["right"], made["confident_wrong"]) == (right, wrong)
+
+
+@pytest.mark.parametrize(
+    ("report", "said", "right"),
+    [
+        (None, "error: tau holds no gravity; --gravity-compensated", True),
+        (None, "error: the log is too short", False),
+        ({"verdict": "explained", "effects": []}, "warning: gravity", False),
+        ({"verdict": "unknown", "effects": [], "misread": "no_gravity"}, "", True),
+    ],
+)
+def test_marks_of_faults(report, said, right):
+    assert (
+        mixed_marks._of_fault(truth("misread", fault="no_gravity"), report, said)["right"] == right
+    )
+
+
+def test_the_summary_is_json_and_counts_what_was_asked():
+    rows = [
+        {"stratum": "bare_odd", "asked": k < 8, "found": k < 6, "first": k < 5, "there": [True],
+         "confident_wrong": False, "right": True, "verdict": "explained", "confidence": 0.95,
+         "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
+        for k in range(10)
+    ]  # fmt: skip
+    made = mixed_page.summary(rows)
+    json.dumps(made)
+    assert made["cad_odd"] == 6 / 8
+    assert made["cad_after_before"] == pytest.approx(0.1)
+    assert made["cad_no_worse_than_least_squares"] == 1.0
+    assert made["confidence_error"] == pytest.approx(0.05)
