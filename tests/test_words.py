@@ -22,11 +22,17 @@ RETIRED = {
 }
 # `gap` goes once `diagnosis` has replaced it, and the effects are being moved out of it.
 OLD = tuple(PACKAGE / name for name in ("gap", "diagnosis/effects"))
-FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if not set(OLD) & set(path.parents)]
+FILES = [
+    path
+    for path in sorted(PACKAGE.rglob("*.*"))
+    if path.suffix in (".py", ".html") and not set(OLD) & set(path.parents)
+]
 
 
 def texts(source: str) -> list[tuple[int, str]]:
-    """(line, text) of every string and comment."""
+    """(line, text) of every string and comment of Python; a page is all text."""
+    if source.startswith(("<", "{%")):
+        return list(enumerate(source.splitlines(), 1))
     found = [
         (node.lineno, node.value)
         for node in ast.walk(ast.parse(source))
