@@ -62,7 +62,9 @@ def _log_of(
     contents: Contents, options: Options, names: JointNames | None, before: Log | None = None
 ) -> Log:
     """What a reader found as a log, checked, which goes on from what came `before`; raises LogError as `read_log`."""
-    last = {} if before is None else dict(zip(before.joint_names, before.qpos[-1], strict=True))
+    last: dict[str, float] = {}
+    if before is not None:
+        last = dict(zip(before.joint_names, np.asarray(before.qpos)[-1].tolist(), strict=True))
     contents = applied(contents, options)
     log = Log(**as_model(fields_of(contents.arrays, contents.others, contents.notes), names, last))
     return log if names is None else _of_robot(log, names)
