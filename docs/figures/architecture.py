@@ -24,7 +24,7 @@ FOLDERS = {
     "estimation": ("inertial parameters", ANSWERS, 2, 6),
     "gap": ("diagnosis, until parity", ANSWERS, 0, 7),
     "diagnosis": ("whole-robot diagnosis", ANSWERS, 1, 8),
-    "replay": ("told positions only", ANSWERS, 2, 9),
+    "replay": ("position targets only", ANSWERS, 2, 9),
     "control": ("whole-body controller", LEAVES, 3, 7),
     "robots": ("models for examples", LEAVES, 3, 3),
     "cli": ("the commands", LEAVES, 2, 10),
