@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -54,8 +55,8 @@ def test_fingers_that_the_log_lacks_are_held_with_a_note(arm):
 def test_a_finger_follows_its_master(arm):
     robot, log = arm
     held, (same,), (note,) = same_joints(robot, [with_joint(log, "finger", 0.03)])
-    assert held.joint_names == same.joint_names == (*log.joint_names, "finger")
-    assert "other at 0.031" in note.message
+    assert held.joint_names == same.joint_names == log.joint_names
+    assert "stand still: finger at 0.03, other at 0.031" in note.message
 
 
 def test_joints_are_held_where_one_says(arm):
@@ -103,3 +104,107 @@ def test_a_closed_loop_is_refused(arm):
         robot = ji.load_model(mujoco.MjModel.from_xml_string(xml))
     with pytest.raises(ji.LogError, match=r"^the model has a closed loop \(connect 'bar'\).*$"):
         preflight(log, robot).raise_for_errors()
+
+
+# A lifting arm whose forearm a rod turns with the upper arm: q(fold) = 0.1 - 0.5 q(lift), by a joint equality.
+RODS = """<mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
+ <body name="base"><joint name="turn" axis="0 0 1" damping="1"/>
+  <inertial mass="3" pos="0 0 0.1" diaginertia="0.02 0.02 0.02"/>
+  <body name="upper" pos="0 0 0.2"><joint name="lift" axis="0 1 0" damping="1"/>
+   <inertial mass="2" pos="0.2 0 0" diaginertia="0.01 0.02 0.02"/>
+   <body name="fore" pos="0.4 0 0"><joint name="fold" axis="0 1 0" damping="1"/>
+    <inertial mass="1.5" pos="0.15 0 0" diaginertia="0.01 0.02 0.02"/></body></body></body></worldbody>
+ <equality><joint name="rod" joint1="fold" joint2="lift" polycoef="0.1 -0.5 0 0 0" solref="0.004 1"/></equality>
+</mujoco>"""
+
+
+def rod_log(reach: float) -> ji.Log:
+    """Motors at turn and lift alone, by MuJoCo's forward dynamics; `reach` scales the lift's motion [rad]."""
+    model = mujoco.MjModel.from_xml_string(RODS)
+    data, rows = mujoco.MjData(model), []
+    data.qpos[:] = 0.0, 0.3, 0.1 - 0.5 * 0.3
+    for k in range(3000):
+        t = k * model.opt.timestep
+        want = np.array([0.5 * np.sin(t), 0.3 + reach * np.sin(1.7 * t)])
+        data.qfrc_applied[:2] = 900.0 * (want - data.qpos[:2]) - 60.0 * data.qvel[:2]
+        mujoco.mj_forward(model, data)
+        rows.append((data.qpos.copy(), data.qfrc_applied.copy(), data.qfrc_constraint.copy()))
+        mujoco.mj_step(model, data)
+    q, tau, constraint = (np.array(x)[500:] for x in zip(*rows, strict=True))
+    # The rod carries what holds the forearm: that is why rows of these joints cannot be judged alone.
+    assert np.abs(constraint[:, 2]).mean() > 1.0
+    names = ("turn", "lift", "fold")
+    return ji.Log(time=np.arange(len(q)) * 0.002, joint_names=names, qpos=q, tau=tau)
+
+
+def rods() -> ji.Robot:
+    with pytest.warns(ji.ModelWarning):
+        return ji.load_model(mujoco.MjModel.from_xml_string(RODS))
+
+
+def test_joints_that_follow_one_another_and_move_are_refused():
+    robot, log = rods(), rod_log(0.4)
+    with pytest.raises(ji.LogError, match=r"^lift, fold follow one another .* tells; .*$"):
+        same_joints(robot, [log])
+    with pytest.raises(ji.LogError, match=r"^joint 'fold' follows 'lift' .*$"):
+        preflight(log, robot).raise_for_errors()
+    with pytest.raises(ji.LogError, match="follow one another"):
+        same_joints(robot, [log.select(["turn", "lift"])])
+    with pytest.raises(ji.LogError, match="follow one another"):
+        same_joints(robot, [log.select(["turn", "lift"])], fix={"fold": 0.0})
+
+
+@pytest.mark.parametrize("joints", [["turn", "lift", "fold"], ["turn", "lift"], ["turn", "fold"]])
+def test_joints_that_follow_one_another_are_held_where_they_stand(joints):
+    """The rest of the robot is judged exactly: MuJoCo's torque at the turning joint is the held model's."""
+    robot, log = rods(), rod_log(0.0)
+    held, (same,), (note,) = same_joints(robot, [log.select(joints)])
+    assert held.joint_names == same.joint_names == ("turn",)
+    assert "stand still: lift at 0.3" in note.message
+    assert preflight(same, held).ok
+    q = np.asarray(log.qpos)[:, 0]
+    v, a = np.gradient(q, 0.002), np.gradient(np.gradient(q, 0.002), 0.002)
+    inertia = ji.mass_matrix(held, jnp.asarray(q[:1]))[0, 0]
+    left = (log.tau[:, 0] - float(inertia) * a - v)[20:-20]
+    assert np.abs(left).max() < 2e-3 * np.abs(log.tau[:, 0]).max()
+
+
+def test_light_fingers_that_move_are_held_with_a_warning(arm):
+    robot, log = arm
+    open_and_shut = 0.02 + 0.015 * np.sin(np.asarray(log.time))
+    moving = with_joint(log, "finger", 0.0)
+    moving.qpos[:, -1] = open_and_shut
+    held, (same,), findings = same_joints(robot, [moving])
+    assert held.joint_names == same.joint_names == log.joint_names
+    assert [str(f.severity) for f in findings] == ["warning"]
+    assert "finger at 0.02" in findings[0].message
+
+
+@pytest.mark.parametrize(
+    ("constraint", "what"),
+    [
+        ('<joint name="bent" joint1="j3" joint2="j4" polycoef="0 1 0.5 0 0"/>', "joint 'bent'"),
+        ('<tendon name="belt" tendon1="t"/>', "tendon 'belt'"),
+    ],
+)
+def test_other_equalities_are_closed_loops(constraint, what):
+    tendon = '<tendon><fixed name="t"><joint joint="j3" coef="1"/><joint joint="j4" coef="2"/></fixed></tendon>'
+    xml = ARMS["large"].replace("</mujoco>", f"{tendon}<equality>{constraint}</equality></mujoco>")
+    with pytest.warns(ji.ModelWarning):
+        robot = ji.load_model(mujoco.MjModel.from_xml_string(xml))
+    with pytest.raises(ji.LogError, match=f"closed loop .{what}"):
+        preflight(log_of(ARMS["large"]), robot).raise_for_errors()
+
+
+def test_a_joint_that_the_model_keeps_in_place(arm):
+    """An equality without a second joint: held there, if the log agrees."""
+    fixed = '<equality><joint name="lock" joint1="j4" polycoef="0.2 0 0 0 0"/></equality></mujoco>'
+    xml = ARMS["large"].replace("</mujoco>", fixed)
+    with pytest.warns(ji.ModelWarning):
+        robot = ji.load_model(mujoco.MjModel.from_xml_string(xml))
+    _, log = arm
+    held, (same,), (note,) = same_joints(robot, [log.select(log.joint_names[:4])])
+    assert held.joint_names == same.joint_names == log.joint_names[:4]
+    assert "j4 at 0.2" in note.message
+    with pytest.raises(ji.LogError, match="'j4' moves"):
+        same_joints(robot, [log])

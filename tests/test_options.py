@@ -49,6 +49,7 @@ BAD = {
         "--cutoff": ["0", "x", "1e9", "1e-9"],
         "--rate": ["0", "nan", "1e12", "1e-9"],
         "--bias-window": ["0", "-1"],
+        "--time-unit": ["fortnights", "", "ms"],
         "--tau-unit": ["", "A"],
         "--mount": ["1", "1,x", "nan,0", "1,1,1,1"],
         "--shift-torque": ["4", "nan", "x"],
@@ -61,6 +62,7 @@ BAD = {
         "--exclude": ["elves", ""],
         "--max-effects": ["0", "21", "x", "1.5"],
         "--gains": ["x", "3"],
+        "--time-unit": ["fortnights", "", "ns"],
         "--tau-unit": [""],
         "--mount": ["1", "1,x", "nan,0", "1,1,1,1"],
         "--shift-torque": ["4", "nan", "x"],
@@ -72,6 +74,7 @@ BAD = {
     },
     "replay": {
         "--model": ["no.xml", "log.npz"],
+        "--time-unit": ["fortnights", ""],
         "--kp": ["x", "1 2 3", "-1"],
         "--kd": ["x", "1 2 3", "-1"],
         "--out": ["log.npz"],

@@ -1,7 +1,7 @@
 """Options that say where a log means something else than its model, and what becomes of both."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ def add_conventions(parser: argparse.ArgumentParser, *, gains: bool = False) -> 
     add = parser.add_argument_group(
         "where the log means something else than the model"
     ).add_argument
+    add_time_unit(add)
     unit_help = (
         "unit of the log's torques, whatever the file says: N m, A, mA, PWM, or a word of your own"
     )
@@ -40,6 +41,12 @@ def add_conventions(parser: argparse.ArgumentParser, *, gains: bool = False) -> 
         "joints of the log that count; its others must stand still, and are held where they are"
     )
     add("--joints", nargs="+", metavar="J", help=joints_help)
+
+
+def add_time_unit(add: Callable[..., object]) -> None:
+    """Add --time-unit to a parser, by its `add_argument`: the one thing that every command may have to be told."""
+    help_text = "unit of the log's stamps (default: s, or another where it is unmistakable)"
+    add("--time-unit", choices=("s", "ms", "us", "ns"), help=help_text)
 
 
 def met(

@@ -6,6 +6,14 @@ import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jax_inertia.cli.conventions import add_time_unit
+
+if TYPE_CHECKING:
+    from jax_inertia.logs.log import Log
+    from jax_inertia.model.robot import Robot
+    from jax_inertia.preflight.preflight import Preflight
 
 _DESCRIPTION = """
 Read a log as people have it (CSV, Parquet, a ROS 1 or ROS 2 bag, MCAP, a LeRobot dataset) and write it as .npz, .csv
@@ -61,9 +69,7 @@ def _add_any(add: Callable[..., object]) -> None:
     add("--model", type=Path, help="MJCF or URDF to check joints, bodies and units against")
     add("--tau-unit", type=_said, metavar="U", help="unit of the torques: N m, A, mA, PWM ...")
     add("--tau-kind", choices=("commanded", "current", "sensor"), help="where they come from")
-    units = ("s", "ms", "us", "ns")
-    time_help = "unit of the stamps (default: s, or another where it is unmistakable)"
-    add("--time-unit", choices=units, help=time_help)
+    add_time_unit(add)
     add("--degrees", action="store_true", help="positions and velocities are in degrees")
     add(
         "--rename",
@@ -129,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia.logs.readers import Options, WrenchAxes
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
-    from jax_inertia.preflight.preflight import Severity, preflight
+    from jax_inertia.preflight.preflight import Severity
     from jax_inertia.signals.wrench_axes import wrenches_in_world
 
     check_target(args.out)
@@ -163,7 +169,7 @@ def run(args: argparse.Namespace) -> int:
         if robot is not None and args.model is not None:
             robot, _ = afloat(robot, args.model, log)
         stage("looking at the log")
-        found = preflight(log, robot)
+        found = _looked_at(log, robot)
         try:
             # Stamps in a wrong unit, or a log of no motion at all, are of no use in any form.
             found.only("rate").raise_for_errors()
@@ -182,6 +188,17 @@ def run(args: argparse.Namespace) -> int:
         return 0
     _show(args, log)
     return 0
+
+
+def _looked_at(log: "Log", robot: "Robot | None") -> "Preflight":
+    """What there is to say of a log; joints that the other commands hold are no fault of it."""
+    from jax_inertia.model.joint_match import same_joints
+    from jax_inertia.preflight.preflight import Preflight, preflight
+
+    if robot is None:
+        return preflight(log)
+    robot, (log,), notes = same_joints(robot, [log])
+    return Preflight((*preflight(log, robot).findings, *notes))
 
 
 def _show(args: argparse.Namespace, log) -> None:

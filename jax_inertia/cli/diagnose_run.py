@@ -31,6 +31,7 @@ from jax_inertia.gap.verdict import Verdict
 from jax_inertia.gap.words import percent, plain
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
+from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import (
     compile_spec,
     is_urdf,
@@ -89,7 +90,8 @@ def read(
     if gains.fix_base:
         robot = load_model(compile_spec(replay_run.nominal_spec(model, True), model))
     paths = (log, *([] if test_log is None else [test_log]))
-    given = [read_log(path, names=robot) for path in paths]
+    options = Options(time_unit=None if conventions is None else conventions.time_unit)
+    given = [read_log(path, names=robot, options=options) for path in paths]
     robot, told = afloat(robot, model, given[0])
     quality: list[Quality] = [*told]
     if conventions is not None:

@@ -190,13 +190,15 @@ def read(args: argparse.Namespace) -> "Inputs":
     from jax_inertia.estimation.estimate_inputs import Names, Settings, checked
     from jax_inertia.logs.findings import Finding, Severity
     from jax_inertia.logs.log_files import read_log
+    from jax_inertia.logs.readers import Options
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
     from jax_inertia.text.closest_names import suggestion
 
     robot = load_model(args.model)
     paths = (args.log, *(args.calibrate or ()))
-    log, *references = [read_log(path, names=robot) for path in paths]
+    options = Options(time_unit=args.time_unit)
+    log, *references = [read_log(path, names=robot, options=options) for path in paths]
     robot, found = afloat(robot, args.model, log)
     robot, (log, *references), notes = met(args, robot, (log, *references), gains=None)
     for name in args.bodies:

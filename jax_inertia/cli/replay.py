@@ -24,6 +24,7 @@ examples:
 
 def add_parser(subparsers) -> None:
     """Add `replay` to the command line."""
+    from jax_inertia.cli.conventions import add_time_unit
     from jax_inertia.cli.gains import add_gains
 
     parser = subparsers.add_parser(
@@ -37,6 +38,7 @@ def add_parser(subparsers) -> None:
     kinds = ".npz, .csv, .parquet or a LeRobot dataset, with qpos and qpos_target"
     add("log", metavar="LOG", type=Path, help=kinds)
     add("--model", type=Path, required=True, help="MJCF or URDF")
+    add_time_unit(add)
     add_gains(add)
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
     add("--json", action="store_true", help="print replay.json instead of the table")
@@ -54,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     gains = replay_run.Gains(args.kp, args.kd, args.fix_base)
     with stages() as stage:
         stage("reading")
-        log, _ = replay_run.read(args.model, args.log, args.fix_base)
+        log, _ = replay_run.read(args.model, args.log, args.fix_base, args.time_unit)
         with output_folder(out, "replay") as folder:
             stage("replaying")
             loop, done = replay_run.replay(args.model, log, gains)

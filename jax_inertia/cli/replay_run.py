@@ -17,6 +17,7 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
+from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
@@ -51,10 +52,12 @@ def nominal_spec(model: Path, fix_base: bool) -> MjSpec:
     return spec
 
 
-def read(model: Path, log: Path, fix_base: bool) -> tuple[Log, tuple[Finding, ...]]:
+def read(
+    model: Path, log: Path, fix_base: bool, time_unit: str | None = None
+) -> tuple[Log, tuple[Finding, ...]]:
     """A log with targets and what is to be said of it; raises `LogError` with one line, names the file."""
     robot = load_model(compile_spec(nominal_spec(model, fix_base), model))
-    one = read_log(log, names=robot)
+    one = read_log(log, names=robot, options=Options(time_unit=time_unit))
     try:
         findings = usable(one, robot)
     except LogError as error:

@@ -1,6 +1,6 @@
 """A log and a model that need not hold the same joints: what is held, what is left out, and a note of each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -27,87 +27,180 @@ def same_joints(
 
     `fix` holds joints of the model at positions [rad, m]; `joints` are those of the logs that count: the others are
     held where the first log has them, if it has. Fingers and the like, at a robot's ends and light against it, are held
-    at the model's reference if the logs lack them, or where their master (URDF mimic) has them. What the logs have and
-    the model lacks is left out. Joints that are still missing are for `preflight` to report. Raises LogError for a
-    joint that neither has, and for one that is to be held and moves.
+    at the model's reference if the logs lack them, or where their master (URDF mimic) has them. Joints that follow one
+    another (mimic, joint equality) are held where they stand still, and where they are as light as fingers. What the
+    logs have and the model lacks is left out. Joints that are still missing are for `preflight` to report. Raises
+    LogError for a joint that neither has, for one that is to be held and moves, and for joints that follow one another
+    and move: the constraint's torque is in no log.
     """
     notes: list[str] = []
-    held = dict(fix or {})
-    have = logs[0].joint_names
-    scalar = [
-        n for n, k in zip(robot.joint_names, robot.joint_type, strict=True) if k in (HINGE, SLIDE)
-    ]
-    for name in [*(joints or ()), *held]:
-        if name not in scalar:
-            raise LogError(f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}")
-    if joints is not None:
-        if lacking := [name for name in joints if name not in have]:
-            raise LogError(f"the log has no joint {lacking[0]!r}; {suggestion(lacking[0], have)}")
-        rest = [name for name in have if name in scalar and name not in joints and name not in held]
-        held |= {name: _still(logs, name) for name in rest}
-    for name in held:
-        if fix is not None and name in fix and name in have:
-            _still(logs, name)
+    held = _asked(robot, logs, fix or {}, joints)
     if held:
-        told = ", ".join(f"{name} at {value:.4g}" for name, value in held.items())
-        notes.append(f"held, as asked: {told}")
-    robot = locked(robot, held)
+        notes.append(f"held, as asked: {_told(held)}")
+    coupled, moving = _coupled(robot, logs, held)
+    robot = locked(robot, held | coupled)
+    if still := {name: x for name, x in coupled.items() if name not in moving}:
+        notes.append(f"held, for they follow one another and stand still: {_told(still)}")
+    have = logs[0].joint_names
     light = _light(robot, logs) if any(name in have for name in robot.joint_names) else {}
     if light:
-        told = ", ".join(f"{name} at {value:.4g}" for name, value in light.items())
         notes.append(
-            f"the log lacks {told}: light and at the robot's end, so held there; --fix JOINT=VALUE holds it elsewhere"
+            f"the log lacks {_told(light)}: light and at the robot's end, so held there; --fix JOINT=VALUE holds it "
+            "elsewhere"
         )
         robot = locked(robot, light)
-    wanted = {
-        n for n, k in zip(robot.joint_names, robot.joint_type, strict=True) if k in (HINGE, SLIDE)
-    }
+    wanted = set(_scalar(robot))
     out = []
     for log in logs:
         extra = [name for name in log.joint_names if name not in wanted]
         if extra and wanted <= set(log.joint_names):
             log = log.select([name for name in log.joint_names if name in wanted])
-            if unknown := [name for name in extra if name not in held]:
+            if unknown := [name for name in extra if name not in held and name not in coupled]:
                 notes.append(f"left out, not in the model: {listed(unknown)}")
         out.append(log)
     unique = dict.fromkeys(notes)
-    return robot, tuple(out), tuple(Finding(Severity.NOTE, "joints", note) for note in unique)
+    findings = [Finding(Severity.NOTE, "joints", note) for note in unique]
+    if moving:
+        told = _told({name: coupled[name] for name in moving})
+        message = (
+            f"joints that follow one another move in the log, and are light: held in their middle place ({told}); "
+            "their own torques are not looked at"
+        )
+        findings.append(Finding(Severity.WARNING, "coupled", message))
+    return robot, tuple(out), tuple(findings)
 
 
-def _still(logs: Sequence[Log], name: str) -> float:
-    """Where a joint stands in logs [rad, m]; LogError if it moves."""
+def _told(places: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} at {value:.4g}" for name, value in places.items())
+
+
+def _scalar(robot: Robot) -> list[str]:
+    kinds = zip(robot.joint_names, robot.joint_type, strict=True)
+    return [name for name, kind in kinds if kind in (HINGE, SLIDE)]
+
+
+def _asked(
+    robot: Robot, logs: Sequence[Log], fix: Mapping[str, float], joints: Sequence[str] | None
+) -> dict[str, float]:
+    """Joints that are to be held, as asked, with their positions; LogError where that cannot be."""
+    held, have, scalar = dict(fix), logs[0].joint_names, _scalar(robot)
+    for name in [*(joints or ()), *held]:
+        if name not in scalar:
+            raise LogError(f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}")
+    for name in fix:
+        if name in have:
+            _still(logs, name)
+    if joints is not None:
+        if lacking := [name for name in joints if name not in have]:
+            raise LogError(f"the log has no joint {lacking[0]!r}; {suggestion(lacking[0], have)}")
+        rest = [name for name in have if name in scalar and name not in joints and name not in held]
+        held |= {name: _still(logs, name) for name in rest}
+    return held
+
+
+def _coupled(
+    robot: Robot, logs: Sequence[Log], held: Mapping[str, float]
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Joints that follow one another and are to be held, with their positions, and which of them move.
+
+    At rest the constraint between them only adds to torques that are not looked at any more. LogError where they move
+    and are no trifle: its torque is in none of their rows alone.
+    """
+    have = {name for log in logs for name in log.joint_names}
+    out: dict[str, float] = {}
+    moving: tuple[str, ...] = ()
+    for group in _groups(robot):
+        known = {d.joint: d.offset for d in robot.driven if d.joint in group and not d.master}
+        asked = {name: held[name] for name in group if name in held}
+        logged = [name for name in group if name in have]
+        restless = [name for name in logged if _travel(logs, name) > _STILL]
+        if not (logged or asked or known):
+            continue
+        if restless and (asked or known or not _is_light(robot, group, have)):
+            rest = [name for name in group if name not in logged]
+            if not asked and len(logged) == 1 and rest and _is_light(robot, rest, have):
+                continue
+            how = "follow one another" if len(group) > 1 else "is kept in its place"
+            raise LogError(
+                f"{listed(group)} {how} in the model (joint equality, mimic), and {restless[0]!r} moves by "
+                f"{_travel(logs, restless[0]):.3g} in the log: the constraint carries torque that no log of joints "
+                "tells; record them at rest, or take the constraint out if the real robot has none"
+            )
+        places = known | {name: _middle(logs, name) for name in logged} | asked
+        # From what is known to what hangs on it, and back.
+        for _ in group:
+            for d in robot.driven:
+                if d.master in places and d.joint in group:
+                    places.setdefault(d.joint, d.factor * places[d.master] + d.offset)
+                elif d.joint in places and d.master in group and d.factor:
+                    places.setdefault(d.master, (places[d.joint] - d.offset) / d.factor)
+        out |= {name: places[name] for name in group if name in places and name not in asked}
+        moving += tuple(group) if restless else ()
+    return out, moving
+
+
+def _groups(robot: Robot) -> list[list[str]]:
+    """Joints that follow one another, those of a group in the robot's order."""
+    groups: list[set[str]] = []
+    for d in robot.driven:
+        one = {d.joint, d.master} - {""}
+        joined = [g for g in groups if g & one]
+        groups = [g for g in groups if not g & one] + [one.union(*joined)]
+    return [[name for name in robot.joint_names if name in g] for g in groups]
+
+
+def _values(logs: Sequence[Log], name: str) -> np.ndarray:
+    """A joint's positions in all logs that have it, as far as they are finite [rad, m]."""
     columns = [
         np.asarray(log.qpos)[:, log.joint_names.index(name)]
         for log in logs
         if name in log.joint_names
     ]
-    values = np.concatenate([x[np.isfinite(x)] for x in columns])
-    if not values.size or np.ptp(values) > _STILL:
-        moved = np.ptp(values) if values.size else np.nan
+    return np.concatenate([x[np.isfinite(x)] for x in columns])
+
+
+def _travel(logs: Sequence[Log], name: str) -> float:
+    """How far a joint moves in logs that have it [rad, m]; NaN where nothing is known."""
+    values = _values(logs, name)
+    return float(np.ptp(values)) if values.size else np.nan
+
+
+def _middle(logs: Sequence[Log], name: str) -> float:
+    values = _values(logs, name)
+    return float(np.median(values)) if values.size else 0.0
+
+
+def _is_light(robot: Robot, names: Sequence[str], have: Collection[str]) -> bool:
+    """Whether joints at a robot's ends move no more than a trifle of its mass, and none that the logs have."""
+    top, mass = robot.topology, np.asarray(robot.pi)[:, 0]
+    dof = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+    node = {name: int(top.dof_node[adr]) for name, adr in dof.items()}
+    others = [name for name in robot.joint_names if name in have and name not in names]
+    carries = any(top.ancestors[node[other], node[name]] for other in others for name in names)
+    moved = np.any(top.body_dof[:, [dof[name] for name in names]] > 0, axis=1)
+    return not carries and bool(mass[moved].sum() <= _SLIGHT * mass.sum())
+
+
+def _still(logs: Sequence[Log], name: str) -> float:
+    """Where a joint stands in logs [rad, m]; LogError if it moves."""
+    if not (moved := _travel(logs, name)) <= _STILL:
         raise LogError(
             f"joint {name!r} is to be held and moves by {moved:.3g} in the log; keep it among the joints"
         )
-    return float(np.median(values))
+    return _middle(logs, name)
 
 
 def _light(robot: Robot, logs: Sequence[Log]) -> dict[str, float]:
     """Joints that the logs lack and that may be held, with their positions."""
-    top, mass = robot.topology, np.asarray(robot.pi)[:, 0]
-    dof = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
-    kinds = zip(robot.joint_names, robot.joint_type, strict=True)
-    scalar = [name for name, kind in kinds if kind in (HINGE, SLIDE)]
+    scalar = _scalar(robot)
     have = {name: log for log in reversed(logs) for name in log.joint_names}
-    node = {name: int(top.dof_node[dof[name]]) for name in scalar}
     masters = {d.joint: d for d in robot.driven}
     out = {}
     for name in scalar:
-        if name in have:
+        if name in have or not _is_light(robot, [name], have):
             continue
-        carries = any(top.ancestors[node[other], node[name]] for other in scalar if other in have)
-        moved = mass[top.body_dof[:, dof[name]] > 0].sum()
-        if carries or moved > _SLIGHT * mass.sum():
-            continue
-        out[name] = float(robot.joint_reference[node[name]])
+        node = robot.topology.dof_node[robot.joint_dofadr[robot.joint_index(name)]]
+        out[name] = float(robot.joint_reference[node])
         driven = masters.get(name)
         if driven is not None and (log := have.get(driven.master)) is not None:
             column = np.asarray(log.qpos)[:, log.joint_names.index(driven.master)]

@@ -242,31 +242,38 @@ def _to_robot(model: MjModel) -> Robot:
     )
 
 
-_CLOSES = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
-
-
 def _active(model: MjModel) -> np.ndarray:
     return np.flatnonzero(model.eq_active0 * _enabled(model, _DISABLE.mjDSBL_EQUALITY))
 
 
 def _loops(model: MjModel) -> Iterator[str]:
-    """Constraints that close a chain, as they are called."""
+    """Constraints that close a chain, as they are called; those between joints on a straight line are `_driven`."""
     for i in _active(model):
-        if (kind := _CLOSES.get(int(model.eq_type[i]))) is not None:
+        if not _is_straight(model, int(i)):
+            kind = mujoco.mjtEq(model.eq_type[i]).name.removeprefix("mjEQ_").lower()
             yield f"{kind} {model.equality(i).name or int(i)!r}"
 
 
+def _is_straight(model: MjModel, i: int) -> bool:
+    joint = model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT
+    return bool(joint and not np.any(model.eq_data[i, 2:5]))
+
+
 def _driven(model: MjModel) -> Iterator[Driven]:
-    """Joints that a joint equality has follow another, on a straight line."""
+    """Joints that a joint equality has follow another, on a straight line, or keeps in place."""
     for i in _active(model):
+        if not _is_straight(model, int(i)):
+            continue
         slave, master = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-        straight = not np.any(model.eq_data[i, 2:5])
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and master >= 0 and straight:
-            # Of MuJoCo's polynomial, which is in positions from their references.
-            ref = model.qpos0[model.jnt_qposadr[[slave, master]]]
-            factor = float(model.eq_data[i, 1])
-            offset = float(model.eq_data[i, 0] + ref[0] - factor * ref[1])
-            one, other = (model.joint(j).name or f"joint_{j}" for j in (slave, master))
+        # Of MuJoCo's polynomial, which is in positions from their references.
+        start, factor = (float(x) for x in model.eq_data[i, :2])
+        start += float(model.qpos0[model.jnt_qposadr[slave]])
+        one = model.joint(slave).name or f"joint_{slave}"
+        if master < 0:
+            yield Driven(one, "", 0.0, start)
+        else:
+            other = model.joint(master).name or f"joint_{master}"
+            offset = start - factor * float(model.qpos0[model.jnt_qposadr[master]])
             yield Driven(one, other, factor, offset)
 
 

@@ -138,6 +138,7 @@ class Driven(NamedTuple):
 
     joint: str
     master: str
+    """Empty where the joint is kept at `offset`."""
     factor: float
     offset: float
 
@@ -194,7 +195,7 @@ class Robot(eqx.Module):
     compensated: Float[Array, "nb 4"] | None = None
     """Mass and first moment of each body that MuJoCo's `gravcomp` lifts [kg, kg m]; None where it lifts nothing."""
     loops: tuple[str, ...] = eqx.field(static=True, default=())
-    """Constraints that close a chain (connect, weld), by name: their forces are not in the dynamics."""
+    """Constraints that close a chain (connect, weld, ...), by name: their forces are not in the dynamics."""
     driven: tuple[Driven, ...] = eqx.field(static=True, default=())
     """Joints that follow another (URDF mimic, MJCF joint equality)."""
 

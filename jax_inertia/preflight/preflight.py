@@ -189,6 +189,14 @@ def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
             "tells: such robots cannot be judged; take the constraint out only if the real robot has none"
         )
         yield Finding(Severity.ERROR, "loop", message)
+    for driven in getattr(robot, "driven", ()):
+        after = f"follows {driven.master!r}" if driven.master else "is kept in its place"
+        message = (
+            f"joint {driven.joint!r} {after} in the model (joint equality, mimic), by a constraint whose torque no log "
+            "of joints tells: hold both where they stand still (`jax_inertia.model.joint_match.same_joints` does), or "
+            "take the constraint out if the real robot has none"
+        )
+        yield Finding(Severity.ERROR, "coupled", message)
     floating = [name for name, kind in kinds.items() if kind == "free" and name not in fixed]
     floats = bool(floating)
     posed = log.base_pos is not None and log.base_quat is not None
@@ -230,7 +238,7 @@ def _stamps(time: np.ndarray) -> Iterator[Finding]:
     if not _SLOWEST <= 1 / typical <= _FASTEST:
         message = (
             f"the median period is {typical:.3g} s ({time[-1] - time[0]:.6g} s in all): are stamps in another unit? "
-            "convert --time-unit says which"
+            "--time-unit says which"
         )
         # A sample a second or fewer holds no motion of a robot.
         grave = typical >= _NO_MOTION
