@@ -27,13 +27,13 @@ ORDER: dict[str, str] = {
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
         preflight""",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
-        innovation_tests batch_rows batch_solve batch_fit log_filter stream checkpoint
+        innovation_tests batch_rows wrist_sensor batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": "loop simulate fit checks odd result pipeline corrected report command",
     "cli": """console gains conventions convert replay_run replay diagnose_whole diagnose_run diagnose
-        plots estimate_output estimate suggest_motion demo main""",
+        plots estimate_output estimate_wrench estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """effects result figures page report settings residual hypothesis bank evidence pushes
         search checks verdict wording summary corrected_model pipeline either""",

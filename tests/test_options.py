@@ -33,6 +33,8 @@ BAD = {
     "estimate": {
         "--model": ["no.xml", "log.npz"],
         "--bodies": ["nobody", "", "world"],
+        "--wrench": ["", "=x", "lower=", "nobody", "lower", "lower=/x"],
+        "--wrench-axes": ["sideways", "body"],
         "--out": ["log.npz"],
         "--gains": ["x", "nan", "0", "1"],
         "--calibrate": ["no.npz", "model.xml"],

@@ -6,7 +6,9 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jax_inertia.cli import estimate_wrench
 from jax_inertia.cli.conventions import add_conventions
+from jax_inertia.cli.estimate_wrench import add_wrench
 
 if TYPE_CHECKING:
     from jax_inertia.estimation.estimate_inputs import Inputs
@@ -24,6 +26,9 @@ examples:
 
   an arm that logs motor currents: learn gains and friction from logs without load, then weigh the load
     jax-inertia estimate loaded.npz --model ur10e.urdf --bodies wrist_3_link --calibrate free_1.npz free_2.npz
+
+  a wrist sensor, and no joint torques: what does it carry, and what is its offset?
+    jax-inertia estimate poses.mcap --model arm.urdf --wrench tool0=/ft_sensor/wrench
 
   the paper's baseline Kalman filter
     jax-inertia estimate log.npz --model arm.xml --bodies hand --chart linear --iterations 1 --gate 1
@@ -46,7 +51,7 @@ def add_parser(subparsers) -> None:
     add = parser.add_argument
     add("log", metavar="LOG", type=Path, help=_LOG_HELP)
     add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
-    add("--bodies", nargs="+", required=True, metavar="B", help="bodies to estimate, by name")
+    add("--bodies", nargs="+", metavar="B", help="bodies to estimate, by name")
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
 
     write_help = "write the model with the estimated bodies too: a URDF as URDF, MJCF as MJCF"
@@ -58,8 +63,9 @@ def add_parser(subparsers) -> None:
     )
     _add_filter(parser.add_argument_group("filter").add_argument)
     _add_signals(parser.add_argument_group("signals").add_argument)
+    add_wrench(parser.add_argument_group("a wrist's force/torque sensor").add_argument)
     add_conventions(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=lambda args: run(args, parser))
 
 
 def _add_torques(add) -> None:
@@ -159,8 +165,14 @@ def _add_signals(add) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     """Do it; raises ValueError with one line where log, model or settings cannot be used."""
+    if args.wrench is not None:
+        return estimate_wrench.run(args, parser)
+    if not args.bodies:
+        raise ValueError("no body to estimate; give --bodies, or the sensor's with --wrench")
+    if args.wrench_axes is not None or args.flip_wrenches:
+        raise ValueError("--wrench-axes and --flip-wrenches are of --wrench BODY; give that too")
     from jax_inertia.cli import estimate_output as output
     from jax_inertia.cli.console import folder_for, output_folder, stages
     from jax_inertia.estimation import pipeline

@@ -29,8 +29,9 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
     "contact_wrench": ("T", "C", 6),
 }
 _REQUIRED = ("time", "joint_names", "qpos")
-_DRIVEN = ("tau", "qpos_target")
-"""What a joint did must be known, and what made it do so: its torque, or its position target."""
+_DRIVEN = ("tau", "qpos_target", "contact_wrench")
+"""What a joint did must be known, and what made it do so: its torque, its position target, or a force sensor's
+wrench."""
 _PER_JOINT = ("sigma_qpos", "sigma_tau", "kp", "kd")
 TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
 CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and name != "time")

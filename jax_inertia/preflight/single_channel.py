@@ -34,8 +34,9 @@ def frozen(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Channels that stand still, to the last bit, while something says that they should not."""
     qpos = np.asarray(log.qpos)
     moving = _moving(qpos, time)
-    # Without torque it is the targets that tell whether a joint should move.
-    tau = np.asarray(log.qpos_target if log.tau is None else log.tau)
+    # Without torque it is the targets that tell whether a joint should move, and without these nothing does.
+    told = log.qpos_target if log.tau is None else log.tau
+    tau = np.zeros(qpos.shape) if told is None else np.asarray(told)
     for j, name in enumerate(log.joint_names):
         if log.qvel is not None:
             yield from _frozen_motion(name, qpos[:, j], np.asarray(log.qvel)[:, j], time)

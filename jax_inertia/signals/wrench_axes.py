@@ -21,7 +21,9 @@ def wrenches_in_world(log: Log, robot: Robot) -> Log:
     if log.contact_wrench is None:
         return log
     bodies = np.array([robot.body_index(name) for name in log.contact_bodies])
-    q = jnp.asarray(generalised(log, robot).q)
+    # Where the bodies are does not hang on torques, which the log may lack.
+    placed = log if log.tau is not None else dataclasses.replace(log, tau=np.zeros(log.qpos.shape))
+    q = jnp.asarray(generalised(placed, robot).q)
     turns = jax.jit(jax.vmap(lambda robot, q: body_poses(robot, q)[0][bodies], (None, 0)))
     halves = np.asarray(log.contact_wrench).reshape(len(q), len(bodies), 2, 3)
     world = np.einsum("tbij,tbhj->tbhi", np.asarray(turns(robot, q)), halves)

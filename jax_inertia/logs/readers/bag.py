@@ -46,7 +46,7 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
         for message in messages(part):
             collected.take(message)
     _check_topics(collected, options)
-    out, stream, notes = _joints(collected)
+    out, stream, notes = _joints(collected, options)
     start = int(stream.time_ns[0])
     out["time"] = (stream.time_ns - start) * 1e-9
     notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
@@ -108,7 +108,9 @@ def _one_source_a_joint(publishers: list[Publisher]) -> tuple[list[Publisher], l
     return kept, notes
 
 
-def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[str]]:
+def _joints(
+    collected: Collected, options: Options
+) -> tuple[dict[str, np.ndarray], Stream, list[str]]:
     """Arrays of all joints at the stamps of the publisher that gave most, that publisher's stream, and notes."""
     publishers = sorted(collected.publishers.values(), key=lambda one: -one.size)
     publishers = [one for one in publishers if one.names]
@@ -129,8 +131,9 @@ def _joints(collected: Collected) -> tuple[dict[str, np.ndarray], Stream, list[s
         lacking = [one for one, p in zip(publishers, parts, strict=True) if np.isnan(p).all()]
         if not lacking:
             out[_ARRAYS[field]] = np.concatenate(parts, axis=1)
-        elif field == "velocity":
-            notes.append(f"qvel is left out: no velocity of {listed(lacking[0].names)}")
+        elif field == "velocity" or (field == "effort" and options.topic_wrenches):
+            array = _ARRAYS[field]
+            notes.append(f"{array} is left out: no {field} of {listed(lacking[0].names)}")
         else:
             raise LogError(
                 f"the joint states on {lacking[0].topic} of {listed(lacking[0].names, 6)} hold no {field}; "

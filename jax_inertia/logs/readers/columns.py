@@ -154,8 +154,9 @@ def _found(plan: Plan, values: Mapping[str, np.ndarray]) -> dict[str, dict[tuple
                 f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
             )
     for array in ("time", "qpos", "tau"):
-        # A position-controlled robot may have no torque.
-        if array not in found and not (array == "tau" and "qpos_target" in found):
+        # A position-controlled robot may have no torque, nor one with a force sensor at its wrist.
+        spared = array == "tau" and ("qpos_target" in found or "contact_wrench" in found)
+        if array not in found and not spared:
             raise LogError(missing(array, [*plan.others, *plan.columns]))
     if not any(len(x) for x in values.values() if x.ndim):
         raise LogError("has headings and no rows; expected at least two samples")
@@ -190,7 +191,7 @@ def _joints(
             raise LogError(f"columns hold lists of {width}; name their joints with --joints")
         return list(names), []
     having = {array: [of for of, _ in found[array]] for array in PER_JOINT if array in found}
-    drive = "tau" if "tau" in having else "qpos_target"
+    drive = next((name for name in ("tau", "qpos_target") if name in having), "qpos")
     placed, driven = set(having["qpos"]), set(having[drive])
     for array, owners in having.items():
         for name in owners:
