@@ -14,7 +14,7 @@ _USED += ("log", "model", "out", "json", "time_unit", "fix", "joints", "mount", 
 def add_wrench(add: Callable[..., object]) -> None:
     """Add the options to `estimate`, by its parser's `add_argument`."""
     wrench_help = (
-        "weigh what the force/torque sensor at the frame of this body carries, by the log's contact_wrench of it, or by "
+        "weigh what the force/torque sensor at this body's frame carries, by the log's contact_wrench of it, or by "
         "this topic (geometry_msgs/WrenchStamped) of a bag; joint torques are not needed, nor --bodies"
     )
     add("--wrench", type=_sensor, metavar="BODY[=TOPIC]", help=wrench_help)

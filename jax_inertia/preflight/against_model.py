@@ -96,10 +96,12 @@ def in_time(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
     span = np.arange(-most, most + 1)
     shifts, lags = np.zeros(len(c.judged), int), {}
     for j in np.flatnonzero(c.judged).tolist():
-        basis = np.linalg.qr(np.stack([c.weight[:, j], c.inertia[:, j]], axis=1))[0]
+        # By one factor: a delay leaves gravity and inertia in proportion, which friction with a memory does not. Or
+        # gravity is out of the torque.
         shifted = np.stack([c.parts.later(int(s), j) for s in span], axis=1)
-        fitted = np.sum((basis.T @ shifted) ** 2, axis=0)
-        left = 1.0 - fitted / np.maximum(np.sum(shifted**2, axis=0), 1e-300)
+        energy = np.maximum(np.sum(shifted**2, axis=0), 1e-300)
+        curves = [1.0 - _along(x, shifted) / energy for x in (c.needed[:, j], c.inertia[:, j])]
+        left = min(curves, key=np.min)
         best = int(np.argmin(left))
         clear = left[best] < min(_LEAVES * left[most], FITS) and 0 < best < 2 * most
         if not clear:
@@ -110,6 +112,11 @@ def in_time(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
     if not lags:
         return (), c
     return tuple(_late(c, lags)), c.shifted(shifts)
+
+
+def _along(x: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Energy of columns along x."""
+    return (x @ columns) ** 2 / max(x @ x, 1e-300)
 
 
 def _vertex(y: np.ndarray) -> float:

@@ -26,6 +26,8 @@ _TURNED = 0.2
 _STRENGTH = 0.15
 # A motor whose joint needs next to nothing is felt from this share of the largest torque on.
 _FELT = 0.02
+# Of a differential the products of the direct and of the crossed gains are opposite and about as large.
+_LOWEST_MIX = 1.0 / 3.0
 # Zeros may be off at so many joints.
 _ZEROS = 3
 # A torque that is a part of what the model needs, and one that is next to nothing compared with it.
@@ -207,8 +209,7 @@ def pairs(c: Compared) -> Iterator[Reading]:
         alone = tau - needed * np.sum(tau * needed, axis=0) / np.sum(needed**2, axis=0)
         left = tau - needed @ matrix.T
         share, before = (float(np.mean(norm(x) ** 2 / norm(tau) ** 2)) for x in (left, alone))
-        mixed = abs(matrix[0, 1] * matrix[1, 0]) > 0.1 * abs(matrix[0, 0] * matrix[1, 1])
-        if not mixed or share > 0.25 * before or abs(np.linalg.det(matrix)) < 1e-6:
+        if not _mixed(matrix) or share > 0.25 * before or abs(np.linalg.det(matrix)) < 1e-6:
             continue
         inverse = np.linalg.inv(matrix)
         p, r = (c.parts.names[k] for k in both)
@@ -221,6 +222,12 @@ def pairs(c: Compared) -> Iterator[Reading]:
             f"{', '.join(lines)} fits all of it; put the joints' torques into tau"
         )
         yield Reading(share * 2 / len(felt), error("coupled", message))
+
+
+def _mixed(matrix: np.ndarray) -> bool:
+    """Whether two motors drive two joints about alike, together one and against each other the other."""
+    direct, crossed = matrix[0, 0] * matrix[1, 1], matrix[0, 1] * matrix[1, 0]
+    return bool(direct * crossed < 0 and _LOWEST_MIX < abs(crossed / direct) < 1.0 / _LOWEST_MIX)
 
 
 def motion(c: Compared) -> Iterator[Reading]:
