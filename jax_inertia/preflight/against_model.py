@@ -23,6 +23,9 @@ from jax_inertia.preflight.torque_parts import LAG, parts, reach
 _LEAVES = 1.0 / 9.0
 # Where the plain model leaves less than this of the torque's energy, nothing is read otherwise.
 _SOUND = 0.05
+# One of many readings that were tried leaves less than this share of what the plain model leaves; and any that does may
+# leave more than `FITS`.
+_FAR = 1.0 / 25.0
 # What says more must leave less than this share of what a simpler reading leaves.
 _BETTER = 0.25
 # A diagnosis looks for shorter delays itself [s].
@@ -94,14 +97,14 @@ def in_time(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
     """What is late by more than a diagnosis looks for, and the torques where they belong."""
     most = min(int(LAG / c.parts.period), int(c.parts.index[0]))
     span = np.arange(-most, most + 1)
-    shifts, lags = np.zeros(len(c.judged), int), {}
+    shifts, lags, curves = np.zeros(len(c.judged), int), {}, {}
     for j in np.flatnonzero(c.judged).tolist():
         # By one factor: a delay leaves gravity and inertia in proportion, which friction with a memory does not. Or
         # gravity is out of the torque.
         shifted = np.stack([c.parts.later(int(s), j) for s in span], axis=1)
         energy = np.maximum(np.sum(shifted**2, axis=0), 1e-300)
-        curves = [1.0 - _along(x, shifted) / energy for x in (c.needed[:, j], c.inertia[:, j])]
-        left = min(curves, key=np.min)
+        both = [1.0 - _along(x, shifted) / energy for x in (c.needed[:, j], c.inertia[:, j])]
+        curves[j] = left = min(both, key=np.min)
         best = int(np.argmin(left))
         clear = left[best] < min(_LEAVES * left[most], FITS) and 0 < best < 2 * most
         if not clear:
@@ -111,7 +114,10 @@ def in_time(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
             shifts[j], lags[j] = span[best], lag
     if not lags:
         return (), c
-    return tuple(_late(c, lags)), c.shifted(shifts)
+    at = most + round(float(np.median(list(lags.values()))) / c.parts.period)
+    # Joints that move too slowly to tell must not speak against it.
+    alike = all(left[min(max(at, 0), 2 * most)] <= left[most] for left in curves.values())
+    return tuple(_late(c, lags, alike)), c.shifted(shifts)
 
 
 def _along(x: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -125,10 +131,10 @@ def _vertex(y: np.ndarray) -> float:
     return float(0.5 * (y[0] - y[2]) / bend) if bend > 0 else 0.0
 
 
-def _late(c: Compared, lags: dict[int, float]) -> Iterator[Finding]:
+def _late(c: Compared, lags: dict[int, float], alike: bool) -> Iterator[Finding]:
     values = np.array(list(lags.values()))
-    alike = len(lags) == c.judged.sum() and np.ptp(values) < 2.0 * c.parts.period
-    if alike:
+    several = len(lags) > 1 or c.judged.sum() == 1
+    if alike and several and np.ptp(values) < 2.0 * c.parts.period:
         lag = float(np.median(values))
         which, way = "every joint", f"; give --shift-torque {-lag:.3f}"
     else:
@@ -146,17 +152,33 @@ def _late(c: Compared, lags: dict[int, float]) -> Iterator[Finding]:
 
 def otherwise(c: Compared) -> tuple[Finding, ...]:
     """The reading of the log that leaves least, where the plain one leaves far more."""
-    plain = c.left_beside_load(c.tau - c.needed)
-    if plain < _SOUND:
+    whole = c.left_beside_load(c.tau - c.needed)
+    if whole < _SOUND:
         return ()
-    limit, best = min(_LEAVES * plain, FITS), None
+    fitting: list[Reading] = []
+    best = None
     for reading in _READINGS:
         for one in reading(c):
-            if one.left < limit and (best is None or one.left < _BETTER * best.left):
+            plain = whole if one.plain is None else one.plain
+            leaves = _FAR if one.searched else _LEAVES
+            if plain < _SOUND or not one.left < min(leaves * plain, max(FITS, _FAR * plain)):
+                continue
+            fitting.append(one)
+            if best is None or one.left < _BETTER * best.left:
                 best = one
-    if best is not None:
+    if best is None:
+        return tuple(other_readings.nothing(c))
+    # What says more and fits no better is not told, unless it is about something else altogether.
+    alike = [x for x in fitting if x.left < best.left / _BETTER and _places(x, best)]
+    if not alike:
         return (best.finding,)
-    return tuple(other_readings.nothing(c))
+    other = alike[0].finding.message
+    return (best.finding._replace(message=f"{best.finding.message}; or else {other}"),)
+
+
+def _places(one: Reading, best: Reading) -> bool:
+    """Whether a turned mount and a joint's zero are the two readings: about the first joint they are the same."""
+    return {one.finding.check, best.finding.check} == {"mount", "zero"}
 
 
 def without_friction(c: Compared) -> Iterator[Finding]:

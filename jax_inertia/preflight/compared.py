@@ -77,15 +77,32 @@ class Compared:
         """Share of each joint's energy that is in what a reading leaves."""
         return (norm(residual) / self.size) ** 2
 
+    @functools.cached_property
+    def gains(self) -> Float[np.ndarray, " n"]:
+        """Factor of each joint's torque at what the model needs."""
+        square = np.maximum(np.sum(self.needed**2, axis=0), 1e-300)
+        return np.sum(self.tau * self.needed, axis=0) / square
+
+    @functools.cached_property
+    def weighing(self) -> Bool[np.ndarray, " n"]:
+        """Judged joints that would carry a weight if gravity pointed some way."""
+        pull = 9.81 * np.sqrt(
+            np.sum(self.parts.less_friction(self.parts.gravity) ** 2, axis=(0, 2))
+        )
+        return self.judged & (pull > _CARRIES * norm(self.inertia))
+
     def left(
-        self, needed: Float[np.ndarray, "R n"], tau: Float[np.ndarray, "R n"] | None = None
+        self,
+        needed: Float[np.ndarray, "R n"],
+        tau: Float[np.ndarray, "R n"] | None = None,
+        joints: Bool[np.ndarray, " n"] | None = None,
     ) -> float:
-        """The mean of that over the judged joints if they need so much, once the best load is carried.
+        """The mean of that over the judged (or some) joints if they need so much, once the best load is carried.
 
         All is left where that does not explain what was logged, or is next to nothing against it: then the load alone,
         or nothing at all, would be the reading.
         """
-        judged = self.judged
+        judged = self.judged if joints is None else joints
         tau = self.tau if tau is None else tau
         logged = np.linalg.norm(tau[:, judged])
         if np.linalg.norm(needed[:, judged]) < _CARRIES * logged:
@@ -93,12 +110,16 @@ class Compared:
         unexplained = self.carried(tau - needed)[:, judged]
         if np.linalg.norm(unexplained) > _UNEXPLAINED * logged:
             return np.inf
-        return self.left_beside_load(tau - needed)
+        return self.left_beside_load(tau - needed, joints)
 
-    def left_beside_load(self, residual: Float[np.ndarray, "R n"]) -> float:
+    def left_beside_load(
+        self, residual: Float[np.ndarray, "R n"], joints: Bool[np.ndarray, " n"] | None = None
+    ) -> float:
         """`left` of what is to be explained by a load alone; one as heavy as the robot counts as `_AS_HEAVY`."""
         masses = self.masses(residual)
-        share = self.missed(residual - self.load @ masses)[self.judged]
+        share = self.missed(residual - self.load @ masses)[
+            self.judged if joints is None else joints
+        ]
         return float(np.mean(share) + _AS_HEAVY * np.sum((masses / self.mass) ** 2))
 
     def left_of_torque(self, residual: Float[np.ndarray, "R n"], joints: np.ndarray) -> float:
@@ -110,9 +131,17 @@ class Compared:
         """Torques less the best load at the robot's ends."""
         return residual - self.load @ self.masses(residual)
 
-    def masses(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " masses"]:
-        """The load, of no negative mass, that explains torques best [kg]; none where that is not found."""
+    def masses(
+        self, residual: Float[np.ndarray, "R n"], free: bool = False
+    ) -> Float[np.ndarray, " masses"]:
+        """The load, of no negative mass, that explains torques best [kg]; none where that is not found.
+
+        What is heavy beside the robot must explain the more, unless it is `free`.
+        """
         basis, triangle = self._load
+        if free:
+            basis, triangle = np.linalg.qr(self._load_columns)
+            basis = np.concatenate([basis, np.zeros((self.load.shape[-1], basis.shape[1]))])
         wanted = np.concatenate([(residual / self.size).ravel(), np.zeros(self.load.shape[-1])])
         try:
             return scipy.optimize.nnls(triangle, basis.T @ wanted)[0]
@@ -124,19 +153,24 @@ class Compared:
         """Of the robot [kg]."""
         return max(float(np.sum(self.parts.robot.pi[:, 0])), 1e-12)
 
+    @property
+    def _load_columns(self) -> np.ndarray:
+        return (self.load / self.size[:, None]).reshape(-1, self.load.shape[-1])
+
     @functools.cached_property
     def _load(self) -> tuple[np.ndarray, np.ndarray]:
-        columns = (self.load / self.size[:, None]).reshape(-1, self.load.shape[-1])
+        columns = self._load_columns
         cost = np.sqrt(_AS_HEAVY * self.judged.sum()) / self.mass
         return np.linalg.qr(np.concatenate([columns, cost * np.eye(columns.shape[1])]))
 
-    def factors(self) -> tuple[float, float]:
+    def factors(self, tau: Float[np.ndarray, "R n"] | None = None) -> tuple[float, float]:
         """Factors at gravity's and inertia's torque, both free at every joint that carries, weighed by its torque."""
+        tau = self.tau if tau is None else tau
         top, bottom = np.zeros(2), np.zeros(2)
         for j in np.flatnonzero(self.carrying).tolist():
             columns = np.stack([self.weight[:, j], self.inertia[:, j]], axis=1)
             energy = np.sum(columns**2, axis=0)
-            gain = np.linalg.lstsq(columns, self.tau[:, j], rcond=None)[0]
+            gain = np.linalg.lstsq(columns, tau[:, j], rcond=None)[0]
             top, bottom = top + energy * gain, bottom + energy
         out = top / np.maximum(bottom, 1e-300)
         return float(out[0]), float(out[1])

@@ -16,8 +16,14 @@ from jax_inertia.preflight.compared import Compared, norm
 
 # Gains outside of these are another unit; a drive's own tolerance, and a wrong model's, are within.
 LOW, HIGH = 0.35, 3.0
+# The least that N m are in another unit of torque: 8.85 pound-force inches. What is less is a spring or a load.
+_UNITS = 8.0
 # Of one gear: the gains of all joints agree within this share.
 _ALIKE = 0.1
+# What is in a torque leaves so many times as much where it is left out.
+_SEEN = 4.0
+# Loads heavier than so many robots are another unit.
+_HEAVIEST = 20.0
 # Joints that are not part of a reading miss less than this share of their energy.
 FITS = 0.1
 # Below this, tilt is an effect of a diagnosis [rad].
@@ -39,6 +45,10 @@ class Reading(NamedTuple):
 
     left: float
     finding: Finding
+    plain: float | None = None
+    """What the plain model leaves at the same joints, where the reading is about some only."""
+    searched: bool = False
+    """One of many that were tried: it must leave still less."""
 
 
 def error(check: str, message: str) -> Finding:
@@ -48,14 +58,14 @@ def error(check: str, message: str) -> Finding:
 
 def gains(c: Compared) -> Iterator[Reading]:
     """One factor for each joint: another unit, a gear's other side, a sign."""
-    square = np.maximum(np.sum(c.needed**2, axis=0), 1e-300)
-    gain = np.sum(c.tau * c.needed, axis=0) / square
+    gain = c.gains
     left = c.tau - c.needed * gain
     # What carries nothing is moved by friction, and a factor is poorly known.
     where = np.flatnonzero(c.carrying if c.carrying.any() else c.judged)
     g = gain[where]
-    if np.all(np.abs(g) < LOW) or np.all(np.abs(g) > HIGH):
-        if c.left_of_torque(left, where) < FITS:
+    if np.all(np.abs(g) < LOW) or np.all(np.abs(g) > _UNITS):
+        # A load is a factor, too, where there is one joint, or all of the weight is at the end.
+        if c.left_of_torque(left, where) < FITS and not (np.all(g > _UNITS) and _is_load(c, where)):
             yield Reading(float(np.mean(c.missed(left)[where])), _unit(g))
         return
     turned = np.array([j for j in np.flatnonzero(c.judged) if LOW < -gain[j] < HIGH], int)
@@ -83,11 +93,19 @@ def gains(c: Compared) -> Iterator[Reading]:
                 yield Reading(float(np.mean(fits[where])), error("unit", message))
 
 
+def _is_load(c: Compared, where: np.ndarray) -> bool:
+    """Whether a load that somebody may hang there explains torques that are larger than the model's."""
+    missing = c.tau - c.needed
+    masses = c.masses(missing, free=True)
+    fits = c.left_of_torque(missing - c.load @ masses, where) < FITS
+    return fits and bool(masses.sum() < _HEAVIEST * c.mass)
+
+
 def _unit(gain: np.ndarray) -> Finding:
     middle = float(np.median(gain))
     alike = bool(np.ptp(gain) < _ALIKE * abs(middle))
     span = f"{middle:.4g}" if alike else f"{gain.min():.2g} to {gain.max():.2g}"
-    if np.all(np.abs(gain) > HIGH):
+    if np.all(np.abs(gain) > _UNITS):
         ask = (
             f"N mm, or masses of the model in another unit? give --tau-unit mNm --gains {1 / middle:.3g}, or mend the "
             "model"
@@ -109,13 +127,18 @@ def weightless(c: Compared) -> Iterator[Reading]:
     """Gravity taken out of the torque by the controller."""
     if not c.carrying.any():
         return
-    gravity, inertia = c.factors()
+    left = c.left_beside_load(c.tau - c.inertia, c.carrying)
+    # The inertia must be seen, beside whatever load is carried: else there is nothing of the robot in it.
+    if c.left_beside_load(c.tau, c.carrying) < _SEEN * left:
+        return
+    gravity, inertia = c.factors(c.inertia + c.carried(c.tau - c.inertia))
     if abs(gravity) < 0.25:
         message = (
             f"tau holds no gravity (factor {gravity:.2f} at the model's gravity torque, {inertia:.2f} at its inertia): "
             "the controller took it out; --gravity-compensated adds the model's gravity to tau"
         )
-        yield Reading(c.left(c.inertia), error("gravity", message))
+        plain = c.left_beside_load(c.tau - c.needed, c.carrying)
+        yield Reading(left, error("gravity", message), plain)
 
 
 def order(c: Compared) -> Iterator[Reading]:
@@ -157,13 +180,18 @@ def inertia_unit(c: Compared) -> Iterator[Reading]:
 def external(c: Compared) -> Iterator[Reading]:
     """Nothing but a load's torque: what remains once a controller took its whole model out."""
     size = _size(c)
+    carrying = np.flatnonzero(c.carrying)
+    weak = c.left_of_torque(c.tau - c.needed * c.gains, carrying) < FITS
+    # Where one joint carries, a drive that gives less than it should is a load, too.
+    if weak and np.all(c.gains[carrying] > LOW):
+        return
     if size < _PART:
         message = (
             f"tau is {100 * size:.0f} % of what the model needs, and a load at the robot's end, without the robot, is "
             "all there is in it: the external torque that a controller estimates; log what motors or sensors give"
         )
         for tau in (c.tau, -c.tau):
-            if c.left_of_torque(c.carried(tau), np.flatnonzero(c.carrying)) < FITS:
+            if c.left_of_torque(c.carried(tau), carrying) < FITS:
                 yield Reading(c.left_beside_load(tau), error("external", message))
 
 
@@ -175,7 +203,7 @@ def nothing(c: Compared) -> Iterator[Finding]:
             "external",
             f"tau is {100 * size:.0f} % of what the model needs, with neither gravity nor inertia in it (factors "
             f"{gravity:.2f} and {inertia:.2f}): the external torque that a controller estimates, or no torque in N m; "
-            "log what motors or sensors give",
+            "log what motors or sensors give (where the controller took gravity alone out: --gravity-compensated)",
         )
 
 
@@ -248,9 +276,9 @@ def motion(c: Compared) -> Iterator[Reading]:
             f"torques fit the motion if {name!r} runs the other way: its axis is turned in the model, or qpos and tau "
             "in the log; turn the sign of both"
         )
-        yield Reading(c.left(needed, c.tau * turned), error("axis", message))
+        yield Reading(c.left(needed, c.tau * turned), error("axis", message), searched=True)
         message = f"torques fit the motion if qpos of {name!r} has the other sign; turn it"
-        yield Reading(c.left(needed), error("axis", message))
+        yield Reading(c.left(needed), error("axis", message), searched=True)
     yield from _zeros(c, ones, hinge)
 
 
@@ -274,7 +302,7 @@ def _zeros(c: Compared, ones: np.ndarray, hinge: np.ndarray) -> Iterator[Reading
             for j in np.flatnonzero(offset)
         )
         message = f"torques fit the motion if the zero of qpos is elsewhere: add {text}"
-        yield Reading(c.left(needed[least]), error("zero", message))
+        yield Reading(c.left(needed[least]), error("zero", message), searched=True)
 
 
 def mount(c: Compared) -> Iterator[Reading]:
@@ -289,7 +317,7 @@ def mount(c: Compared) -> Iterator[Reading]:
     if before == 0 or abs(after / before - 1.0) > _STRENGTH:
         return
     angle = float(np.arccos(np.clip(gravity @ parts.direction / (before * after), -1, 1)))
-    if angle < _TURNED:
+    if angle < _TURNED or not c.weighing.any():
         return
     needed = c.inertia + parts.less_friction(parts.gravity @ gravity)
     message = (
@@ -297,7 +325,8 @@ def mount(c: Compared) -> Iterator[Reading]:
         f"({', '.join(f'{x:.2f}' for x in gravity)}) m/s²: the base is mounted otherwise than in the model; give "
         f"--mount={mounting(gravity)}"
     )
-    yield Reading(c.left(needed), error("mount", message))
+    plain = c.left_beside_load(c.tau - c.needed, c.weighing)
+    yield Reading(c.left(needed, joints=c.weighing), error("mount", message), plain)
 
 
 def mounting(gravity: np.ndarray) -> str:

@@ -32,8 +32,9 @@ LAG = 0.3
 """Channels may be that late [s]."""
 # Rows of a joint slower than this share of its quick ones (95th percentile) tell nothing of dry friction.
 _SLOW, _STANDS = 0.1, 0.02
-# Point masses of a load: in the middle, at the corners and in front of the faces of a cube about the frame of a body
-# that carries no other. Any body within is some mixture of them. The cube's half side is a share of the robot's reach.
+# Point masses of a load: in the middle, at the corners and in front of the faces of a cube about the centre of mass of
+# a body that carries no other. Any body within is some mixture of them. The cube's half side is a share of the robot's
+# reach, and reaches back to the body's frame.
 _SHARE, _REACH = 0.25, 0.15
 _CARRIERS = 3
 _FEW = 100
@@ -176,7 +177,7 @@ def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple
     load = [
         _needed(bare.believed((body,), jnp.asarray(point)[None]), q, v, a)
         for body in carriers(robot)
-        for point in _points(min(_SHARE * reach(robot), _REACH))
+        for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH))
     ]
     return np.stack(gravity, axis=-1), inertia, np.stack(load, axis=-1)
 
@@ -223,12 +224,19 @@ def carriers(robot: Robot) -> tuple[int, ...]:
     return tuple(sorted(ends, key=lambda i: -moves[i].sum())[:_CARRIERS])
 
 
-def _points(half: float) -> Float[np.ndarray, "masses 10"]:
+def _centre(robot: Robot, body: int) -> Float[np.ndarray, "3"]:
+    """Centre of mass of a body in its frame [m]."""
+    pi = np.asarray(robot.pi[body])
+    return pi[1:4] / max(float(pi[0]), 1e-12)
+
+
+def _points(centre: Float[np.ndarray, "3"], half: float) -> Float[np.ndarray, "masses 10"]:
     """Inertial parameters of 1 kg at each of some points."""
+    half = max(half, float(np.linalg.norm(centre)))
     corners = half * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
     rows = []
     faces = half * np.concatenate([np.eye(3), -np.eye(3)])
-    for c in np.concatenate([np.zeros((1, 3)), corners, faces]):
+    for c in centre + np.concatenate([np.zeros((1, 3)), corners, faces]):
         i = c @ c * np.eye(3) - np.outer(c, c)
         rows.append([1.0, *c, i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2]])
     return np.array(rows)
