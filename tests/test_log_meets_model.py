@@ -146,9 +146,9 @@ SAID = [
     ("sprung", differential, "two motors that drive both joints", "swing = 1"),
     ("leg", large_inertia, "error: thigh: 1.2 kg with", "give kg m²"),
     ("crane", large_inertia, "error: boom: 600 kg with", "give kg m²"),
-    ("leg", late(0.15), "warning: tau of every joint runs 14", "--shift-torque -0.1"),
-    ("gantry", late(-0.08), "warning: tau of every joint runs 8", "--shift-torque 0.08"),
-    ("crane", late(0.15), "warning: tau of every joint runs 14", "--shift-torque -0.1"),
+    ("leg", late(0.15), "error: tau of every joint runs 14", "--shift-torque -0.1"),
+    ("gantry", late(-0.08), "error: tau of every joint runs 8", "--shift-torque 0.08"),
+    ("crane", late(0.15), "error: tau of every joint runs 14", "--shift-torque -0.1"),
     ("leg", without_friction, "warning: the model has no friction", "--calibrate"),
     ("crane", without_friction, "warning: the model has no friction", "--calibrate"),
 ]
@@ -199,8 +199,14 @@ PASSED = {
 }
 
 
-@pytest.mark.parametrize("what", PASSED)
-@pytest.mark.parametrize("name", robots.ROBOTS)
+EVERY = [
+    pytest.param(name, what, marks=[pytest.mark.slow] * (name != "leg"))
+    for name in robots.ROBOTS
+    for what in PASSED
+]
+
+
+@pytest.mark.parametrize(("name", "what"), EVERY)
 def test_what_a_diagnosis_is_for_passes(name, what):
     robot, _ = sound(name)
     found = against_model(robots.log_of(name, **PASSED[what]), robot)
@@ -232,5 +238,5 @@ def test_the_robots_move_as_mujoco_says():
         left = np.asarray(log.tau)[list(rows)] - np.array(needed)
         assert np.all(
             np.std(left, axis=0)
-            < np.maximum(0.25 * np.std(needed, axis=0), 1.2 * model.dof_frictionloss)
+            < np.maximum(0.25 * np.std(needed, axis=0), 1.5 * model.dof_frictionloss)
         )

@@ -61,12 +61,12 @@ class Log(eqx.Module):
 
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
     moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
-    touch something, and nobody measured how. `tau` may be absent where `qpos_target` is there: the
-    position targets of the joints, each from its stamp on, by a loop of gains `kp` [N m/rad] and
-    `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample. `tau_unit_text` is the unit in
-    the log's own words. Raises `LogError` where shapes, names or units do not fit together, or a stamp
-    is not finite; other values are not looked at, and it may be
-    traced.
+    touch something, and nobody measured how. `tau` may be absent where there is a `contact_wrench`,
+    or `qpos_target`: the position targets of the joints, each from its stamp on, by a loop of
+    gains `kp` [N m/rad] and `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample.
+    `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or
+    units do not fit together, or a stamp is not finite; other values are not looked at, and it may
+    be traced.
 
     >>> import numpy as np
     >>> from jax_inertia import Log

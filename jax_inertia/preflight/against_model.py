@@ -28,8 +28,8 @@ _SOUND = 0.05
 _FAR = 1.0 / 25.0
 # What says more must leave less than this share of what a simpler reading leaves.
 _BETTER = 0.25
-# A diagnosis looks for shorter delays itself [s].
-_LATE = 0.03
+# A diagnosis looks for delays itself, up to the latter; what is later would be read as forces and frictions [s].
+_LATE, _TOO_LATE = 0.03, 0.04
 # A body's radius of gyration beyond so many times the robot's reach is a unit's fault.
 _SIZES = 10.0
 # Friction and rotor inertia that a model lacks are reported from this share of a joint's torque on.
@@ -136,17 +136,19 @@ def _late(c: Compared, lags: dict[int, float], alike: bool) -> Iterator[Finding]
     several = len(lags) > 1 or c.judged.sum() == 1
     if alike and several and np.ptp(values) < 2.0 * c.parts.period:
         lag = float(np.median(values))
-        which, way = "every joint", f"; give --shift-torque {-lag:.3f}"
+        which, way = "every joint", f"give --shift-torque {-lag:.3f}"
     else:
-        lag, which, way = float(values[0]), repr(c.parts.names[next(iter(lags))]), ""
+        lag, which = float(values[0]), repr(c.parts.names[next(iter(lags))])
+        way = "put each in time"
         if len(lags) > 1:
             rest = ", ".join(f"{c.parts.names[j]} {1e3 * x:.0f} ms" for j, x in lags.items())
             which = f"{which} (all: {rest})"
     side = "behind" if lag > 0 else "ahead of"
+    grave = np.abs(values).max() > _TOO_LATE
     yield Finding(
-        Severity.WARNING,
+        Severity.ERROR if grave else Severity.WARNING,
         "late",
-        f"tau of {which} runs {1e3 * abs(lag):.0f} ms {side} qpos, which were stamped at different ends{way}",
+        f"tau of {which} runs {1e3 * abs(lag):.0f} ms {side} qpos, which were stamped at different ends; {way}",
     )
 
 

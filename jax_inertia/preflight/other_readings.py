@@ -181,6 +181,8 @@ def external(c: Compared) -> Iterator[Reading]:
     """Nothing but a load's torque: what remains once a controller took its whole model out."""
     size = _size(c)
     carrying = np.flatnonzero(c.carrying)
+    if not carrying.size:
+        return
     weak = c.left_of_torque(c.tau - c.needed * c.gains, carrying) < FITS
     # Where one joint carries, a drive that gives less than it should is a load, too.
     if weak and np.all(c.gains[carrying] > LOW):
