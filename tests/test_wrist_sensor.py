@@ -11,7 +11,7 @@ from test_against_model import motion
 import jax_inertia as ji
 from jax_inertia.cli.main import main
 from jax_inertia.estimation.wrist_sensor import sensed_load
-from jax_inertia.logs.log import write_log
+from jax_inertia.logs.log_files import write_log
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
  <body name="base" pos="0 0 0.3"><joint name="turn" axis="0 0 1"/>

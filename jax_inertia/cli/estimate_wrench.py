@@ -61,7 +61,8 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 def _read(args: argparse.Namespace):
     """Robot and log as the options say, the wrench in the world's axes, and what is to be said of them."""
     from jax_inertia.cli.conventions import met
-    from jax_inertia.logs.log import LogError, read_log
+    from jax_inertia.logs.log import LogError
+    from jax_inertia.logs.log_files import read_log
     from jax_inertia.logs.readers import Options, WrenchAxes
     from jax_inertia.model.load import load_model
     from jax_inertia.preflight.preflight import preflight
