@@ -44,7 +44,7 @@ def add_conventions(parser: argparse.ArgumentParser, *, gains: bool = False) -> 
 
 
 def add_time_unit(add: Callable[..., object]) -> None:
-    """Add --time-unit to a parser, by its `add_argument`: the one thing that every command may have to be told."""
+    """Add --time-unit to a parser, by its `add_argument`: an option of every command that reads a log."""
     help_text = "unit of the log's stamps (default: s, or another where it is unmistakable)"
     add("--time-unit", choices=("s", "ms", "us", "ns"), help=help_text)
 

@@ -106,7 +106,7 @@ def _show(found, notes: tuple[str, ...], out: Path) -> None:
     if found.modelled > 0:
         load = found.pi[0] - found.modelled
         console.print(
-            f"The model has {found.modelled:.3f} kg from {escape(found.body)} outward: {load:+.3f} kg beside it"
+            f"The model has {found.modelled:.3f} kg from {escape(found.body)} outward: {load:+.3f} kg on top"
         )
     for note in notes:
         console.print(f"Note: {escape(note)}.", soft_wrap=True)

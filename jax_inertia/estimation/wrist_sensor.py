@@ -36,7 +36,7 @@ Z95 = 1.96
 _ROUNDS = 4
 # Offsets may be so many times what the sensor says [N, N m]; wide enough to be no prior at all.
 _OFFSET = 10.0
-# The load's interval beside the prior's, and the encoders' noise beside the motion (energies of the acceleration): from
+# The load's interval over the prior's, and the encoders' noise over the motion (energies of the acceleration): from
 # here on the log does not tell load and offset apart.
 _UNTOLD, _SHAKES = 0.5, 0.1
 # Another reading of the axes leaves less than this share of the energy that the plain one leaves.
@@ -342,6 +342,6 @@ def _notes(fit: _Fit, untold: bool) -> Iterator[str]:
             f"{AXES[k]} {fit.after[k]:.2g}, noise {fit.noise[k]:.2g}" for k in np.flatnonzero(off)
         )
         yield (
-            f"what is left is no noise ({told}, rms in N and N m): something touched the tool, a cable pulls, or the "
+            f"the residual is no noise ({told}, rms in N and N m): something touched the tool, a cable pulls, or the "
             "sensor is turned against the body"
         )

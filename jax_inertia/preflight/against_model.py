@@ -170,7 +170,7 @@ def otherwise(c: Compared) -> tuple[Finding, ...]:
                 best = one
     if best is None:
         return tuple(other_readings.nothing(c))
-    # What says more and fits no better is not told, unless it is about something else altogether.
+    # What says more and fits no better is not said, unless it is about something else altogether.
     alike = [x for x in fitting if x.left < best.left / _BETTER and _places(x, best)]
     if not alike:
         return (best.finding,)

@@ -136,7 +136,7 @@ class Compared:
     ) -> Float[np.ndarray, " masses"]:
         """The load, of no negative mass, that explains torques best [kg]; none where that is not found.
 
-        What is heavy beside the robot must explain the more, unless it is `free`.
+        What is heavy compared with the robot must explain the more, unless it is `free`.
         """
         basis, triangle = self._load
         if free:

@@ -128,7 +128,7 @@ def weightless(c: Compared) -> Iterator[Reading]:
     if not c.carrying.any():
         return
     left = c.left_beside_load(c.tau - c.inertia, c.carrying)
-    # The inertia must be seen, beside whatever load is carried: else there is nothing of the robot in it.
+    # The inertia must be seen, given whatever load is carried: else there is nothing of the robot in it.
     if c.left_beside_load(c.tau, c.carrying) < _SEEN * left:
         return
     gravity, inertia = c.factors(c.inertia + c.carried(c.tau - c.inertia))
