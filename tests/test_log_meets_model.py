@@ -7,7 +7,6 @@ MuJoCo's forward dynamics with their own friction (`robots_in_motion`).
 import dataclasses
 import functools
 
-import mujoco
 import numpy as np
 import pytest
 import robots_in_motion as robots
@@ -154,7 +153,12 @@ SAID = [
 ]
 
 
-@pytest.mark.parametrize(("name", "change", "what", "way"), SAID)
+# A robot of its own is some seconds of compiling: two are in the fast run.
+FAST = ("leg", "crane")
+LINES = [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] not in FAST)) for one in SAID]
+
+
+@pytest.mark.parametrize(("name", "change", "what", "way"), LINES)
 def test_what_is_wrong_is_said_in_one_line(name, change, what, way):
     (line,) = told(name, change)
     assert what in line
@@ -213,30 +217,11 @@ def test_what_a_diagnosis_is_for_passes(name, what):
     assert found == (), str(found[0])
 
 
-@pytest.mark.parametrize("name", robots.ROBOTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in FAST)) for name in robots.ROBOTS],
+)
 def test_gains_and_short_delays_pass(name):
     halves = scaled(0.5, 2.0)
     assert told(name, halves) == []
     assert told(name, lambda robot, log: with_later_torque(log, 0.025)) == []
-
-
-def test_the_robots_move_as_mujoco_says():
-    """The logs are of the models: mj_inverse of the motion is the torque, less what friction's form leaves."""
-    for name in ("leg", "crane"):
-        model = mujoco.MjModel.from_xml_string(robots.model_of(name))
-        data, log = mujoco.MjData(model), robots.log_of(name, noise=0.0)
-        v = np.gradient(log.qpos, log.time, axis=0)
-        a = np.gradient(v, log.time, axis=0)
-        rows = range(500, len(log.time) - 500, 97)
-        needed = []
-        for k in rows:
-            data.qpos[:], data.qvel[:] = log.qpos[k], v[k]
-            mujoco.mj_forward(model, data)
-            mass = np.zeros((model.nv, model.nv))
-            mujoco.mj_fullM(model, data, mass)
-            needed.append(mass @ a[k] + data.qfrc_bias - data.qfrc_passive)
-        left = np.asarray(log.tau)[list(rows)] - np.array(needed)
-        assert np.all(
-            np.std(left, axis=0)
-            < np.maximum(0.25 * np.std(needed, axis=0), 1.5 * model.dof_frictionloss)
-        )
