@@ -126,7 +126,7 @@ def swapped_time():
     [
         ({"time": None}, "'time' is missing"),
         ({"joint_names": None}, "'joint_names' is missing"),
-        ({"tau": None}, "'tau' is missing"),
+        ({"tau": None, "contact_wrench": None, "contact_bodies": None}, "'tau' is missing"),
         ({"joint_names": np.array(["hip", "hip"])}, "'hip' 2 times"),
         ({"joint_names": np.array(["hip", ""])}, "joint_names[1] is ''"),
         ({"joint_names": np.array(["hip", "kn\nee"])}, "joint_names[1] is 'kn\\nee'"),
@@ -494,7 +494,8 @@ def test_a_robot_that_is_told_positions_has_a_log_without_torque(tmp_path):
     np.savez(tmp_path / "gain.npz", **arrays | {"kp": np.array([35.0, -1.0])})
     with pytest.raises(LogError, match=r"kp holds -1.0; a gain is finite and not negative"):
         read_log(tmp_path / "gain.npz")
-    del arrays["qpos_target"]
+    for name in ("qpos_target", "contact_wrench", "contact_bodies"):
+        arrays.pop(name, None)
     np.savez(tmp_path / "none.npz", **arrays)
     with pytest.raises(LogError, match=r"'tau' is missing; .* \(or qpos_target"):
         read_log(tmp_path / "none.npz")
