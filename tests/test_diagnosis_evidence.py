@@ -7,13 +7,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from jax_inertia.diagnosis.checks import Check
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.evidence import Evidence
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import verdict
-from jax_inertia.gap.families.base import Place
 
 ROWS, JOINTS = 30, 2
 

@@ -19,7 +19,7 @@ from diagnosis_robot import (
 
 from jax_inertia.diagnosis.effects.registry import EFFECTS
 from jax_inertia.diagnosis.pipeline import diagnose, ordinary_is_missing
-from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.model.load import load_model

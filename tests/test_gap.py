@@ -8,10 +8,10 @@ import pytest
 from arm_log import ARM, loaded, nothing, simulate
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.simulate.corrected import corrected
 from jax_inertia.gap import Verdict, diagnose, plant
-from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.families import LIBRARY, NAMES
+from jax_inertia.gap.finding import effects_of
 from jax_inertia.gap.report import to_report
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
 

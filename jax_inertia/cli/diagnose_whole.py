@@ -8,15 +8,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jax_inertia.diagnosis.corrected_model import correction
-from jax_inertia.diagnosis.page import page
-from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.report.page import page
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.gap.words import chance, number, plain, unit
+from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, is_urdf, load_spec, model_path, write_urdf
 from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
+from jax_inertia.text.words import chance, number, plain, unit
 
 
 def write(

@@ -5,13 +5,11 @@ from collections.abc import Callable, Sequence
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
+from jax_inertia.diagnosis.effects.registry import DRY_FORMS, EFFECTS, NAMES
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search import Selection, ordinary_of, select
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.summary import DRY_FORMS
-from jax_inertia.gap.families import NAMES as FORMER
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 
@@ -31,9 +29,8 @@ def diagnose(
     Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
     must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
     """
-    valid = sorted({*NAMES, *FORMER})
-    if unknown := sorted(set(exclude) - set(valid)):
-        raise ValueError(f"unknown families {unknown}; valid: {', '.join(valid)}")
+    if unknown := sorted(set(exclude) - set(NAMES)):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
     library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)

@@ -6,9 +6,8 @@ import enum
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.families.base import Place
-from jax_inertia.gap.intervals import Interval
-from jax_inertia.gap.words import at, unit
+from jax_inertia.diagnosis.effects.base import Interval, Place
+from jax_inertia.text.words import at, unit
 
 
 class Verdict(enum.StrEnum):

@@ -5,16 +5,17 @@ from itertools import groupby
 
 import numpy as np
 
+from jax_inertia.diagnosis.effects.base import Parameter
+from jax_inertia.diagnosis.report.drawing import fan
+from jax_inertia.diagnosis.simulate.corrected import Correction
+from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.gap import figures
-from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.energies import Shrink
-from jax_inertia.gap.families.base import Parameter
 from jax_inertia.gap.finding import Diagnosis
-from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log
 from jax_inertia.text.report_page import rendered
+from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ def page(about: Page) -> str:
         heat=figures.heat(found),
         residual=figures.residual(found, row),
         waterfall=figures.waterfall(found),
-        fan=None if rolled is None else figures.fan(rolled),
+        fan=None if rolled is None else fan(rolled),
         undetectable=_undetectable(found),
         shares=sorted(found.share.items(), key=lambda x: -x[1])[:6],
         when=_when(found),

@@ -1,8 +1,18 @@
 """Names and numbers as people read them."""
 
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 
-from jax_inertia.gap.families.base import Place
+
+@runtime_checkable
+class Placed(Protocol):
+    """A place: what kind, and its name in the model."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def name(self) -> str: ...
 
 
 def plain(name: str) -> str:
@@ -10,12 +20,12 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
-def at(place: Place) -> str:
+def at(place: Placed) -> str:
     """Where; nothing for what is everywhere."""
     return "" if place.kind == "global" else f" at {place.name}"
 
 
-def named(family: str, place: Place) -> str:
+def named(family: str, place: Placed) -> str:
     """An effect and where it is."""
     return plain(family) + at(place)
 

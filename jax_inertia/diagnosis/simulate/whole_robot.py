@@ -1,48 +1,42 @@
 """The nominal model with what was found: inertials, each joint's ordinary physics, odd effects that MJCF holds."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.effects.registry import DRY_FORMS, known
 from jax_inertia.diagnosis.result import Diagnosis, Found
-from jax_inertia.diagnosis.summary import DRY_FORMS
-from jax_inertia.gap.callbacks import HANDLED
-from jax_inertia.gap.correct import Correction, corrected
-from jax_inertia.gap.edits import EDITS
-from jax_inertia.gap.effect import Effect
+from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.model.load import compile_spec, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
 
-NAMES = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "coulomb",
-    "armature": "armature",
-    "torque_bias": "bias",
-}
 
-
-def correction(spec: MjSpec, robot: Robot, found: Diagnosis) -> Correction:
-    """The spec, which is changed, with the effects added; what no attribute and no callback holds is in the notes."""
-    held = [f for f in found.odd if f.family in EDITS or f.family in HANDLED]
-    rest = [f for f in found.odd if f not in held]
+def correction(
+    spec: MjSpec, robot: Robot, found: Diagnosis, extra: Sequence[Effect] = ()
+) -> Correction:
+    """The spec, which is changed, with the effects added; what no attribute and no step law holds is in the notes."""
     if found.inertials:
         set_inertials(spec, {name: np.array(pi) for name, pi in found.inertials.items()})
     compile_spec(spec)
-    done = corrected(spec, (*_ordinary(robot, found), *(_effect(f) for f in held)))
+    odd = (_identified(f) for f in found.odd)
+    done = corrected(spec, (*_ordinary(robot, found), *odd), extra)
     notes = tuple(
-        f"{f.family.replace('_', ' ')} at {f.place.name} is in report.json and not in this model"
-        for f in rest
+        f"{f.family.replace('_', ' ')} at {f.name} is in report.json and not in this model"
+        for f in done.outside
     )
     return dataclasses.replace(done, notes=(*done.notes, *notes))
 
 
-def _effect(f: Found) -> Effect:
+def _identified(f: Found) -> Identified:
     values = {name: p.value for name, p in f.parameters.items()}
-    return Effect(f.family, f.place.kind, f.place.name, values)
+    return Identified(f.family, f.place.kind, f.place.name, values, f.place.other)
 
 
-def _ordinary(robot: Robot, found: Diagnosis) -> list[Effect]:
+def _ordinary(robot: Robot, found: Diagnosis) -> list[Identified]:
     """Each joint's numbers as changes of the nominal model's own."""
     own = {
         "viscous_friction": robot.damping,
@@ -59,5 +53,8 @@ def _ordinary(robot: Robot, found: Diagnosis) -> list[Effect]:
                 continue
             nominal = float(own[family][dof]) if family in own else 0.0
             if p.value != nominal:
-                out.append(Effect(family, "joint", joint, {NAMES[family]: p.value - nominal}))
+                effect = known(family)
+                assert effect is not None
+                (number,) = effect.units
+                out.append(Identified(family, "joint", joint, {number: p.value - nominal}))
     return out

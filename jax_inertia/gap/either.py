@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jax_inertia.diagnosis import pipeline
-from jax_inertia.diagnosis import report as whole_report
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.report import json_report as whole_report
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import diagnosis as single
 from jax_inertia.gap import report as single_report
-from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, LogError

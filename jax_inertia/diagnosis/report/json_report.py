@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+from jax_inertia.diagnosis.effects.base import Interval
+from jax_inertia.diagnosis.report.json_values import clean, located
 from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
-from jax_inertia.gap.intervals import Interval
-from jax_inertia.gap.report import clean, located
 from jax_inertia.preflight.preflight import Finding as Quality
 
 

@@ -1,11 +1,11 @@
 """report.html of a whole-robot diagnosis: one file, nothing in it is fetched, nothing in it runs."""
 
-from jax_inertia.diagnosis import figures
+from jax_inertia.diagnosis.report import figures
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.gap.correct import Correction
-from jax_inertia.gap.words import chance, number, percent, plain
+from jax_inertia.diagnosis.simulate.corrected import Correction
 from jax_inertia.logs.log import Log
 from jax_inertia.text.report_page import rendered
+from jax_inertia.text.words import chance, number, percent, plain
 
 COLUMNS = (
     ("viscous_friction", "viscous friction [N m s/rad]"),
@@ -23,7 +23,7 @@ def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, s
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
     shown = remains != worst and found.remainder.where[remains] > 0
     return rendered(
-        "jax_inertia.diagnosis",
+        "jax_inertia.diagnosis.report",
         filters,
         found=found,
         correction=correction,
