@@ -10,12 +10,12 @@ from scipy import signal
 
 from jax_inertia import load_model
 from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.features.band import Band
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.block import Beside, Block, Plain
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.noise import Whitener, stage_of, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.scales import Learner

@@ -32,5 +32,3 @@ LIBRARY: tuple[Family, ...] = (
     force.Drag(),
     force.Push(),
 )
-
-NAMES = tuple(sorted(f.name for f in LIBRARY))
