@@ -36,12 +36,12 @@ ORDER: dict[str, str] = {
         plots estimate_output estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis bank evidence pushes
-        search checks verdict report summary pipeline""",
+        search detectability checks verdict report summary pipeline""",
     "diagnosis.features": "derivatives band two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction encoder
         environment external_force generic inertial tolerances transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
-    "diagnosis.report": "wording next_motion drawing figures json_values json_report page",
+    "diagnosis.report": "wording next_motion detectable_sizes drawing figures json_values json_report page",
 }
 UNORDERED = {"gap"}
 RANK = {folder: {n: i for i, n in enumerate(text.split())} for folder, text in ORDER.items()}

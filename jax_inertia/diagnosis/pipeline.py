@@ -1,9 +1,13 @@
 """`diagnose`: log → residual → hypotheses → posterior → checks → verdict."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
+from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS, EFFECTS, NAMES
 from jax_inertia.diagnosis.residual import Residual
@@ -40,7 +44,14 @@ def diagnose(
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
     selection, dropped = gated(selection, heldout if other is None else other, settings)
-    return summary.summarised(selection, heldout, other, dropped, settings)
+    found = summary.summarised(selection, heldout, other, dropped, settings)
+    progress("what this log would have shown")
+    names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
+    return dataclasses.replace(
+        found,
+        undetectable_below=undetectable(selection),
+        speed=dict(zip(names, fast.tolist(), strict=True)),
+    )
 
 
 def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:

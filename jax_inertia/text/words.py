@@ -7,12 +7,14 @@ import numpy as np
 
 @runtime_checkable
 class Placed(Protocol):
-    """A place: what kind, and its name in the model."""
+    """A place: what kind, its name in the model, and another name where it is between two."""
 
     @property
     def kind(self) -> str: ...
     @property
     def name(self) -> str: ...
+    @property
+    def other(self) -> str: ...
 
 
 def plain(name: str) -> str:
@@ -20,9 +22,14 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
+def where(place: Placed) -> str:
+    """Its name, and the other's of a place between two."""
+    return f"{place.name} with {place.other}" if place.other else place.name
+
+
 def at(place: Placed) -> str:
     """Where; nothing for what is everywhere."""
-    return "" if place.kind == "global" else f" at {place.name}"
+    return "" if place.kind == "global" else f" at {where(place)}"
 
 
 def named(family: str, place: Placed) -> str:

@@ -35,9 +35,7 @@ class TorqueGain(Effect):
     """At one joint, or at all of them (supply voltage, torque constant of one drive type)."""
 
     name, equation, form_error = "torque_gain", "τ = g τ_logged", 0.02
-    source = (
-        "a torque constant, a current sensor's scale; Gautier and Briot, J. Dyn. Syst. 136(3), 2014"
-    )
+    source = "a torque constant, a current sensor's scale; Gautier and Briot, J. Dyn. Syst. Meas. Control 136(5), 2014"
     units, advice = {"gain": "1"}, advice.KNOWN_WEIGHT
     prior = "1 − 1/g: 0.15; g from 0.5 to 1.5"
     mjcf = "gainprm, biasprm and forcerange of the joints' actuators; torques in qfrc_applied by step law"
@@ -79,6 +77,7 @@ class TorqueGain(Effect):
 
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
+    sized_by_shape = True
     source = "a drive's current limit"
     units, advice = {"limit": "N m"}, advice.SMALL_AND_LARGE
     prior = "a limit between 0.4 and 0.99 of the largest torque asked for"

@@ -98,3 +98,16 @@ ONE_AT_A_TIME = Advice(
 ON_A_SCALE = Advice(
     "on a scale", "Stand still, in several postures, on a scale or a force plate", {"postures": 4.0}
 )
+ALONE = Advice(
+    "one joint alone",
+    "Move {joint} alone, the others held still, over its whole range at slow and usual speed, in several postures of "
+    "the others",
+    {"seconds": 20.0},
+    "what remains is mostly there, and then it is seen apart from the other joints",
+)
+ANOTHER = Advice(
+    "another motion",
+    "Record a different motion of the same robot and give it as the test log",
+    {"seconds": 15.0},
+    "so far every check is on stretches of the one motion",
+)

@@ -129,7 +129,7 @@ class TwoMass(Effect):
     says whether the joint's own friction, as the model has it, is the motor's or the link's.
     """
 
-    calibrated, advice = True, advice.TORQUE_REVERSALS
+    calibrated, sized_by_shape, advice = True, True, advice.TORQUE_REVERSALS
 
     @abc.abstractmethod
     def coupling(self, shape: Shape) -> Coupling:

@@ -83,7 +83,7 @@ class Payload(_Inertial):
     """All ten numbers free of each other: linear, and a load's own inertia is in them."""
 
     name, equation, form_error = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 0.02
-    source = "a tool, a gripper; Gautier and Khalil, Int. J. Robotics Research 9(1), 1990"
+    source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
     prior = "0.8 kg or 0.3 of the body's mass, 6 cm from its frame; more than nothing, within a link's length"
 

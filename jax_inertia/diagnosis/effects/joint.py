@@ -116,7 +116,7 @@ class QuadraticViscous(_AlongTheJoint):
 
 class FrictionDrift(_AlongTheJoint):
     name, equation, refines = "friction_drift", "−(d∞ + d₁ exp(−t/T)) q̇", True
-    source = "a lubricant that warms up; Simoni et al., IEEE/ASME Trans. Mechatronics 24(4), 2019"
+    source = "a lubricant that warms up; Simoni, Beschi, Legnani and Visioli, Robotica 37(5), 2019"
     units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
     share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
     prior = "0.1 of the joint's peak torque at 1 rad/s; T from 1 to 12 s"

@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from jax_inertia.diagnosis.simulate.rollout import Rollouts
 
@@ -36,6 +37,10 @@ def embedded(figure: Figure) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
 
 
+FAR = 10.0
+"""From so many times less than before, errors are drawn on a logarithmic scale."""
+
+
 def fan(rolled: Rollouts) -> str:
     """How far simulation and log part over a window: before, after, floor."""
     with mpl.rc_context(STYLE):
@@ -54,7 +59,14 @@ def fan(rolled: Rollouts) -> str:
             axes.plot(milliseconds, whole, color=colour, lw=1.6, label=label)
         axes.set(xlabel="time from the window's start [ms]", ylabel=f"error [{rolled.shown_in}]")
         axes.set_xlim(0, milliseconds[-1])
-        axes.set_ylim(0, None)
+        if rolled.before > FAR * rolled.after:
+            # What is left would lie on the axis.
+            axes.set_yscale("log")
+            axes.set_ylim(0.1 * rolled.shown * max(rolled.floor, 1e-9), None)
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
+        else:
+            axes.set_ylim(0, None)
         axes.legend(loc="upper left", fontsize=8)
         return embedded(figure)
 

@@ -30,7 +30,7 @@ def joints(found: Diagnosis) -> str:
         axes.set_yticks(at, names)
         axes.invert_yaxis()
         axes.set_xlabel("torque error, rms of moving rows [N m]")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=2)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return embedded(figure)
 
 

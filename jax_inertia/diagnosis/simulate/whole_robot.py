@@ -10,6 +10,9 @@ from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS, known
 from jax_inertia.diagnosis.result import Diagnosis, Found
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
+from jax_inertia.diagnosis.simulate.plant import CREEPS
+from jax_inertia.diagnosis.simulate.rollout import Known
+from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
@@ -29,6 +32,15 @@ def correction(
         for f in done.outside
     )
     return dataclasses.replace(done, notes=(*done.notes, *notes))
+
+
+def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
+    """What rollouts of the log need to know beside the effects."""
+    turning = np.zeros(robot.nv)
+    for joint, reach in found.presliding.items():
+        row = robot.joint_dofadr[robot.joint_index(joint)]
+        turning[row] = reach if reach >= 0 else CREEPS
+    return Known(turning, None, log)
 
 
 def _identified(f: Found) -> Identified:
