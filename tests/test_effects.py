@@ -49,6 +49,7 @@ CASES = {
     "cogging": (ELBOW, (8.0,), [0.2, 0.3], 0.01),
     "torque_gain": (ALL, (), [-0.15], 0.01),
     "torque_saturation": (ELBOW, (0.6,), [1.0], 0.01),
+    "torque_speed": (ELBOW, (1.0, 2.5), [1.0], 0.01),
     "time_delay": (ALL, (0.006,), [0.006], 0.01),
     # The step law holds a torque over its step, the columns draw it straight.
     "actuator_lag": (ELBOW, (0.04,), [0.04], 0.06),

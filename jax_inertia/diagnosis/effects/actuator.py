@@ -117,6 +117,65 @@ class TorqueSaturation(Effect):
         return applied._replace(torque=xp.where(at.rows, xp.clip(tau, -limit, limit), tau))
 
 
+class TorqueSpeed(Effect):
+    """A motor at its supply's voltage: the faster it turns, the less it can drive, and the more it can brake."""
+
+    name, equation = "torque_speed", "τ = clip(τ_logged, −L (1 + q̇/v₀), L (1 − q̇/v₀))"
+    source = "back-EMF; Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2006, ch. 6"
+    units, advice = {"limit": "N m", "no_load_speed": "rad/s"}, advice.SMALL_AND_LARGE
+    prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 40 % of the log"
+    mjcf = "none: step law"
+    form_error, sized_by_shape = 0.05, True
+
+    def shapes(self, context, place):
+        tau, needed, v = (x[:, place.index] for x in (context.tau, context.inverse, context.v))
+        fastest, side = float(np.percentile(np.abs(v), 99.5)), np.sign(tau)
+        out = []
+        for share in (1.1, 1.4, 2.0, 3.0):
+            # What is left of the motor's torque at each speed; backwards it brakes.
+            left = np.maximum(1.0 - side * v / (share * fastest), 0.05)
+            top = np.percentile(np.abs(tau) / left, 99.8)
+            for level in np.linspace(0.5, 0.95, 7):
+                limit = float(level * top)
+                over = np.abs(tau) > limit * left
+                # At its limit a motor gives about the limit: one that is disconnected would explain any friction.
+                given = np.median((side * needed)[over] / (limit * left[over])) if over.any() else 0
+                if 0.005 < over.mean() < 0.4 and given > 0.5:
+                    out.append((limit, share * fastest))
+        return out
+
+    def steps(self, context, place, shape):
+        return (0.03 * shape[0], 0.1 * shape[1])
+
+    def columns(self, context, place, shape):
+        tau, v = context.tau[:, place.index], context.v[:, place.index]
+        return of_row(self.clipped(np, tau, v, *shape) - tau, place)
+
+    @staticmethod
+    def clipped(xp, tau, v, limit: float, no_load_speed: float):
+        """Torque that the motor gives of what is asked for."""
+        part = v / no_load_speed
+        low, high = xp.minimum(-1.0 - part, 0.0), xp.maximum(1.0 - part, 0.0)
+        return xp.clip(tau, limit * low, limit * high)
+
+    def scale(self, context, place, shape):
+        return np.array([1.0])
+
+    def possible(self, context, place, theta):
+        return bool(0.6 < theta[0] < 1.5)
+
+    def numbers(self, context, place, shape, theta):
+        return {
+            "limit": Parameter(shape[0], "N m", 0.0),
+            "no_load_speed": Parameter(shape[1], "rad/s", 0.0),
+        }
+
+    def step(self, xp, now, at, applied):
+        tau = applied.torque
+        cut = self.clipped(xp, tau, now.v, at.values["limit"], at.values["no_load_speed"])
+        return applied._replace(torque=xp.where(at.rows, cut, tau))
+
+
 class Late(Effect):
     """A torque that comes later, at one joint or at all of them."""
 

@@ -30,6 +30,7 @@ EFFECTS: tuple[Effect, ...] = (
     joint.Cogging(),
     actuator.TorqueGain(),
     actuator.TorqueSaturation(),
+    actuator.TorqueSpeed(),
     actuator.TimeDelay(),
     actuator.ActuatorLag(),
     actuator.TorqueFilter(),

@@ -60,7 +60,7 @@ def fan(rolled: Rollouts) -> str:
         axes.set(xlabel="time from the window's start [ms]", ylabel=f"error [{rolled.shown_in}]")
         axes.set_xlim(0, milliseconds[-1])
         if rolled.before > FAR * rolled.after:
-            # What is left would lie on the axis.
+            # The remainder would lie on the axis.
             axes.set_yscale("log")
             axes.set_ylim(0.1 * rolled.shown * max(rolled.floor, 1e-9), None)
             axes.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))

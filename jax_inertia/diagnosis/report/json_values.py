@@ -24,7 +24,7 @@ def rollout_values(r: Rollouts) -> dict[str, Any]:
 
 
 def motion_values(wanted: tuple[Suggestion, ...]) -> dict[str, Any]:
-    """The first suggestion, with all others beside it; empty where nothing ties."""
+    """The first suggestion, and all others; empty where nothing ties."""
     if not wanted:
         return {}
     every = [

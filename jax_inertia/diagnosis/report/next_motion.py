@@ -91,7 +91,7 @@ def to_record(found: Diagnosis, extra: Sequence[Effect] = ()) -> tuple[Suggestio
         joints = [n for n, own in found.joints.items() if _is_open(own[effect.name])]
         if joints:
             where = ", ".join(joints)
-            text = f"{plain(effect.name)} of {where} is not told by this log. {asked(effect.advice, where)}."
+            text = f"{plain(effect.name)} of {where} is not determined by this log. {asked(effect.advice, where)}."
             numbers = dict(effect.advice.numbers)
             out.append(Suggestion((effect.name,), where, effect.advice.kind, text, numbers))
     if found.test is None and found.verdict is not Verdict.NO_GAP:

@@ -1,1 +1,1 @@
-"""Found effects in simulation: the corrected model, its step law, rollouts beside the log."""
+"""Found effects in simulation: the corrected model, its step law, rollouts compared with the log."""

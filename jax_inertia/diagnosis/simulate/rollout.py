@@ -76,7 +76,7 @@ class Rollouts:
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """What a diagnosis knows of a log beside its effects, which rollouts must not stumble over."""
+    """What a diagnosis knows of a log apart from its effects, which rollouts must not stumble over."""
 
     turning: Float[np.ndarray, " nv"]
     """Displacement over which each row's dry friction turns round after a reversal [rad], or `plant.CREEPS`."""

@@ -35,7 +35,7 @@ def correction(
 
 
 def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
-    """What rollouts of the log need to know beside the effects."""
+    """What rollouts of the log need to know apart from the effects."""
     turning = np.zeros(robot.nv)
     for joint, reach in found.presliding.items():
         row = robot.joint_dofadr[robot.joint_index(joint)]
