@@ -13,7 +13,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jax_inertia.diagnosis.either import diagnose, to_report
     from jax_inertia.dynamics.rigid_body import (
         body_jacobian,
         body_poses,
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from jax_inertia.estimation.pipeline import estimate
     from jax_inertia.estimation.priors import Load
     from jax_inertia.estimation.stream import Stream
+    from jax_inertia.gap.either import diagnose, to_report
     from jax_inertia.logs.log import Log, LogError
     from jax_inertia.logs.log_files import read_log, write_log
     from jax_inertia.maths.inertial_parameters import (
@@ -89,7 +89,7 @@ __all__ = [
 
 # As above, for when it runs; a test holds the two together.
 _MODULES = {
-    "diagnosis.either": "diagnose to_report",
+    "gap.either": "diagnose to_report",
     "dynamics.rigid_body": """body_jacobian body_poses condensed_dynamics contact_torque inverse_dynamics mass_matrix
         passive_torque torque_regressor""",
     "estimation.checkpoint": "StateError load_state save_state",

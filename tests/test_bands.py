@@ -11,7 +11,6 @@ from jax_inertia import load_model
 from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.priors import Load
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.sensors import sensor_noise
 from jax_inertia.logs.log import LogError
 from jax_inertia.robots.pendulum import double_pendulum, swing
 from jax_inertia.signals.bands import (
@@ -26,6 +25,7 @@ from jax_inertia.signals.bands import (
 from jax_inertia.signals.differences import central_differences
 from jax_inertia.signals.filtering import low_pass, resample
 from jax_inertia.signals.generalised_motion import generalised
+from jax_inertia.signals.sensor_noise import sensor_noise
 from jax_inertia.signals.torque_residual import below, prepare
 
 EVERY = (ESTIMATE, DIAGNOSIS, DIAGNOSIS_IN_CONTACT)

@@ -12,9 +12,10 @@ import pytest
 
 from jax_inertia import load_model
 from jax_inertia.cli.main import main
-from jax_inertia.gap.callbacks import callback
-from jax_inertia.gap.effect import effects_in
-from jax_inertia.gap.families import LIBRARY, NAMES
+from jax_inertia.diagnosis.effects.identified import effects_in
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.simulate.step_law import callback
+from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
 from jax_inertia.logs.log_files import read_log, write_log

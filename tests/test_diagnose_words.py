@@ -7,10 +7,9 @@ import pytest
 
 from jax_inertia.cli.demo.command import judged
 from jax_inertia.cli.demo.hidden import Secret
+from jax_inertia.diagnosis.effects.base import Interval, Place
 from jax_inertia.gap.energies import Counted, Shrink
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
-from jax_inertia.gap.intervals import Interval
 from jax_inertia.gap.report import to_report
 from jax_inertia.gap.suggest import suggestions
 from jax_inertia.gap.trace import Trace, regions

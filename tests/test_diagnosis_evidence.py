@@ -7,13 +7,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from jax_inertia.diagnosis.checks import Check
+from jax_inertia.diagnosis.detectability import information, smallest
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.evidence import Evidence
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import verdict
-from jax_inertia.gap.families.base import Place
 
 ROWS, JOINTS = 30, 2
 
@@ -67,6 +68,18 @@ def test_deleting_changes_it_by_the_worth(problem):
         whole - log_marginal(evidence, tuple(x for x in chosen if x is not h)) for h in chosen
     ]
     np.testing.assert_allclose(evidence.worths(evidence.posterior(chosen)), expected, rtol=1e-8)
+
+
+def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
+    """An effect of just that size, and nothing else in the rows."""
+    evidence, chosen = problem
+    for h in hypotheses(np.random.default_rng(8), 4):
+        one = dataclasses.replace(h, columns=h.columns[..., :1], scale=h.scale[:1])
+        now = evidence.posterior(chosen)
+        z = smallest(float(information(evidence, now, one)[0]), odds=8.0)
+        evidence.y = one.torque(np.array([z]), evidence.y.shape)
+        gain = evidence.gains(evidence.posterior(chosen), (one,))[0]
+        assert gain == pytest.approx(8.0, rel=1e-6)
 
 
 def test_a_row_that_weighs_nothing_tells_nothing(problem):

@@ -1,5 +1,6 @@
 """The whole robot: what closed-form logs were made with comes back, and nothing else."""
 
+import dataclasses
 import json
 
 import mujoco
@@ -19,7 +20,8 @@ from diagnosis_robot import (
 
 from jax_inertia.diagnosis.effects.registry import EFFECTS
 from jax_inertia.diagnosis.pipeline import diagnose, ordinary_is_missing
-from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.model.load import load_model
@@ -162,6 +164,27 @@ def test_a_report_is_json_of_the_contract(plain):
     assert all(e["ordinary"] for e in report["effects"])
     assert report["shrink"]["test_log"]["after"] < report["shrink"]["test_log"]["before"]
     assert set(report["remainder"]["where"]) == set(report["joints"])
+
+
+def test_a_report_says_what_the_log_could_not_show_and_what_to_record(plain):
+    report = to_report(plain)
+    sizes = {(e["family"], e["location"]["name"]): e for e in report["undetectable_below"]}
+    # A third of the hand's 0.6 kg, and some per cent of the elbow's torque, are seen beside noise of 0.01 N m.
+    assert 0 < sizes["payload", "hand"]["value"] < 0.2
+    assert 1.0 < sizes["torque_gain", "elbow"]["value"] < 1.1
+    assert all(np.isfinite(e["value"]) and e["value"] != 0 for e in sizes.values())
+    # Everything is told and checked on another run: nothing is left to ask for.
+    assert report["suggested_motion"] == {}
+    shoulder = plain.joints["shoulder"]
+    unsure = shoulder | {"armature": dataclasses.replace(shoulder["armature"], low=0.0)}
+    less = dataclasses.replace(plain, test=None, joints=plain.joints | {"shoulder": unsure})
+    first, second = to_record(less)
+    assert (first.between, first.where, first.kind) == (
+        ("armature",),
+        "shoulder",
+        "starts and stops",
+    )
+    assert second.kind == "another motion"
 
 
 def test_an_unknown_family_is_one_line(robot):

@@ -40,3 +40,8 @@ def test_the_figure_has_every_folder_and_every_arrow_points_down():
     assert len(arrows) > 20
     upward = [(a, b) for a, b in arrows if places[b][3] >= places[a][3]]
     assert upward == []
+
+
+def test_the_page_of_effects_is_what_the_registry_says():
+    page = runpy.run_path(str(ROOT / "docs" / "effects.py"))["text"]()
+    assert (ROOT / "docs" / "effects.md").read_text() == page, "run python docs/effects.py"

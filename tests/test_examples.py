@@ -42,8 +42,8 @@ SLOW = {
     for name in (
         "estimation.batch_fit.fit",
         "gap.diagnosis.diagnose",
-        "diagnosis.either.diagnose",
-        "diagnosis.either.to_report",
+        "gap.either.diagnose",
+        "gap.either.to_report",
         "estimation.log_filter.residual_noise",
         "estimation.excitation.suggest_motion",
     )

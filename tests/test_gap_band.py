@@ -10,8 +10,8 @@ from chain_log import JOINTS, chain_xml, simulate
 from jax_inertia import load_model
 from jax_inertia.cli.demo.hidden import draw
 from jax_inertia.cli.demo.simulation import Load
-from jax_inertia.gap.band import Band
-from jax_inertia.gap.context import Context
+from jax_inertia.diagnosis.features.band import Band
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.noise import whitener
 from jax_inertia.maths.inertial_parameters import from_com
 from jax_inertia.robots.arm import HAND

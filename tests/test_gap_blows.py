@@ -6,8 +6,8 @@ import pytest
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.sensors import quiet_noise, sensor_noise
 from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.signals.sensor_noise import quiet_noise, sensor_noise
 
 HOPPER = """<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="RK4"/><worldbody>
 <body name="trunk"><freejoint/>

@@ -7,6 +7,7 @@ import json
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -20,7 +21,7 @@ import evaluate_cad  # noqa: E402
 from cad_draw import ODD, OUTSIDE  # noqa: E402
 from cad_robots import CAD_ROBOTS  # noqa: E402
 from plant import Noise  # noqa: E402
-from report_torque import ReportTorque, dahl  # noqa: E402
+from report_torque import ORDINARY, ReportTorque, dahl  # noqa: E402
 from torque_error import Signals, error_of, needed, torque_error  # noqa: E402
 
 SETTING = cad.draw_setting(3, 0)
@@ -123,6 +124,28 @@ def test_an_effect_beyond_the_evaluator_is_said(tmp_path, ordinary):
     told = ReportTorque(path, {"effects": [effect | {"parameters": {}}], "joints": {}})
     told.error(log | {"joint_names": np.array(s.robot.joints)})
     assert told.left_out == {"backlash"}
+
+
+def test_a_corrected_model_with_a_second_hinge_is_taken(tmp_path, ordinary):
+    """Its bodies are; the joint between motor and link is none of the log's."""
+    s, _, _, log = ordinary
+    log = log | {"joint_names": np.array(s.robot.joints)}
+    nominal, corrected = (tmp_path / name for name in ("nominal.xml", "corrected.xml"))
+    nominal.write_text(s.robot.xml)
+    spec = mujoco.MjSpec.from_string(s.robot.xml)
+    joint = spec.joint("joint2")
+    joint.parent.mass *= 1.5
+    heavier = spec.copy().to_xml()
+    hinge = joint.parent.add_joint(name="joint2_deflection", type=joint.type, axis=joint.axis)
+    hinge.stiffness, joint.armature = np.array([500.0, 0.0, 0.0]), 0.05
+    zero = {family: {"value": 0.0} for family in ORDINARY}
+    report = {"effects": [], "joints": dict.fromkeys(s.robot.joints, zero)}
+    errors = []
+    for text in (spec.to_xml(), heavier, s.robot.xml):
+        corrected.write_text(text)
+        errors.append(ReportTorque(nominal, report, corrected).error(log)["rms"])
+    assert errors[0] == pytest.approx(errors[1], rel=1e-9)
+    assert abs(errors[0] - errors[2]) > 1e-3 * errors[2]
 
 
 def test_dahl_follows_the_generator_s_bristle(ordinary):

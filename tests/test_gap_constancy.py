@@ -8,12 +8,12 @@ import pytest
 from arm_log import ARM, simulate
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.block import Block
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.constancy import crowded
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.families.force import Push
 from jax_inertia.gap.families.joint import ViscousFriction
 from jax_inertia.gap.outsiders import _lengths

@@ -9,11 +9,11 @@ import pytest
 from arm_log import ARM, loaded, simulate
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.doubt import better_than, entangled
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.locate import _closed, windows
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool

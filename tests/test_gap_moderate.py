@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.gap.block import Block
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.families.force import ConstantForce
 from jax_inertia.gap.families.joint import ViscousFriction
 from jax_inertia.gap.moderate import moderated

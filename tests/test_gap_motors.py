@@ -10,7 +10,7 @@ from chain_log import JOINTS, TAU, chain_xml, simulate
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.motors import with_torque_noise
-from jax_inertia.gap.sensors import sensor_noise
+from jax_inertia.signals.sensor_noise import sensor_noise
 
 MISSED = np.array([0.3, 0.3, 0.15, 0.05, 0.03])
 # A controller that answers every jolt writes them into its commands.

@@ -9,22 +9,23 @@ from chain_log import DAMPING, FRICTION, JOINTS, QPOS, TAU, chain_xml, simulate
 from scipy import signal
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.features.band import Band
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.band import Band
 from jax_inertia.gap.block import Beside, Block, Plain
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families import NAMES, Columns
 from jax_inertia.gap.noise import Whitener, stage_of, whitener
 from jax_inertia.gap.nuisance import Tolerance, nuisances
 from jax_inertia.gap.scales import Learner
-from jax_inertia.gap.sensors import resolution, sensor_noise
 from jax_inertia.gap.strain import Left, Strained, strained
 from jax_inertia.gap.verdict import with_strain
 from jax_inertia.logs.log import TorqueKind
 from jax_inertia.signals.creep import softness
 from jax_inertia.signals.dry_friction import at_rest
 from jax_inertia.signals.outliers import without_outliers
+from jax_inertia.signals.sensor_noise import resolution, sensor_noise
 from jax_inertia.signals.torque_residual import prepare
 
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from jax_inertia.gap.families.base import Place
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.gap.outcome import Search
 
 WRIST, ELBOW = Place("joint", "wrist", 4), Place("joint", "elbow", 2)

@@ -10,15 +10,15 @@ from arm_log import simulate as simulate_arm
 from chain_log import DAMPING, FRICTION, JOINTS, chain_xml, simulate
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.simulate.corrected import corrected
+from jax_inertia.diagnosis.simulate.rollout import rollouts
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.effect import effects_of
 from jax_inertia.gap.families import LIBRARY
 from jax_inertia.gap.finder import finder
+from jax_inertia.gap.finding import effects_of, known_of
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.propose import propose
-from jax_inertia.gap.rollout import rollouts
 from jax_inertia.gap.search import search
 from jax_inertia.gap.turning import CREEPS
 from jax_inertia.signals.torque_residual import prepare
@@ -40,10 +40,11 @@ def test_the_displacement_is_found_and_rollouts_stay_at_their_floor(robot, reach
     moved = found.trace.turning
     assert np.all(moved > 0)
     assert np.median(moved) == pytest.approx(reach, rel=0.5)
-    sharp = dataclasses.replace(found.trace, turning=np.zeros(JOINTS))
+    given = known_of(found, robot, log)
+    sharp = dataclasses.replace(given, turning=np.zeros(JOINTS))
     nominal = mujoco.MjSpec.from_string(NOMINAL)
     correction = corrected(mujoco.MjSpec.from_string(NOMINAL), effects_of(found))
-    rolled, stumbling = (rollouts(nominal, correction, robot, log, t) for t in (found.trace, sharp))
+    rolled, stumbling = (rollouts(nominal, correction, robot, log, t) for t in (given, sharp))
     assert rolled is not None
     assert stumbling is not None
     assert rolled.after < 1.3 * rolled.floor
@@ -60,9 +61,10 @@ def test_rollouts_of_a_robot_that_creeps_let_it_creep():
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("viscous_friction", "axis3")
     assert np.all(found.trace.turning == CREEPS)
-    sharp = dataclasses.replace(found.trace, turning=np.zeros(JOINTS))
+    given = known_of(found, robot, log)
+    sharp = dataclasses.replace(given, turning=np.zeros(JOINTS))
     correction = corrected(nominal.copy(), effects_of(found))
-    rolled, stumbling = (rollouts(nominal, correction, robot, log, t) for t in (found.trace, sharp))
+    rolled, stumbling = (rollouts(nominal, correction, robot, log, t) for t in (given, sharp))
     assert rolled is not None
     assert stumbling is not None
     assert rolled.after < 1.2 * rolled.floor

@@ -7,15 +7,15 @@ from arm_log import ARM, TORQUE, asked, loaded, logged, simulate, wave
 from scipy.integrate import solve_ivp
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.effects.encoder import ALL
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.features.two_mass import DrivenLink, OwnFriction
+from jax_inertia.diagnosis.simulate.corrected import corrected
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.effect import Effect
 from jax_inertia.gap.families import LIBRARY
-from jax_inertia.gap.families.encoder import ALL
 from jax_inertia.gap.finder import finder
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.search import find, search
-from jax_inertia.gap.twomass import DrivenLink, OwnFriction
 from jax_inertia.signals.torque_residual import prepare
 
 MASS, STIFFNESS, RATIO = 0.8, 900.0, 0.02
@@ -244,7 +244,9 @@ def test_play_before_a_link_that_rubs_is_named_and_sized():
 def test_the_corrected_models_friction_follows_the_link():
     own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.5"')
     values = {"stiffness": 80.0, "dead_zone": 0.04, "friction_on_link": 1.0}
-    made = corrected(mujoco.MjSpec.from_string(own), [Effect("backlash", "joint", "elbow", values)])
+    made = corrected(
+        mujoco.MjSpec.from_string(own), [Identified("backlash", "joint", "elbow", values)]
+    )
     model = made.spec.compile()
     data = mujoco.MjData(model)
     elbow, between = (model.joint(n).dofadr[0] for n in ("elbow", "elbow_deflection"))

@@ -10,9 +10,9 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # Folder: its modules and folders from the ground up; each may use those before it. A folder stands for all that is in
 # it. `gap` has no order of its own: it goes once `diagnosis` has replaced it.
 ORDER: dict[str, str] = {
-    "": """text maths logs model dynamics signals preflight estimation gap diagnosis replay
+    "": """text maths logs model dynamics signals preflight estimation diagnosis gap replay
         control robots cli __main__""",
-    "text": "closest_names notebook_page report_page",
+    "text": "closest_names notebook_page report_page words",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
         charts noise gates kalman least_squares""",
     "logs": "npz atomic_files schema unwrap as_model log findings readers log_files chunks",
@@ -23,7 +23,7 @@ ORDER: dict[str, str] = {
     "dynamics": "kinematics sparse_rows recursions rigid_body",
     "signals": """bands held filtering generalised_motion differences wrench_axes spikes
         outliers creep dry_friction ground_support torque_residual errors_in_variables holds misfit
-        corrections""",
+        corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
         preflight""",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
@@ -35,10 +35,13 @@ ORDER: dict[str, str] = {
     "cli": """console gains conventions convert replay_run replay diagnose_whole diagnose_run diagnose
         plots estimate_output estimate_wrench estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
-    "diagnosis": """effects result figures page report settings residual hypothesis bank evidence pushes
-        search checks verdict wording summary corrected_model pipeline either""",
-    "diagnosis.effects": """base actuator dry_friction encoder environment external_force generic inertial
-        joint tolerances transmission registry""",
+    "diagnosis": """features effects result simulate settings residual hypothesis bank evidence pushes
+        search detectability checks verdict report summary pipeline""",
+    "diagnosis.features": "derivatives band two_mass context",
+    "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction encoder
+        environment external_force generic inertial tolerances transmission registry""",
+    "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
+    "diagnosis.report": "wording next_motion detectable_sizes drawing figures json_values json_report page",
 }
 UNORDERED = {"gap"}
 RANK = {folder: {n: i for i, n in enumerate(text.split())} for folder, text in ORDER.items()}

@@ -15,20 +15,20 @@ from benchmarks.paper import curl
 from benchmarks.paper.brain import Brain, Inputs
 from benchmarks.paper.curl_causes import informed, knowable, share
 from benchmarks.paper.plant import NV, model
-from jax_inertia.gap.effect import Effect
+from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.robots import CORNERS
 
-HOIST = Effect(
+HOIST = Identified(
     "constant_force", "body", "torso_link", {"force_x": 3.0, "force_y": -2.0, "force_z": 40.0}
 )
-RUB = Effect(
+RUB = Identified(
     "load_friction",
     "joint",
     "left_elbow_y",
     {"coulomb": 0.5, "load_coefficient": 0.1, "of_motor": 1.0},
 )
-STIFF = Effect("viscous_friction", "joint", "spine_y", {"damping": 0.2})
-LOAD = Effect(
+STIFF = Identified("viscous_friction", "joint", "spine_y", {"damping": 0.2})
+LOAD = Identified(
     "payload", "body", curl.FOREARM, {"mass": 5.0, "com_x": 0.0, "com_y": 0.0, "com_z": -0.3}
 )
 
@@ -39,7 +39,7 @@ def brain() -> Brain:
 
 
 def test_forearm_and_what_no_torque_shows_are_left_to_the_estimator():
-    delay = Effect("time_delay", "global", "global", {"delay": 0.01})
+    delay = Identified("time_delay", "global", "global", {"delay": 0.01})
     told, untold = knowable([HOIST, LOAD, RUB, delay])
     assert told == [HOIST, RUB]
     assert untold == [LOAD, delay]
@@ -79,7 +79,7 @@ def test_known_effects_act_as_in_mujoco(brain):
 
 @pytest.mark.slow
 def test_estimator_cannot_be_told_of_what_it_has_no_equation_for(brain):
-    delay = Effect("time_delay", "global", "global", {"delay": 0.01})
+    delay = Identified("time_delay", "global", "global", {"delay": 0.01})
     with pytest.raises(ValueError, match="cannot be told of time_delay"):
         informed(brain, [delay], ())
 

@@ -16,10 +16,10 @@ import pytest
 
 import jax_inertia as ji
 from jax_inertia.cli import estimate as command
-from jax_inertia.diagnosis import either
 from jax_inertia.diagnosis.result import Diagnosis, Remainder, Shrink, Trace, Verdict
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.estimate_inputs import CHARTS, Settings
+from jax_inertia.gap import either
 from jax_inertia.robots.pendulum import double_pendulum, swing
 
 GUESSED = [

@@ -9,6 +9,9 @@ import jax
 import numpy as np
 
 import jax_inertia as ji
+from jax_inertia.diagnosis.effects.identified import effects_in
+from jax_inertia.diagnosis.simulate.corrected import corrected
+from jax_inertia.diagnosis.simulate.step_law import callback
 from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.checkpoint import load_stream, save_stream
 from jax_inertia.estimation.excitation import suggest_motion
@@ -20,9 +23,7 @@ from jax_inertia.estimation.priors import Load
 from jax_inertia.estimation.slew import Slew
 from jax_inertia.estimation.stream import Stream
 from jax_inertia.gap import Diagnosis, Tolerance, Verdict, diagnose
-from jax_inertia.gap.callbacks import callback
-from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.effect import effects_in, effects_of
+from jax_inertia.gap.finding import effects_of
 from jax_inertia.gap.report import to_report
 from jax_inertia.logs.readers import Options
 from jax_inertia.maths import charts

@@ -68,20 +68,20 @@ class ReportTorque:
     left_out: set[str] = field(default_factory=set)
 
     def __post_init__(self):
-        path = self.corrected if self.corrected and self.corrected.exists() else self.nominal
-        self.model = mujoco.MjModel.from_xml_path(str(path))
-        nominal = mujoco.MjModel.from_xml_path(str(self.nominal))
-        m, n = self.model, nominal
-        if m.nv != n.nv or m.njnt != n.njnt:
-            raise ValueError(f"{path} has other joints than {self.nominal}")
-        self.joints = [n.joint(j).name for j in range(n.njnt)]
-        self.viscous, self.dry = m.dof_damping.copy(), m.dof_frictionloss.copy()
-        self.rotor, self.bias = m.dof_armature.copy(), np.zeros(m.nv)
+        self.model = m = mujoco.MjModel.from_xml_path(str(self.nominal))
+        self.joints = [m.joint(j).name for j in range(m.njnt)]
+        own = m
+        if self.corrected and self.corrected.exists():
+            own = mujoco.MjModel.from_xml_path(str(self.corrected))
+            self._take_bodies(own)
+        # By name: corrected.xml may have a second hinge behind a joint, of a soft joint or of play.
+        rows = [own.joint(name).dofadr[0] for name in self.joints]
+        self.viscous, self.dry = own.dof_damping[rows], own.dof_frictionloss[rows]
+        self.rotor, self.bias = own.dof_armature[rows], np.zeros(m.nv)
         self.presliding = np.zeros(m.nv)
         # Joint terms are the report's; springs of the nominal model stay in it.
-        m.jnt_stiffness[:], m.qpos_spring[:] = n.jnt_stiffness, n.qpos_spring
         m.dof_damping[:] = m.dof_frictionloss[:] = m.dof_armature[:] = 0.0
-        if path == self.nominal:
+        if own is m:
             self._edit_bodies()
         self.odd = [e for e in self.report["effects"] if e["family"] not in ORDINARY]
         self._ordinary()
@@ -103,6 +103,17 @@ class ReportTorque:
             if e["family"] in target and not (self.corrected and e["family"] != "torque_bias"):
                 joint = self.joints.index(e["location"]["name"])
                 target[e["family"]][joint] += number(e, *NAMES[e["family"]])
+
+    def _take_bodies(self, own: mujoco.MjModel) -> None:
+        """Bodies and gravity of corrected.xml, joints as the nominal model has them."""
+        m = self.model
+        names = [[x.body(b).name for b in range(x.nbody)] for x in (m, own)]
+        # A body without a name gets one in corrected.xml.
+        if m.nbody != own.nbody or any(a not in ("", b) for a, b in zip(*names, strict=True)):
+            raise ValueError(f"{self.corrected} has other bodies than {self.nominal}")
+        for array in ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravcomp"):
+            getattr(m, array)[:] = getattr(own, array)
+        m.opt.gravity[:] = own.opt.gravity
 
     def _edit_bodies(self) -> None:
         m = self.model
@@ -191,9 +202,12 @@ class ReportTorque:
                 j = self._joint(e)
                 pair = number(e, "positive"), number(e, "negative")
                 level[:, j] = np.where(v[:, j] > 0, *pair)
-            elif f == "quadratic_friction":
+            elif f in ("quadratic_friction", "quadratic_viscous"):
                 j = self._joint(e)
                 extra[:, j] += number(e, "coefficient") * np.abs(v[:, j]) * v[:, j]
+            elif f == "asymmetric_viscous":
+                j = self._joint(e)
+                extra[:, j] += number(e, "difference") * np.abs(v[:, j])
             elif f == "friction_drift":
                 self.left_out.add(f)
         sign = np.tanh(v / SIGN)
@@ -211,6 +225,9 @@ class ReportTorque:
                 c = number(e, "ratio")
                 out[:, j] += self.rotor[j] * c * a[:, i]
                 out[:, i] -= c * (bodies[:, j] - self.bias[j])
+            elif "friction_of_other_speed" in e["parameters"]:
+                out[:, j] += number(e, "friction_of_other_speed") * v[:, i]
+                out[:, i] -= number(e, "coefficient") * out[:, j]
             else:
                 out[:, j] += number(e, "coefficient") * v[:, i]
 
@@ -266,7 +283,8 @@ class ReportTorque:
         out = np.ones(len(self.joints))
         for e in self.odd:
             if e["family"] == "torque_gain":
-                out[self._joint(e)] = number(e, "gain")
+                everywhere = e["location"]["kind"] == "global"
+                out[slice(None) if everywhere else self._joint(e)] *= number(e, "gain")
         return out
 
     def error(self, log: dict[str, np.ndarray], held: bool = True) -> dict:
@@ -275,7 +293,8 @@ class ReportTorque:
         # Not backlash: who is where in the gap is no function of the log's rows.
         known |= {"encoder_offset", "encoder_scale", "joint_elasticity", "cogging"}
         known |= {"joint_spring", "stribeck_friction", "load_friction", "asymmetric_coulomb"}
-        known |= {"quadratic_friction", "constant_force", "joint_coupling", *IN_MODEL, *ORDINARY}
+        known |= {"quadratic_friction", "quadratic_viscous", "asymmetric_viscous"}
+        known |= {"constant_force", "joint_coupling", *IN_MODEL, *ORDINARY}
         self.left_out |= {e["family"] for e in self.odd} - known
         s = signals(self.model, log, held)
         gain = self.gains()
@@ -285,7 +304,7 @@ class ReportTorque:
         return self.joints.index(e["location"]["name"])
 
     def _before(self, e: dict) -> int:
-        other = e["parameters"].get("other", {}).get("value")
+        other = e["location"].get("other") or e["parameters"].get("other", {}).get("value")
         return self.joints.index(other) if isinstance(other, str) else self._joint(e) - 1
 
 

@@ -25,11 +25,11 @@ from benchmarks.paper.hardware import FOREARM, NOTHING
 from benchmarks.paper.loop import Run
 from benchmarks.paper.plant import mjcf
 from jax_inertia import load_model
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.simulate.corrected import corrected
 from jax_inertia.dynamics.rigid_body import body_poses, contact_torque
 from jax_inertia.gap import diagnose
-from jax_inertia.gap.correct import corrected
-from jax_inertia.gap.effect import Effect, effects_of
-from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.gap.finding import Diagnosis, effects_of
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.maths.inertial_parameters import centre_of_mass
@@ -78,7 +78,7 @@ class Informed(Brain):
         return eqx.tree_at(lambda o: o.motion.tau, own, tau + known)
 
 
-def informed(brain: Brain, effects: Sequence[Effect], pushed: tuple[str, ...]) -> Informed:
+def informed(brain: Brain, effects: Sequence[Identified], pushed: tuple[str, ...]) -> Informed:
     """The brain with these effects known to its estimator; constant forces may be on the bodies `pushed` only.
 
     Raises ValueError for an effect that it cannot be told of.
@@ -147,7 +147,7 @@ def relearned(brain: Brain, found: Run) -> Run:
     return dataclasses.replace(found, series={**found.series, "mass": np.asarray(mass).T})
 
 
-def knowable(effects: Sequence[Effect]) -> tuple[list[Effect], list[Effect]]:
+def knowable(effects: Sequence[Identified]) -> tuple[list[Identified], list[Identified]]:
     """Effects that the estimator can be told of, and the others; what changes the forearm is its own to find."""
     told = [
         e for e in effects if e.family in OTHERS or (e.family in OF_BODIES and e.name != FOREARM)
@@ -167,7 +167,7 @@ def results(seeds: np.ndarray) -> dict:
     pushed = tuple(dict.fromkeys(e.name for e in told if e.family == "constant_force"))
     brain = curl.mind()
 
-    def again(known: Sequence[Effect]) -> Run:
+    def again(known: Sequence[Identified]) -> Run:
         return relearned(informed(brain, known, pushed), ran)
 
     runs = {

@@ -18,17 +18,15 @@ from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
 from jax_inertia.cli.conventions import met
 from jax_inertia.cli.replay_run import SILENT, Gains
-from jax_inertia.diagnosis.either import unknown_families, usable, whole_robot
-from jax_inertia.gap.correct import Correction, corrected
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
+from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap.diagnosis import diagnose
-from jax_inertia.gap.effect import effects_of
-from jax_inertia.gap.families import NAMES
-from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.gap.either import unknown_families, usable, whole_robot
+from jax_inertia.gap.finding import Diagnosis, effects_of, known_of
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
-from jax_inertia.gap.rollout import Rollouts, rollouts
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import percent, plain
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
@@ -45,6 +43,7 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
 from jax_inertia.preflight.preflight import Finding as Quality
 from jax_inertia.preflight.preflight import Severity
+from jax_inertia.text.words import percent, plain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +173,8 @@ def diagnosis(
     correction = corrected(wanted, effects_of(found))
     # Joints that are held are free in the file.
     whole = compile_spec(nominal).nv == inputs.robot.nv
-    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, found.trace) if whole else None
+    given = known_of(found, inputs.robot, inputs.log)
+    rolled = rollouts(nominal, correction, inputs.robot, inputs.log, given) if whole else None
     report = to_report(found, rollouts=rolled, quality=inputs.quality)
     return Result(found, nominal, correction, rolled, report)
 

@@ -8,15 +8,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jax_inertia.diagnosis.corrected_model import correction
-from jax_inertia.diagnosis.page import page
-from jax_inertia.diagnosis.report import to_report
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.report.page import page
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.gap.words import chance, number, plain, unit
+from jax_inertia.diagnosis.simulate.rollout import rollouts
+from jax_inertia.diagnosis.simulate.whole_robot import correction, known_of
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, is_urdf, load_spec, model_path, write_urdf
 from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
+from jax_inertia.text.words import chance, number, plain, unit, where
 
 
 def write(
@@ -34,7 +35,11 @@ def write(
     for spec in (nominal, wanted):
         spec.option.gravity = np.asarray(robot.gravity)
     done = correction(wanted, robot, found)
-    report = to_report(found, quality=quality)
+    rolled = None
+    # Joints that are held are free in the file.
+    if compile_spec(nominal).nv == robot.nv:
+        rolled = rollouts(nominal, done, robot, log, known_of(found, robot, log))
+    report = to_report(found, rollouts=rolled, quality=quality)
     report["notes"] += list(done.notes)
     text = json.dumps(report, indent=1, allow_nan=False)
     (folder / "report.json").write_text(text + "\n")
@@ -43,7 +48,7 @@ def write(
         before, after = compile_spec(nominal), compile_spec(done.spec)
         if pi := changed_inertials(before, after):
             write_urdf(model_path(model), folder / "corrected.urdf", pi)
-    content = page(found, done, log, (source.name, model.name), report)
+    content = page(found, done, log, (source.name, model.name), report, rolled)
     (folder / "report.html").write_text(content)
     return report
 
@@ -80,11 +85,20 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
             f"{plain(n)} {number(p.value)} [{number(p.low)}, {number(p.high)}]{unit(p.unit)}"
             for n, p in f.parameters.items()
         )
-        ties = ", ".join(f"{plain(t.family)} at {t.place.name}" for t in f.equivalent)
-        text = f"{plain(f.family)} at {f.place.name}: {sizes}; probability {chance(f.probability)}"
+        ties = ", ".join(f"{plain(t.family)} at {where(t.place)}" for t in f.equivalent)
+        text = (
+            f"{plain(f.family)} at {where(f.place)}: {sizes}; probability {chance(f.probability)}"
+        )
         console.print(
             escape(text + (f"; or {ties}" if ties else "")), highlight=False, soft_wrap=True
         )
+    if rolled := report["shrink"]["rollout"]:
+        before, after, floor = (number(rolled[k]) for k in ("before", "after", "floor"))
+        text = f"{before} → {after} {rolled['unit']} (sensors {floor})"
+        console.print(f"{rolled['horizon_s']:g} s rollouts: {text}", highlight=False)
+    if wanted := report["suggested_motion"]:
+        for one in (wanted, *wanted["others"]):
+            console.print(f"record next: {escape(one['text'])}", highlight=False, soft_wrap=True)
     for note in found.notes:
         console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
     console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True, highlight=False)

@@ -14,7 +14,6 @@ from rich.table import Table
 
 from jax_inertia.cli.console import warn
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
@@ -30,6 +29,7 @@ from jax_inertia.replay.loop import Loop, position_loop
 from jax_inertia.replay.pipeline import FLOATS, diagnose
 from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.simulate import Plant, fixed_base, record_of
+from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
 class Gains(NamedTuple):

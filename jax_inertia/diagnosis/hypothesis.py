@@ -6,9 +6,8 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.base import Effect, Shape
+from jax_inertia.diagnosis.effects.base import Effect, Parameter, Place, Shape
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.gap.families.base import Parameter, Place
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,25 +80,7 @@ class Hypothesis:
 
     def numbers(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> dict[str, Parameter]:
         """What is reported of θ, in newtons and metres of a joint that slides."""
-        out = self.effect.numbers(residual.context, self.place, self.shape, theta)
-        if self.place.kind != "joint" or residual.rotates(self.place.index):
-            return out
-        return {
-            k: dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit)) for k, p in out.items()
-        }
-
-
-OF_SLIDE = {
-    "N m": "N",
-    "N m/rad": "N/m",
-    "N m s/rad": "N s/m",
-    "N m s²/rad²": "N s²/m²",
-    "kg m²": "kg",
-    "rad": "m",
-    "rad/s": "m/s",
-    "1/rad": "1/m",
-}
-"""Units of a hinge's numbers, and of a slide's."""
+        return self.effect.reported(residual.context, self.place, self.shape, theta)
 
 
 def hypothesis(

@@ -1,17 +1,19 @@
 """`diagnose`: log → residual → hypotheses → posterior → checks → verdict."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
+from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
+from jax_inertia.diagnosis.effects.registry import DRY_FORMS, EFFECTS, NAMES
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search import Selection, ordinary_of, select
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.summary import DRY_FORMS
-from jax_inertia.gap.families import NAMES as FORMER
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 
@@ -31,9 +33,8 @@ def diagnose(
     Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
     must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
     """
-    valid = sorted({*NAMES, *FORMER})
-    if unknown := sorted(set(exclude) - set(valid)):
-        raise ValueError(f"unknown families {unknown}; valid: {', '.join(valid)}")
+    if unknown := sorted(set(exclude) - set(NAMES)):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
     library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)
@@ -43,7 +44,14 @@ def diagnose(
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
     selection, dropped = gated(selection, heldout if other is None else other, settings)
-    return summary.summarised(selection, heldout, other, dropped, settings)
+    found = summary.summarised(selection, heldout, other, dropped, settings)
+    progress("what this log would have shown")
+    names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
+    return dataclasses.replace(
+        found,
+        undetectable_below=undetectable(selection),
+        speed=dict(zip(names, fast.tolist(), strict=True)),
+    )
 
 
 def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:

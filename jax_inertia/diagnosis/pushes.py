@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from jax_inertia.diagnosis.effects.base import Columns
 from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.gap.families.base import Columns
 
 LENGTHS = (0.3, 0.7, 1.5)
 """Of pushes that are tried [s]: a knock, a hand's push, a lean."""

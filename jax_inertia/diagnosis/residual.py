@@ -7,14 +7,13 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.base import Columns, Effect
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.sensors import perturbed
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT
+from jax_inertia.signals.sensor_noise import perturbed
 from jax_inertia.signals.torque_residual import Prepared, prepare
 
 REPLICAS = 2

@@ -6,9 +6,8 @@ import enum
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.families.base import Place
-from jax_inertia.gap.intervals import Interval
-from jax_inertia.gap.words import at, unit
+from jax_inertia.diagnosis.effects.base import Interval, Parameter, Place
+from jax_inertia.text.words import at, unit
 
 
 class Verdict(enum.StrEnum):
@@ -122,6 +121,10 @@ class Diagnosis:
     trace: Trace
     units: dict[str, str]
     """Of each row's torque: N m, or N of a slide."""
+    undetectable_below: tuple[tuple[str, Place, Parameter], ...] = ()
+    """Family, place and smallest size of odd effects that this log would have shown."""
+    speed: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Fastest usual speed of each row in this log, its 99th percentile [rad/s; m/s]."""
 
     @property
     def odd(self) -> tuple[Found, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.bank import Bank
-from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import (
     CoulombFriction,
     DryFriction,
@@ -21,7 +21,6 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.pushes import FLANK, windows
 from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.gap.families.base import Place
 
 GROUPS = 10
 """Parts of a log for the jackknife."""

@@ -6,15 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rivals, rms, rows
+from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
+from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace, Verdict
 from jax_inertia.diagnosis.search import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
-from jax_inertia.diagnosis.wording import headline
-from jax_inertia.gap.intervals import Interval
 from jax_inertia.maths.inertial_parameters import is_physical
 
 ORDINARY_NUMBERS = {
@@ -26,7 +27,6 @@ ORDINARY_NUMBERS = {
 """Family, the robot's own number of it, and its unit."""
 SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
 """Of a body's error, the largest first, that may be taken out."""
-DRY_FORMS = ("asymmetric_coulomb", "stribeck_friction", "load_friction")
 
 
 def summarised(

@@ -10,8 +10,8 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Shape
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.span import Split
 

@@ -13,9 +13,10 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Place, Shape
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.block import Beside, Block
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.noise import NOISE_ERROR
 

@@ -17,13 +17,13 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.candidate import Beside, Candidate
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.suited import SUITS
 from jax_inertia.gap.together import stacked
-from jax_inertia.gap.words import named, percent
+from jax_inertia.text.words import named, percent
 
 # By which share (rms) of itself a size has to change to speak against the effect: equations are never exact.
 CHANGES = 0.3

@@ -14,12 +14,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.gap import locate
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
-from jax_inertia.gap.families import LIBRARY, NAMES
-from jax_inertia.gap.families.base import Family
+from jax_inertia.gap.families import LIBRARY
+from jax_inertia.gap.families.base import Plain
 from jax_inertia.gap.finder import finder
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.harm import without_harm
@@ -30,7 +32,6 @@ from jax_inertia.gap.objections import objections
 from jax_inertia.gap.other_motion import OtherMotion
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.search import charged, find
-from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.shrink import held_out, rows_of_gap, what_is_left
 from jax_inertia.gap.tied import kind_of_tie, rivals, tied
 from jax_inertia.gap.together import misfit, remaining
@@ -38,11 +39,12 @@ from jax_inertia.gap.trace import collect
 from jax_inertia.gap.turning import turning
 from jax_inertia.gap.undetectable import undetectable
 from jax_inertia.gap.verdict import Verdict, probabilities
-from jax_inertia.gap.words import number
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import require_usable
+from jax_inertia.signals.sensor_noise import stated
 from jax_inertia.signals.torque_residual import Prepared, prepare
+from jax_inertia.text.words import number
 
 # Samples that a diagnosis takes.
 LEAST = 100
@@ -54,14 +56,14 @@ def diagnose(
     *,
     test_log: Log | None = None,
     exclude: Sequence[str] = (),
-    extra: Sequence[Family] = (),
+    extra: Sequence[Effect] = (),
     max_effects: int = 3,
     nominal_uncertainty: Tolerance | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Diagnosis:
     """Find the effects that the model lacks; see the module's text for the method.
 
-    `exclude` removes families from the library, `extra` adds some of your own, `nominal_uncertainty` states what the
+    `exclude` removes families from the library, `extra` adds effects of your own, `nominal_uncertainty` states what the
     nominal model may be off by. `test_log`, another motion, only validates. Raises ValueError for an unknown family,
     or one that the library has already, and LogError for a log that is not of this robot, not in N m or not measured
     (`preflight.require_usable`).
@@ -91,7 +93,7 @@ def diagnose(
         )
     _require_newton_metres(prepared)
     require_conventions(prepared)
-    library = [*(f for f in LIBRARY if f.name not in exclude), *extra]
+    library = [*(f for f in LIBRARY if f.name not in exclude), *(Plain(e) for e in extra)]
     progress("columns of every effect at every place, and which of them fit")
     first, search = find(finder(prepared, log, tolerance, library, max_effects))
     pool, verdict = search.pool, search.verdict

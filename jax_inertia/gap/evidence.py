@@ -17,8 +17,8 @@ import scipy.fft
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from jax_inertia.diagnosis.effects.base import Columns
 from jax_inertia.gap.energies import shares
-from jax_inertia.gap.families.base import Columns
 from jax_inertia.gap.noise import Whitener, with_all_before
 from jax_inertia.gap.nuisance import Nuisances
 from jax_inertia.gap.span import Brief, Span, Split

@@ -8,10 +8,10 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.band import Band
+from jax_inertia.diagnosis.features.band import Band
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.chance import noise_in
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence, moving
 from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.moderate import moderated
@@ -21,10 +21,10 @@ from jax_inertia.gap.nuisance import Nuisances, Tolerance, nuisances
 from jax_inertia.gap.pool import Echo, Pool
 from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.select import select
-from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.suited import suited
 from jax_inertia.gap.together import remaining
 from jax_inertia.logs.log import Log
+from jax_inertia.signals.sensor_noise import stated
 from jax_inertia.signals.torque_residual import Prepared
 
 

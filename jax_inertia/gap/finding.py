@@ -3,13 +3,18 @@
 import dataclasses
 import math
 
+from jax_inertia.diagnosis.effects.base import Interval, Parameter, Place
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.simulate.plant import Erring
+from jax_inertia.diagnosis.simulate.rollout import Known
 from jax_inertia.gap.energies import Shrink
-from jax_inertia.gap.families.base import Parameter, Place
-from jax_inertia.gap.intervals import Interval
+from jax_inertia.gap.motors import with_torque_noise
 from jax_inertia.gap.trace import Trace
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import at, chance, named, number, percent, plain, unit
+from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import Robot
 from jax_inertia.text.notebook_page import line, table
+from jax_inertia.text.words import at, chance, named, number, percent, plain, unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,6 +181,27 @@ class Diagnosis:
             for name, s in tried
             if s is not None
         ]
+
+
+def effects_of(found: Diagnosis) -> tuple[Identified, ...]:
+    """The findings of a diagnosis as numbers alone, the most important first."""
+    return tuple(
+        Identified(
+            f.family,
+            f.place.kind,
+            f.place.name,
+            {k: p.value for k, p in f.parameters.items()},
+            f.place.other,
+        )
+        for f in found.findings
+    )
+
+
+def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
+    """What rollouts of the log need to know beside the findings."""
+    trace = found.trace
+    loud = with_torque_noise(log, robot, trace.torque_noise)
+    return Known(trace.turning, Erring(trace.time, trace.erring), loud)
 
 
 def _named(f: Finding) -> str:

@@ -14,7 +14,7 @@ from jax_inertia.gap.shrink import Sight, held_out, misfit_held_out, what_is_lef
 from jax_inertia.gap.tied import instead
 from jax_inertia.gap.together import misfit
 from jax_inertia.gap.verdict import Verdict, second_look
-from jax_inertia.gap.words import named
+from jax_inertia.text.words import named
 
 # A share of the gap, and of the missing torque, that the nominal model's own errors may add on another motion: an
 # effect may be true and yet undo some of them. More is no cause.

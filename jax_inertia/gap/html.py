@@ -1,20 +1,20 @@
 """report.html: one file that an engineer reads in a minute. Nothing in it is fetched, nothing in it runs."""
 
 import dataclasses
-from itertools import groupby
 
 import numpy as np
 
+from jax_inertia.diagnosis.report.detectable_sizes import by_family
+from jax_inertia.diagnosis.report.drawing import fan
+from jax_inertia.diagnosis.simulate.corrected import Correction
+from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.gap import figures
-from jax_inertia.gap.correct import Correction
 from jax_inertia.gap.energies import Shrink
-from jax_inertia.gap.families.base import Parameter
 from jax_inertia.gap.finding import Diagnosis
-from jax_inertia.gap.rollout import Rollouts
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.logs.log import Log
 from jax_inertia.text.report_page import rendered
+from jax_inertia.text.words import chance, number, percent, plain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +49,8 @@ def page(about: Page) -> str:
         heat=figures.heat(found),
         residual=figures.residual(found, row),
         waterfall=figures.waterfall(found),
-        fan=None if rolled is None else figures.fan(rolled),
-        undetectable=_undetectable(found),
+        fan=None if rolled is None else fan(rolled),
+        undetectable=by_family(found.undetectable_below),
         shares=sorted(found.share.items(), key=lambda x: -x[1])[:6],
         when=_when(found),
         units=dict(zip(found.trace.rows, found.trace.units, strict=True)),
@@ -128,32 +128,3 @@ def _when(found: Diagnosis) -> str:
     spans = [f"{a:.1f}–{b:.1f} s" for a, b in found.when[:4]]
     more = f" and {len(found.when) - 4} more stretches" if len(found.when) > 4 else ""
     return ", ".join(spans) + more
-
-
-@dataclasses.dataclass(frozen=True)
-class _Unseen:
-    """What of one family could have hidden in this log."""
-
-    family: str
-    low: str
-    high: str
-    worst: str
-    places: list[tuple[str, str]]
-
-
-def _far(p: Parameter) -> float:
-    """How far a number is from where it does nothing: from one, of a factor."""
-    return abs(p.value - 1.0) if p.factor else abs(p.value)
-
-
-def _size(p: Parameter) -> str:
-    return f"{'1 ± ' if p.factor else ''}{number(_far(p))}{unit(p.unit)}"
-
-
-def _undetectable(found: Diagnosis) -> list[_Unseen]:
-    out = []
-    for family, group in groupby(found.undetectable_below, key=lambda x: x[0]):
-        every = sorted(group, key=lambda x: _far(x[2]))
-        sizes = [(place.name, _size(p)) for _, place, p in every]
-        out.append(_Unseen(family, sizes[0][1], sizes[-1][1], sizes[-1][0], sizes))
-    return out

@@ -6,29 +6,15 @@ All numbers of all effects, nonlinear ones included, are linearised together abo
 the other left out (the delete-a-group jackknife of Kott 2001) is taken where it is wider.
 """
 
-import dataclasses
-
 import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Interval, Parameter
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.families.base import Parameter
 from jax_inertia.gap.pool import Pool
 
 GROUPS = 10
-
-
-@dataclasses.dataclass(frozen=True)
-class Interval:
-    """A number with its 95 % interval and unit."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-    factor: bool = False
-    """Whether it multiplies a number of the model."""
 
 
 def intervals(pool: Pool, chosen: list[Candidate], inflation: float) -> list[dict[str, Interval]]:

@@ -23,10 +23,10 @@ from jaxtyping import Float
 
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import arithmetic
-from jax_inertia.gap.sensors import sensor_noise
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import smooth_order
+from jax_inertia.signals.sensor_noise import sensor_noise
 from jax_inertia.signals.torque_residual import Prepared, prepare
 
 DRAWS = 3

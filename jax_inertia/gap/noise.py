@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import linalg
 
-from jax_inertia.gap.sensors import perturbed
 from jax_inertia.logs.log import Log
+from jax_inertia.signals.sensor_noise import perturbed
 from jax_inertia.signals.torque_residual import Prepared, prepare
 
 ORDER = 3

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.families.body import steiner
+from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.diagnosis.effects.inertial import steiner
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.families.friction import PRESLIDING
 from jax_inertia.logs.findings import run_bounds
 from jax_inertia.logs.log import Log, TorqueKind

@@ -9,7 +9,7 @@ from jax_inertia.gap.other_motion import Trial
 from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.together import misfit, remaining
 from jax_inertia.gap.verdict import Verdict
-from jax_inertia.gap.words import named, percent
+from jax_inertia.text.words import named, percent
 
 # An outsider says something of what is left from this share of it.
 TELLING = 0.3

@@ -13,13 +13,13 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Shape
+from jax_inertia.diagnosis.features.band import Band
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap import locate
-from jax_inertia.gap.band import Band
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.energies import Shrink
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.families.friction import DryFriction
 from jax_inertia.gap.finder import LEAST
 from jax_inertia.gap.motors import with_torque_noise

@@ -11,9 +11,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.families.encoder import off_path
+from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.diagnosis.effects.encoder import off_path
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.pool import Pool
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.signals.torque_residual import needed_torques, without_friction

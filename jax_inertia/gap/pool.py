@@ -8,11 +8,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Place, Shape
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.block import Beside, Block, Carried, Plain
 from jax_inertia.gap.candidate import Candidate, fit
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Family, Place, Shape
+from jax_inertia.gap.families.base import Family
 from jax_inertia.gap.refine import refine
 from jax_inertia.gap.span import Split
 

@@ -7,9 +7,9 @@ still show, less the price of its numbers: ΔJ/s² − p ln n − 2 ln(grid).
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Shape
 from jax_inertia.gap.block import Beside
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.families.base import Shape
 from jax_inertia.gap.loudness import Loudness
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.together import misfit, remaining, stacked

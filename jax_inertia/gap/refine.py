@@ -11,10 +11,10 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.base import Shape
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.block import Beside, Block
 from jax_inertia.gap.candidate import Candidate, fit
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Shape
 
 # How often the numbers are searched again from where they came to, at most.
 TURNS = 6

@@ -1,16 +1,13 @@
 """The contract's report.json."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
+from jax_inertia.diagnosis.report.json_values import clean, located, motion_values, rollout_values
+from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.gap.energies import Shrink
-from jax_inertia.gap.families.base import Place
 from jax_inertia.gap.finding import Diagnosis, Finding
-from jax_inertia.gap.rollout import Rollouts
-from jax_inertia.gap.suggest import Suggestion, suggestions
+from jax_inertia.gap.suggest import suggestions
 from jax_inertia.gap.trace import regions
 from jax_inertia.preflight.preflight import Finding as Quality
 
@@ -39,14 +36,14 @@ def to_report(
         "shrink": {
             "heldout": heldout,
             "test_log": None if found.test is None else _shrink(found.test, found.unit),
-            "rollout": None if rollouts is None else _rollout(rollouts),
+            "rollout": None if rollouts is None else rollout_values(rollouts),
         },
         "when": [[round(t, 3) for t in w] for w in found.when],
         "undetectable_below": [
             {"family": family, "location": located(place), "value": p.value, "unit": p.unit}
             for family, place, p in found.undetectable_below
         ],
-        "suggested_motion": _motion(suggestions(found)),
+        "suggested_motion": motion_values(suggestions(found)),
         "where": _where(found),
         "data_quality": [
             {"severity": str(f.severity), "check": f.check, "message": f.message} for f in quality
@@ -85,35 +82,6 @@ def _shrink(s: Shrink, unit: str) -> dict[str, Any]:
     }
 
 
-def _rollout(r: Rollouts) -> dict[str, Any]:
-    return {
-        "horizon_s": r.horizon,
-        "before": r.before,
-        "after": r.after,
-        "floor": r.floor,
-        "unit": r.unit,
-        "windows": len(r.starts),
-        "notes": list(r.notes),
-    }
-
-
-def _motion(wanted: tuple[Suggestion, ...]) -> dict[str, Any]:
-    """The first suggestion, with all others beside it; empty where nothing ties."""
-    if not wanted:
-        return {}
-    every = [
-        {
-            "between": list(s.between),
-            "joint": s.where,
-            "kind": s.kind,
-            "text": s.text,
-            "numbers": s.numbers,
-        }
-        for s in wanted
-    ]
-    return {**every[0], "others": every[1:]}
-
-
 def _where(found: Diagnosis) -> dict[str, Any]:
     base = sum(share for row, share in found.share.items() if row.startswith("base["))
     return {
@@ -126,20 +94,3 @@ def _where(found: Diagnosis) -> dict[str, Any]:
             for r in regions(found.trace)
         ],
     }
-
-
-def located(place: Place) -> dict[str, Any]:
-    """A place as the contract writes it."""
-    return {"kind": place.kind, "name": place.name}
-
-
-def clean(x):
-    """Plain floats; what is not finite becomes null, which JSON has."""
-    if isinstance(x, dict):
-        return {k: clean(v) for k, v in x.items()}
-    if isinstance(x, list):
-        return [clean(v) for v in x]
-    if isinstance(x, float | np.generic):
-        value = float(x)
-        return value if math.isfinite(value) else None
-    return x

@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chance import at_random
 from jax_inertia.gap.constancy import Inconstant, inconstant
-from jax_inertia.gap.context import Context
 from jax_inertia.gap.doubt import better_than, entangled, share_of_others, standing
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.finder import LOUDER, Finder, Selection
@@ -25,12 +25,12 @@ from jax_inertia.gap.outcome import Search
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.select import WORSE
-from jax_inertia.gap.sensors import stated
 from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Left, strained, strangeness
 from jax_inertia.gap.suited import at_their_best, bent_by
 from jax_inertia.gap.together import remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
+from jax_inertia.signals.sensor_noise import stated
 
 
 def search(finder: Finder, white: Whitener, told: Rows | None = None) -> Search:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import NOISE_ERROR, known_to
-from jax_inertia.gap.words import percent
+from jax_inertia.text.words import percent
 
 Rows = Float[np.ndarray, " nv"]
 

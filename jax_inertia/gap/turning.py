@@ -10,15 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.effects.dry_friction import direction
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.simulate.plant import CREEPS
 from jax_inertia.gap.candidate import Candidate, effect_torque
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.friction import DryFriction, turned_round
+from jax_inertia.gap.families.friction import DryFriction
 from jax_inertia.gap.pool import Pool
 
 REACHES = (0.0, *np.geomspace(4e-5, 3e-3, 10).tolist())
 """[rad]; zero: at once."""
-CREEPS = -1.0
-"""In place of a displacement: as MuJoCo's soft constraint at its defaults (`Context.creeping`)."""
 
 
 def turning(
@@ -48,7 +48,7 @@ def turning(
         tried = []
         seen = slice(None) if prepared.spreads(row) else row
         for reach in ways:
-            z = turned_round(context, row, reach)
+            z = direction(context, row, reach)
             rubbed = own * (context.side[:, row] - z)
             for c in found:
                 rubbed = rubbed + turning_over(context, c, reach)[:, row]

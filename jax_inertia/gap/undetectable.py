@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from jax_inertia.diagnosis.effects.base import Parameter, Place
 from jax_inertia.gap.evidence import Evidence
-from jax_inertia.gap.families.base import Parameter, Place
 from jax_inertia.gap.pool import Entry, Pool
 from jax_inertia.gap.propose import STOP
 

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.gap.spec_joints import set_first, unit_of
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.loop import Loop

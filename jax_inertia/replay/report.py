@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jax_inertia.gap.words import chance, number, percent, plain, unit
 from jax_inertia.replay.corrected import policy
 from jax_inertia.replay.loop import UNITS, Loop
 from jax_inertia.replay.pipeline import PARAMETERS, size_of
 from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
 from jax_inertia.text.report_page import rendered
+from jax_inertia.text.words import chance, number, percent, plain, unit
 
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#666666"
 _SHOWN = 10.0  # Of a motion, seconds about the worst moment.

@@ -2,29 +2,51 @@
 
 import abc
 
+import mujoco
 import numpy as np
 from scipy import signal
 
-from jax_inertia.diagnosis.effects.base import Effect, of_row
-from jax_inertia.gap.families.base import Columns, Parameter, Place
+from jax_inertia.diagnosis.effects import advice
+from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, of_row
+from jax_inertia.diagnosis.effects.spec_joint import actuators_of, joint_of
+
+
+def everywhere_and_at_joints(context) -> list[Place]:
+    """All joints at once, and each alone."""
+    joints = [Place("joint", n, d) for n, d in context.joint_dofs.items()]
+    return [Place("global", "global", -1), *joints]
+
+
+def on_rows(values: np.ndarray, context, place: Place, rows: list[int]) -> Columns:
+    """One column of some rows' own torques (T, k): on a joint's row, or on all of them at once."""
+    if place.kind == "joint":
+        return of_row(values, place)
+    out = np.zeros((*context.tau.shape, 1))
+    out[:, rows, 0] = values
+    return Columns(out)
+
+
+def rows_of(context, place: Place) -> list[int]:
+    """The joint's row, or every hinge's and slide's."""
+    return list(context.joint_dofs.values()) if place.kind == "global" else [place.index]
 
 
 class TorqueGain(Effect):
     """At one joint, or at all of them (supply voltage, torque constant of one drive type)."""
 
     name, equation, form_error = "torque_gain", "τ = g τ_logged", 0.02
+    source = "a torque constant, a current sensor's scale; Gautier and Briot, J. Dyn. Syst. Meas. Control 136(5), 2014"
+    units, advice = {"gain": "1"}, advice.KNOWN_WEIGHT
+    prior = "1 − 1/g: 0.15; g from 0.5 to 1.5"
+    mjcf = "gainprm, biasprm and forcerange of the joints' actuators; torques in qfrc_applied by step law"
 
     def places(self, context):
-        return [Place("global", "global", -1), *super().places(context)]
+        return everywhere_and_at_joints(context)
 
     def columns(self, context, place, shape):
         # The needed torque is the instrument: the logged one correlates with its own noise.
-        if place.kind == "joint":
-            return of_row(context.inverse[:, place.index], place)
-        out = np.zeros((*context.tau.shape, 1))
-        rows = list(context.joint_dofs.values())
-        out[:, rows, 0] = context.inverse[:, rows]
-        return Columns(out)
+        rows = rows_of(context, place)
+        return on_rows(context.inverse[:, rows], context, place, rows)
 
     def scale(self, context, place, shape):
         return np.array([0.15])
@@ -33,12 +55,33 @@ class TorqueGain(Effect):
         return bool(abs(1.0 / (1.0 - min(theta[0], 0.9)) - 1.0) < 0.5)
 
     def numbers(self, context, place, shape, theta):
+        support = context.prepared.support
+        if place.kind == "joint" and support is not None and support.used_up[place.index]:
+            # Of a leg by whose logged torque the ground's force is taken, that torque is all that it seems to need.
+            return {"gain": Parameter(1.0 + float(theta[0]), "1", factor=True)}
         # Friction at the joint is what the motor's torque is after its gain, so y = (1 − 1/g) needed + ....
         return {"gain": Parameter(1.0 / (1.0 - min(float(theta[0]), 0.9)), "1", factor=True)}
+
+    def edit(self, spec, model, found):
+        gain = found.values["gain"]
+        for actuator in actuators_of(spec, found):
+            actuator.gainprm = np.asarray(actuator.gainprm) * gain
+            actuator.biasprm = np.asarray(actuator.biasprm) * gain
+            actuator.forcerange = np.asarray(actuator.forcerange) * gain
+        return Edit(whole=False)
+
+    def step(self, xp, now, at, applied):
+        tau = applied.torque
+        return applied._replace(torque=xp.where(at.rows, at.values["gain"] * tau, tau))
 
 
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
+    sized_by_shape = True
+    source = "a drive's current limit"
+    units, advice = {"limit": "N m"}, advice.SMALL_AND_LARGE
+    prior = "a limit between 0.4 and 0.99 of the largest torque asked for"
+    mjcf = "joint actuatorfrcrange; torques in qfrc_applied by step law"
 
     def shapes(self, context, place):
         top = np.percentile(np.abs(context.tau[:, place.index]), 99.8)
@@ -63,38 +106,112 @@ class TorqueSaturation(Effect):
     def numbers(self, context, place, shape, theta):
         return {"limit": Parameter(shape[0], "N m", 0.0)}
 
+    def edit(self, spec, model, found):
+        joint = joint_of(spec, found)
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.actfrcrange = np.array([-1.0, 1.0]) * found.values["limit"]
+        return Edit(whole=False)
 
-class _Late(Effect):
+    def step(self, xp, now, at, applied):
+        limit, tau = at.values["limit"], applied.torque
+        return applied._replace(torque=xp.where(at.rows, xp.clip(tau, -limit, limit), tau))
+
+
+class TorqueSpeed(Effect):
+    """A motor at its supply's voltage: the faster it turns, the less it can drive, and the more it can brake."""
+
+    name, equation = "torque_speed", "τ = clip(τ_logged, −L (1 + q̇/v₀), L (1 − q̇/v₀))"
+    source = "back-EMF; Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2006, ch. 6"
+    units, advice = {"limit": "N m", "no_load_speed": "rad/s"}, advice.SMALL_AND_LARGE
+    prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 40 % of the log"
+    mjcf = "none: step law"
+    form_error, sized_by_shape = 0.05, True
+
+    def shapes(self, context, place):
+        tau, needed, v = (x[:, place.index] for x in (context.tau, context.inverse, context.v))
+        fastest, side = float(np.percentile(np.abs(v), 99.5)), np.sign(tau)
+        out = []
+        for share in (1.1, 1.4, 2.0, 3.0):
+            # What is left of the motor's torque at each speed; backwards it brakes.
+            left = np.maximum(1.0 - side * v / (share * fastest), 0.05)
+            top = np.percentile(np.abs(tau) / left, 99.8)
+            for level in np.linspace(0.5, 0.95, 7):
+                limit = float(level * top)
+                over = np.abs(tau) > limit * left
+                # At its limit a motor gives about the limit: one that is disconnected would explain any friction.
+                given = np.median((side * needed)[over] / (limit * left[over])) if over.any() else 0
+                if 0.005 < over.mean() < 0.4 and given > 0.5:
+                    out.append((limit, share * fastest))
+        return out
+
+    def steps(self, context, place, shape):
+        return (0.03 * shape[0], 0.1 * shape[1])
+
+    def columns(self, context, place, shape):
+        tau, v = context.tau[:, place.index], context.v[:, place.index]
+        return of_row(self.clipped(np, tau, v, *shape) - tau, place)
+
+    @staticmethod
+    def clipped(xp, tau, v, limit: float, no_load_speed: float):
+        """Torque that the motor gives of what is asked for."""
+        part = v / no_load_speed
+        low, high = xp.minimum(-1.0 - part, 0.0), xp.maximum(1.0 - part, 0.0)
+        return xp.clip(tau, limit * low, limit * high)
+
+    def scale(self, context, place, shape):
+        return np.array([1.0])
+
+    def possible(self, context, place, theta):
+        return bool(0.6 < theta[0] < 1.5)
+
+    def numbers(self, context, place, shape, theta):
+        return {
+            "limit": Parameter(shape[0], "N m", 0.0),
+            "no_load_speed": Parameter(shape[1], "rad/s", 0.0),
+        }
+
+    def step(self, xp, now, at, applied):
+        tau = applied.torque
+        cut = self.clipped(xp, tau, now.v, at.values["limit"], at.values["no_load_speed"])
+        return applied._replace(torque=xp.where(at.rows, cut, tau))
+
+
+class Late(Effect):
+    """A torque that comes later, at one joint or at all of them."""
+
     kind, secant, form_error, law = "global", True, 0.03, "timing"
+    advice = advice.FAST_SWEEP
 
     def places(self, context):
-        joints = [Place("joint", n, d) for n, d in context.joint_dofs.items()]
-        return [Place("global", "global", -1), *joints]
+        return everywhere_and_at_joints(context)
 
     def shapes(self, context, place):
         return [(1e-3,)]
 
     @abc.abstractmethod
-    def late(self, tau: np.ndarray, step: float, by: float) -> np.ndarray:
+    def later(self, tau: np.ndarray, step: float, by: float) -> np.ndarray:
         """The torque later by `by` [s]."""
 
+    def change(self, context, place: Place, by: float) -> Columns:
+        """What it makes of the torque: later less as logged."""
+        rows = rows_of(context, place)
+        tau, step = context.tau[:, rows], context.time[1] - context.time[0]
+        return on_rows(self.later(tau, step, by) - tau, context, place, rows)
+
     def columns(self, context, place, shape):
-        rows = list(context.joint_dofs.values()) if place.kind == "global" else [place.index]
-        tau, step = context.tau[:, rows], float(context.time[1] - context.time[0])
         by = shape[0] if abs(shape[0]) > 1e-4 else 1e-4
-        change = (self.late(tau, step, by) - tau) / by
-        if place.kind == "joint":
-            return of_row(change, place)
-        out = np.zeros((*context.tau.shape, 1))
-        out[:, rows, 0] = change
-        return Columns(out)
+        whole = self.change(context, place, by)
+        return Columns(whole.values / by, whole.row)
 
 
-class TimeDelay(_Late):
+class TimeDelay(Late):
     name, equation = "time_delay", "τ(t) = τ_logged(t − d)"
+    source, units = "a bus, a driver's cycle", {"delay": "s"}
+    prior = "0.01 s, of either sign, below 0.3 s"
+    mjcf = "delay and nsample of the joints' actuators; torques in qfrc_applied by step law"
 
-    def late(self, tau, step, by):
-        # A shift of a band-limited signal: exact as a phase, of either sign.
+    def later(self, tau, step, by):
+        # A shift of a band-limited signal: exact as a phase, of either sign; fractions of a step cost nothing.
         padded = np.concatenate([tau, tau[::-1]])
         frequency = np.fft.rfftfreq(len(padded), step)[:, None]
         turned = np.fft.rfft(padded, axis=0) * np.exp(-2j * np.pi * frequency * by)
@@ -109,12 +226,37 @@ class TimeDelay(_Late):
     def possible(self, context, place, theta):
         return bool(abs(theta[0]) < 0.3)
 
+    def edit(self, spec, model, found):
+        delay = found.values["delay"]
+        if delay < 0:
+            return Edit(
+                whole=False,
+                remark=f"the torques act {-delay:.4g} s before their stamps: no simulation knows the future",
+            )
+        for actuator in actuators_of(spec, found):
+            actuator.delay = delay
+            actuator.nsample = max(2, int(np.ceil(delay / model.opt.timestep)) + 1)
+        return Edit(whole=False)
 
-class ActuatorLag(_Late):
+    def memory(self, xp, at, u):
+        return xp.tile(u, (int(max(at.values["delay"], 0.0) / at.period) + 2, 1))
+
+    def late(self, xp, at, state, u):
+        state = xp.concatenate([u[None], state[:-1]])
+        whole, part = divmod(max(at.values["delay"], 0.0) / at.period, 1.0)
+        arrived = (1 - part) * state[int(whole)] + part * state[int(whole) + 1]
+        return state, xp.where(at.rows, arrived, u)
+
+
+class ActuatorLag(Late):
     name, equation = "actuator_lag", "T τ̇ + τ = τ_logged"
+    source, units = "a current loop's bandwidth", {"time_constant": "s"}
+    prior = "0.012 s, not below zero"
+    mjcf = "none: step law"
 
-    def late(self, tau, step, by):
+    def later(self, tau, step, by):
         by = max(by, 2e-4)
+        # First-order hold: exact for a torque that is linear between grid points.
         decay, r = np.exp(-step / by), step / by
         b = [1 - (1 - decay) / r, (1 - decay) / r - decay]
         start = signal.lfilter_zi(b, [1.0, -decay])
@@ -128,6 +270,14 @@ class ActuatorLag(_Late):
 
     def lower(self, context, place):
         return 0.0
+
+    def memory(self, xp, at, u):
+        return xp.array(u)
+
+    def late(self, xp, at, state, u):
+        reach = 1.0 - np.exp(-at.period / max(at.values["time_constant"], 1e-9))
+        state = state + reach * (u - state)
+        return state, xp.where(at.rows, state, u)
 
 
 class TorqueFilter(Effect):
@@ -146,9 +296,7 @@ class TorqueFilter(Effect):
         # In the analysis band, where the second order is what there is of it.
         smooth = context.below(context.prepared.bands.cutoff, context.tau[:, rows])
         slope = np.gradient(smooth, context.time, axis=0)
-        out = np.zeros((*context.tau.shape, 1))
-        out[:, rows, 0] = -np.gradient(slope, context.time, axis=0)
-        return Columns(out)
+        return on_rows(-np.gradient(slope, context.time, axis=0), context, place, rows)
 
     def scale(self, context, place, shape):
         return np.array([3e-4])

@@ -1,29 +1,162 @@
-"""The one interface of an effect: its equation, where it can be, its columns, its prior, and its numbers in words.
+"""The one interface of an effect: equation, source, prior, columns, numbers, MJCF edit, step law, advice on motion.
 
 To add an effect, write one class in one file of this folder and list it in `registry`: nothing else has to know.
 """
 
 import abc
-from collections.abc import Iterable
-from typing import ClassVar
+import dataclasses
+from collections.abc import Iterable, Mapping
+from types import ModuleType
+from typing import Any, ClassVar, NamedTuple
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns, Parameter, Place
+from jax_inertia.diagnosis.effects.advice import WIDE, Advice
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 Shape = tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where an effect acts: kind 'joint', 'body', 'contact' or 'global', and the model's own name."""
+
+    kind: str
+    name: str
+    index: int
+    """Row of a joint, index of a body or contact; −1 for global."""
+    other: str = ""
+    """The other joint, of an effect between two."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """Columns on the fast grid: of one row (T, k), or of all rows (T, nv, k)."""
+
+    values: np.ndarray
+    row: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One reported number."""
+
+    value: float
+    unit: str
+    least: float = -np.inf
+    """Less it cannot be, so its interval does not reach below."""
+    factor: bool = False
+    """Whether it multiplies a number of the model, so that one is none of it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """A number with its 95 % interval and unit."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    factor: bool = False
+    """Whether it multiplies a number of the model."""
+
+
+OF_SLIDE = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+}
+"""Units of a hinge's numbers, and of a slide's."""
+
+
+class Edit(NamedTuple):
+    """What attributes of a MuJoCo spec hold of an effect."""
+
+    whole: bool
+    """Whether they say it all, for torques given by `qfrc_applied` too."""
+    remark: str = ""
+
+
+class Moment(NamedTuple):
+    """What a step law sees: positions, speeds and torques asked for at each row (nv,), time [s], and the bodies."""
+
+    q: Any
+    v: Any
+    u: Any
+    t: Any
+    turn: Any
+    """Of each body, its axes in the world (nb, 3, 3)."""
+    velocity: Any
+    """Of each body's centre of mass, in the world (nb, 3)."""
+
+
+class Applied(NamedTuple):
+    """What effects make of a moment."""
+
+    torque: Any
+    """On each row (nv,), what was asked for included [N m]."""
+    friction: Any
+    """Level of each row's dry friction (nv,) [N m]."""
+    wrench: Any
+    """World force and moment on each body's centre of mass (nb, 6)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """An identified effect's numbers on a model's rows and bodies."""
+
+    values: Mapping[str, float]
+    index: int
+    """Row of its joint, index of its body; −1 for every joint."""
+    other: int
+    """Row of the other joint, of an effect between two."""
+    driven: np.ndarray
+    """Which rows are a hinge's or a slide's (nv,)."""
+    centres: np.ndarray
+    """Of mass, of each body in its own frame (nb, 3)."""
+    period: float
+    """Of a step [s]."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Which rows it acts on, of a joint's or a global effect (nv,)."""
+        return self.driven if self.index < 0 else np.arange(len(self.driven)) == self.index
+
+    @property
+    def body(self) -> np.ndarray:
+        """Which body it acts on, as a column (nb, 1)."""
+        return (np.arange(len(self.centres)) == self.index)[:, None]
 
 
 class Effect(abc.ABC):
     """A torque e = A(shape) θ on the rows of the equations of motion, linear in θ given nonlinear numbers, `shape`.
 
-    The missing torque is y = M q̈ + h − τ: what acts on the joints besides the logged torque, with its sign.
+    The missing torque is y = M q̈ + h − τ: what acts on the joints besides the logged torque, with its sign. Classes are
+    abstract (a name that begins with _, or `Effect`) or final.
     """
 
     name: ClassVar[str]
     equation: ClassVar[str]
+    source: ClassVar[str] = ""
+    """Of the equation."""
+    units: ClassVar[Mapping[str, str]] = {}
+    """Of the numbers that are reported, by name; a hinge's."""
+    prior: ClassVar[str] = ""
+    """Size on real robots, in words: what `scale` computes, and where it comes from."""
+    mjcf: ClassVar[str] = ""
+    """Its form in MJCF, in words."""
+    advice: ClassVar[Advice] = WIDE
+    """The motion that shows it."""
+
     kind: ClassVar[str] = "joint"
     """Of its place: 'joint', 'body', 'contact' or 'global'."""
     ordinary: ClassVar[bool] = False
@@ -38,11 +171,14 @@ class Effect(abc.ABC):
     """Relative error of its equation on real robots, one standard deviation."""
     secant: ClassVar[bool] = False
     """Whether the shape is the value of θ about which the columns are the secant: e(θ) = A(θ) θ exactly."""
-
+    sized_by_shape: ClassVar[bool] = False
+    """Whether it is all there or not at all, θ = 1: its size is in the nonlinear numbers."""
     calibrated: ClassVar[bool] = False
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
     law: ClassVar[str] = ""
     """What it is one law of, where a place has but one: a torque is late by one law."""
+
+    # --- identification
 
     def places(self, context: Context) -> list[Place]:
         """Everywhere it can be."""
@@ -74,7 +210,13 @@ class Effect(abc.ABC):
     def numbers(
         self, context: Context, place: Place, shape: Shape, theta: Float[np.ndarray, " k"]
     ) -> dict[str, Parameter]:
-        """What is reported, in SI units."""
+        """What is reported, in SI units; of a joint as of a hinge."""
+
+    def reported(
+        self, context: Context, place: Place, shape: Shape, theta: Float[np.ndarray, " k"]
+    ) -> dict[str, Parameter]:
+        """`numbers`, in newtons and metres of a joint that slides."""
+        return slid(self.numbers(context, place, shape, theta), context, place)
 
     def lower(self, context: Context, place: Place) -> float:
         """Least value of the first number of θ that a robot can have."""
@@ -83,6 +225,68 @@ class Effect(abc.ABC):
     def possible(self, context: Context, place: Place, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers."""
         return bool(theta[0] >= self.lower(context, place) - 1e-12)
+
+    # --- simulation: attributes of a model where MJCF has them (`edit`), and before each step what they cannot hold
+
+    unread_by_mjx: ClassVar[bool] = False
+    """Whether MJX does not read the attribute that holds it whole in MuJoCo C: there the step law does it."""
+    rubs: ClassVar[bool] = False
+    """Whether `step` changes the level of dry friction."""
+
+    def edit(self, spec: MjSpec, model: MjModel, found: Identified) -> Edit | None:
+        """Change a spec, of which `model` is the compiled state, as far as attributes hold it; None where none does."""
+        return None
+
+    def torque(self, xp: ModuleType, now: Moment, at: Bound) -> Any:
+        """Torque that it adds to each row it acts on, by its equation [N m]; `xp` is numpy or jax.numpy."""
+        raise NotImplementedError(f"{self.name} has no step law")
+
+    def step(self, xp: ModuleType, now: Moment, at: Bound, applied: Applied) -> Applied:
+        """What it makes of a moment, beside the effects before it: its `torque` on its rows, if it is no more."""
+        return applied._replace(torque=applied.torque + at.rows * self.torque(xp, now, at))
+
+    def memory(self, xp: ModuleType, at: Bound, u: Any) -> Any:
+        """State of an effect that makes torques late, as if u had always been asked for; None of all others."""
+        return None
+
+    def late(self, xp: ModuleType, at: Bound, state: Any, u: Any) -> tuple[Any, Any]:
+        """(state one period on, torque as it arrives), of an effect with a memory."""
+        return state, u
+
+    @property
+    def by_step(self) -> bool:
+        """Whether something is left to do before each step once a model is edited (`torque`, `step`, `late`)."""
+        own = type(self)
+        return any(
+            getattr(own, name) is not getattr(Effect, name) for name in ("torque", "step", "late")
+        )
+
+    @property
+    def acts(self) -> bool:
+        """Whether it adds to what acts on rows and bodies, beyond making torques late."""
+        own = type(self)
+        return own.torque is not Effect.torque or own.step is not Effect.step
+
+
+def slid(numbers: dict[str, Parameter], context: Context, place: Place) -> dict[str, Parameter]:
+    """Numbers in newtons and metres at a joint that slides; a phase is an angle there too."""
+    if place.kind != "joint" or context.robot.topology.dof_rotates[place.index]:
+        return numbers
+    return {
+        name: p if name == "phase" else dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit))
+        for name, p in numbers.items()
+    }
+
+
+def row_of(model: MjModel, kind: str, name: str) -> int:
+    """Row of a joint, index of a body, −1 for all; ValueError for a name that the model does not have."""
+    if kind not in ("joint", "body"):
+        return -1
+    object_kind = mujoco.mjtObj.mjOBJ_JOINT if kind == "joint" else mujoco.mjtObj.mjOBJ_BODY
+    found = mujoco.mj_name2id(model, object_kind, name)
+    if found < 0:
+        raise ValueError(f"the model has no {kind} {name!r}")
+    return int(model.jnt_dofadr[found]) if kind == "joint" else found
 
 
 def peak_of(context: Context, row: int) -> float:

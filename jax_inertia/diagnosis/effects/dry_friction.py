@@ -1,43 +1,63 @@
 """Dry friction at a joint: its level, and how that depends on direction, speed and load.
 
 All act through one direction state z in [−1, 1], which turns over a presliding displacement after a reversal (Dahl
-1968), the first nonlinear number [rad]; below zero it is the level [N m] at which MuJoCo's friction loss creeps. Extra
-forms are columns beside the constant level, so that levels add.
+1968), the first nonlinear number [rad]; below zero it is the level [N m] at which MuJoCo's friction loss creeps. The
+second is the way it turns. Extra forms are columns beside the constant level, so that levels add; a search that fits
+both at once has the level before them.
 """
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, Shape, of_row, peak_of
-from jax_inertia.gap.families.base import Parameter
+from jax_inertia.diagnosis.effects import advice
+from jax_inertia.diagnosis.effects.base import Edit, Effect, Parameter, Shape, of_row, peak_of
+from jax_inertia.diagnosis.effects.joint import ARMSTRONG
+from jax_inertia.diagnosis.effects.spec_joint import add_friction, joint_of, wind
 
 PRESLIDING = (0.0, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3e-3, 6e-3)
 """Displacements searched [rad]: 1e-4 to 3e-3 in geared joints (Armstrong-Hélouvry et al. 1994)."""
 STRIBECK_SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.3)
 """Speeds searched [rad/s]."""
+BENT, STRAIGHT = 0.0, 1.0
+"""How friction turns over a displacement: as Dahl's bristles bend, or as a straight spring slips."""
 
 
-def direction(context, row: int, presliding: float) -> np.ndarray:
+def direction(context, row: int, presliding: float, way: float = BENT) -> np.ndarray:
     """z(t) of a joint (T,)."""
     if presliding < 0:
         return context.creeping(row, -presliding)
-    return context.bristle(row, presliding) if presliding else context.side[:, row]
+    if not presliding:
+        return context.side[:, row]
+    return context.bristle(row, presliding, straight=way == STRAIGHT)
 
 
 class DryFriction(Effect):
-    """A form of a joint's dry friction; the first nonlinear number is its presliding displacement [rad]."""
+    """A form of a joint's dry friction; its nonlinear numbers begin with presliding displacement [rad] and way."""
 
-    form_error = 0.03
+    form_error, source, advice = 0.03, ARMSTRONG, advice.SLOW_REVERSALS
 
     def shapes(self, context, place) -> list[Shape]:
         peak = peak_of(context, place.index)
-        return [(x,) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+        return [(x, BENT) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+
+    def direction(self, context, place, shape) -> np.ndarray:
+        """z in [−1, 1] that multiplies the level (T,)."""
+        return direction(context, place.index, float(shape[0]), shape[1])
+
+    def edit(self, spec, model, found):
+        # The level; what varies about it is written to `dof_frictionloss` at each step.
+        add_friction(joint_of(spec, found), found.values["coulomb"])
+        return Edit(whole=False)
 
 
 class CoulombFriction(DryFriction):
     name, equation, ordinary = "coulomb_friction", "−F z, z → sign(q̇)", True
+    source = "Coulomb 1785; presliding: Dahl 1968"
+    units = {"coulomb": "N m"}
+    prior = "0.15 of the joint's peak torque; not below minus the model's own"
+    mjcf = "joint frictionloss"
 
     def columns(self, context, place, shape):
-        return of_row(-direction(context, place.index, shape[0]), place)
+        return of_row(-self.direction(context, place, shape), place)
 
     def scale(self, context, place, shape):
         return np.array([0.15 * peak_of(context, place.index)])
@@ -48,12 +68,19 @@ class CoulombFriction(DryFriction):
     def lower(self, context, place):
         return -float(context.frictionloss[place.index])
 
+    def edit(self, spec, model, found):
+        add_friction(joint_of(spec, found), found.values["coulomb"])
+        return Edit(whole=True)
+
 
 class AsymmetricCoulomb(DryFriction):
-    name, equation, refines = "asymmetric_coulomb", "−½ (F⁺ − F⁻) |z|", True
+    name, equation, refines = "asymmetric_coulomb", "−F⁺ z (z > 0), −F⁻ z (z < 0)", True
+    units = {"positive": "N m", "negative": "N m"}
+    prior = "half the difference: 0.03 of the joint's peak torque"
+    mjcf = "joint frictionloss for the mean, stiffness and springref for half the difference"
 
     def columns(self, context, place, shape):
-        return of_row(-np.abs(direction(context, place.index, shape[0])), place)
+        return of_row(-np.abs(self.direction(context, place, shape)), place)
 
     def scale(self, context, place, shape):
         return np.array([0.03 * peak_of(context, place.index)])
@@ -64,55 +91,115 @@ class AsymmetricCoulomb(DryFriction):
             "negative": Parameter(-float(theta[0]), "N m"),
         }
 
+    def edit(self, spec, model, found):
+        plus, minus = found.values["positive"], found.values["negative"]
+        joint = joint_of(spec, found)
+        add_friction(joint, 0.5 * (plus + minus))
+        wind(spec, joint, 0.0, 0.0, -0.5 * (plus - minus))
+        return Edit(whole=True)
+
 
 class StribeckFriction(DryFriction):
-    name, equation, refines = "stribeck_friction", "−(Fs − Fc) exp(−(q̇/vs)²) z", True
+    """Behind presliding and way: Stribeck's speed [rad/s] and exponent."""
+
+    name, refines, rubs = "stribeck_friction", True, True
+    equation = "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) z"
+    source = "Stribeck 1902; δ = 2: Armstrong-Hélouvry 1991, δ = 1: Tustin 1947"
+    units = {
+        "coulomb": "N m",
+        "stiction": "N m",
+        "stribeck_velocity": "rad/s",
+        "exponent": "1",
+    }
+    prior = "Fs − Fc: 0.08 of the joint's peak torque, not below zero; vs from 0.02 to 0.3 rad/s"
+    mjcf = "joint frictionloss for Fc; the rest by step law"
 
     def shapes(self, context, place) -> list[Shape]:
-        return [(x[0], v) for x in super().shapes(context, place) for v in STRIBECK_SPEEDS]
+        return [(*x, v, 2.0) for x in super().shapes(context, place) for v in STRIBECK_SPEEDS]
 
     def steps(self, context, place, shape):
-        return (0.0, 0.3 * shape[1])
+        return (0.0, 0.0, 0.3 * shape[2], 0.0)
 
     def columns(self, context, place, shape):
-        z = direction(context, place.index, shape[0])
-        slow = np.exp(-((context.v[:, place.index] / shape[1]) ** 2))
+        z = self.direction(context, place, shape)
+        slow = np.exp(-(np.abs(context.v[:, place.index] / shape[2]) ** shape[3]))
         return of_row(-z * slow, place)
 
     def scale(self, context, place, shape):
         return np.array([0.08 * peak_of(context, place.index)])
 
     def numbers(self, context, place, shape, theta):
+        *level, more = (float(x) for x in theta)
+        coulomb = float(sum(level))
         return {
-            "coulomb": Parameter(0.0, "N m"),
-            "stiction": Parameter(float(theta[0]), "N m"),
-            "stribeck_velocity": Parameter(shape[1], "rad/s", 0.0),
-            "exponent": Parameter(2.0, "1"),
+            "coulomb": Parameter(coulomb, "N m"),
+            "stiction": Parameter(coulomb + more, "N m", coulomb if level else -np.inf),
+            "stribeck_velocity": Parameter(shape[2], "rad/s", 0.0),
+            "exponent": Parameter(shape[3], "1"),
         }
 
     def lower(self, context, place):
         return 0.0
 
+    def step(self, xp, now, at, applied):
+        values = at.values
+        slow = xp.exp(-(xp.abs(now.v / values["stribeck_velocity"]) ** values["exponent"]))
+        more = at.rows * (values["stiction"] - values["coulomb"]) * slow
+        return applied._replace(friction=applied.friction + more)
+
 
 class LoadFriction(DryFriction):
-    name, equation, refines = "load_friction", "−μ |τ| z", True
+    """Friction that grows with the load on the teeth.
+
+    Behind presliding and way: whether the load is the motor's torque (1) or the link's (0), and by how much more it
+    turns over with load [rad/(N m)]: teeth need not be stiffer where they are loaded.
+    """
+
+    name, refines, rubs = "load_friction", True, True
+    equation = "−(F₀ + μ |τ|) z, τ of the link or of its motor"
+    source = "Hamon, Gautier and Garrec, IROS 2010"
+    units = {"coulomb": "N m", "load_coefficient": "1", "of_motor": "1"}
+    prior = "μ: 0.1, not below zero"
+    mjcf = "joint frictionloss for F₀; the rest by step law"
+
+    def shapes(self, context, place) -> list[Shape]:
+        return [(*x, 0.0, 0.0) for x in super().shapes(context, place)]
+
+    def load(self, context, place, shape) -> np.ndarray:
+        """|τ| (T,)."""
+        torque = context.tau if shape[2] else context.inverse
+        return np.abs(torque[:, place.index])
+
+    def direction(self, context, place, shape):
+        if shape[3] == 0.0:
+            return super().direction(context, place, shape)
+        reach = np.maximum(shape[0] + shape[3] * self.load(context, place, shape), 1e-9)
+        return context.bristle_of_any(place.index, reach, shape[1] == STRAIGHT)
 
     def columns(self, context, place, shape):
-        z = direction(context, place.index, shape[0])
-        return of_row(-z * np.abs(context.inverse[:, place.index]), place)
+        z = self.direction(context, place, shape)
+        return of_row(-z * self.load(context, place, shape), place)
 
     def scale(self, context, place, shape):
         return np.array([0.1])
 
     def numbers(self, context, place, shape, theta):
+        *level, coefficient = (float(x) for x in theta)
         return {
-            "coulomb": Parameter(0.0, "N m"),
-            "load_coefficient": Parameter(float(theta[0]), "1"),
-            "of_motor": Parameter(0.0, "1"),
+            "coulomb": Parameter(float(sum(level)), "N m"),
+            "load_coefficient": Parameter(coefficient, "1"),
+            "of_motor": Parameter(shape[2], "1"),
         }
 
     def lower(self, context, place):
         return 0.0
+
+    def step(self, xp, now, at, applied):
+        mu, friction = at.values["load_coefficient"], applied.friction
+        # What the link gets is the motor's less the friction itself.
+        driven = 0.0 if at.values["of_motor"] else mu * xp.sign(now.u * now.v)
+        loaded = (friction + mu * xp.abs(now.u)) / (1.0 + driven)
+        return applied._replace(friction=xp.where(at.rows, loaded, friction))
 
 
 FORM_TOLERANCE = 0.05

@@ -1,10 +1,11 @@
 """Forces on a body: for good, of the air, and for a short time."""
 
+from types import ModuleType
+
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.gap.families.base import Columns, Parameter
-from jax_inertia.gap.families.force import push_window
+from jax_inertia.diagnosis.effects import advice
+from jax_inertia.diagnosis.effects.base import Applied, Bound, Columns, Effect, Moment, Parameter
 
 
 def usual_force(context) -> float:
@@ -13,8 +14,41 @@ def usual_force(context) -> float:
     return max(10.0, 0.025 * weight)
 
 
-class ConstantForce(Effect):
-    name, equation, kind = "constant_force", "Jᵀ f, f fixed in the world", "body"
+def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
+    """w(t): flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
+
+    `xp` is numpy or jax.numpy.
+    """
+    phase = xp.clip((time - start) / (end - start), 0.0, 1.0)
+    near = xp.minimum(xp.minimum(phase, 1 - phase) / flank, 1.0)
+    return (0.5 - 0.5 * xp.cos(np.pi * near)) * (1.0 + skew * xp.sin(2 * np.pi * phase))
+
+
+def components(theta) -> dict[str, Parameter]:
+    """A force's numbers."""
+    return {f"force_{k}": Parameter(float(x), "N") for k, x in zip("xyz", theta, strict=True)}
+
+
+def wrench_at(xp: ModuleType, now: Moment, at: Bound):
+    """World force and moment about a body's centre of mass of a force there, or at a point of the body."""
+    force = xp.asarray([at.values[f"force_{k}"] for k in "xyz"])
+    if "point_x" not in at.values:
+        return xp.concatenate([force, xp.zeros(3)])
+    point = np.array([at.values[f"point_{k}"] for k in "xyz"])
+    lever = now.turn[at.index] @ (point - at.centres[at.index])
+    return xp.concatenate([force, xp.cross(lever, force)])
+
+
+class _Force(Effect):
+    kind = "body"
+    mjcf = "none: step law (xfrc_applied)"
+
+
+class ConstantForce(_Force):
+    name, equation = "constant_force", "Jᵀ f, f fixed in the world"
+    source, advice = "a cable, a hoist, a balancer", advice.BRISK
+    units = {"force_x": "N", "force_y": "N", "force_z": "N"}
+    prior = "10 N along each axis, more on a robot of over 40 kg"
 
     def columns(self, context, place, shape):
         return Columns(context.force_rows[:, place.index])
@@ -23,11 +57,16 @@ class ConstantForce(Effect):
         return np.full(3, usual_force(context))
 
     def numbers(self, context, place, shape, theta):
-        return {f"force_{k}": Parameter(float(x), "N") for k, x in zip("xyz", theta, strict=True)}
+        return components(theta)
+
+    def step(self, xp, now, at, applied: Applied) -> Applied:
+        return applied._replace(wrench=applied.wrench + at.body * wrench_at(xp, now, at))
 
 
-class Drag(Effect):
-    name, equation, kind, form_error = "drag", "−c |v| v at the centre of mass", "body", 0.05
+class Drag(_Force):
+    name, equation, form_error = "drag", "−c |v| v at the centre of mass", 0.05
+    source, advice = "air, water: Newton's quadratic drag", advice.WIDE
+    units, prior = {"coefficient": "N s²/m²"}, "6 N s²/m² on a robot of usual size, not below zero"
 
     def columns(self, context, place, shape):
         v = context.com_velocity[:, place.index]
@@ -43,11 +82,26 @@ class Drag(Effect):
     def numbers(self, context, place, shape, theta):
         return {"coefficient": Parameter(float(theta[0]), "N s²/m²", 0.0)}
 
+    def step(self, xp, now, at, applied: Applied) -> Applied:
+        speed = xp.sqrt(xp.sum(now.velocity**2, axis=1, keepdims=True) + 1e-12)
+        drag = at.values["coefficient"] * speed * now.velocity
+        wrench = applied.wrench - xp.concatenate([at.body * drag, 0 * drag], axis=1)
+        return applied._replace(wrench=wrench)
 
-class Push(Effect):
+
+class Push(_Force):
     """A force for a short time."""
 
-    name, equation, kind, form_error = "push", "Jᵀ f w(t), w a short plateau", "body", 0.1
+    name, equation, form_error = "push", "Jᵀ f w(t), w a short plateau", 0.1
+    source, advice = "a hand, a collision; w: Tukey's window (Harris 1978)", advice.AGAIN
+    units = {
+        **{f"force_{k}": "N" for k in "xyz"},
+        "start": "s",
+        "end": "s",
+        "flank": "1",
+        "skew": "1",
+    }
+    prior = "40 N along each axis, more on a robot of over 40 kg"
 
     def shapes(self, context, place):
         # Of what happens once, the search finds when.
@@ -64,10 +118,15 @@ class Push(Effect):
         return np.full(3, 4 * usual_force(context))
 
     def numbers(self, context, place, shape, theta):
-        force = {f"force_{k}": Parameter(float(x), "N") for k, x in zip("xyz", theta, strict=True)}
-        return force | {
-            "start": Parameter(shape[0], "s"),
-            "end": Parameter(shape[1], "s"),
-            "flank": Parameter(shape[2], "1", 0.0),
-            "skew": Parameter(shape[3], "1"),
+        start, end, flank, skew = shape
+        return components(theta) | {
+            "start": Parameter(start, "s"),
+            "end": Parameter(end, "s"),
+            "flank": Parameter(flank, "1", 0.0),
+            "skew": Parameter(skew, "1"),
         }
+
+    def step(self, xp, now, at, applied: Applied) -> Applied:
+        shape = (at.values[name] for name in ("start", "end", "flank", "skew"))
+        window = push_window(xp, now.t, *shape)
+        return applied._replace(wrench=applied.wrench + at.body * wrench_at(xp, now, at) * window)

@@ -5,8 +5,7 @@ import abc
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, of_row, peak_of
-from jax_inertia.diagnosis.effects.encoder import carried
-from jax_inertia.gap.families.encoder import off_path
+from jax_inertia.diagnosis.effects.encoder import carried, off_path
 
 HATS = 8
 

@@ -1,17 +1,56 @@
 """Effects on a body's inertial parameters: e = −Y δπ."""
 
+import abc
+from typing import ClassVar
+
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.gap.families.base import Columns, Parameter
-from jax_inertia.gap.families.body import steiner
+from jax_inertia.diagnosis.effects import advice
+from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.model.load import body_pi, set_inertials
 
 REACH = 0.06
 """Standard deviation of a load's lever on links of 0.15 to 1 m [m]."""
+ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+"""A ball's inertia of one, among a body's parameters."""
+LIFTED = (
+    "body {0!r}: its gravity compensation lifts as much as before, but at the centre of mass found"
+)
+
+
+def steiner(m: float, c: np.ndarray) -> np.ndarray:
+    """Inertia [xx, xy, xz, yy, yz, zz] of a mass point at c: m (c·c 1 − c cᵀ)."""
+    # Scalars: the fit on a body's manifold asks for it a hundred thousand times.
+    x, y, z = c.tolist()
+    return m * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+
+
+def load_change(m: float, c: np.ndarray) -> np.ndarray:
+    """δπ of a mass more at a point."""
+    return np.array([m, *(m * c), *steiner(m, c)])
+
+
+def shift_change(pi: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """δπ of a centre of mass that moves, mass and inertia about it kept; zero of a body without mass."""
+    m = pi[0]
+    if m <= 0:
+        return np.zeros(10)
+    old, new = pi[1:4] / m, pi[1:4] / m + shift
+    return np.array([0.0, *(m * shift), *(steiner(m, new) - steiner(m, old))])
+
+
+def inertia_change(pi: np.ndarray, share: float) -> np.ndarray:
+    """δπ of a rotational inertia about the centre of mass that is larger by a share of itself."""
+    m = pi[0]
+    if m <= 0:
+        return np.zeros(10)
+    return np.array([0.0, 0.0, 0.0, 0.0, *(share * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
 
 class _Inertial(Effect):
-    kind = "body"
+    kind, advice = "body", advice.BRISK
+    mjcf: ClassVar[str] = "body inertial"
 
     def regressor(self, context, place) -> np.ndarray:
         """Y of the body (T, nv, 10)."""
@@ -21,11 +60,32 @@ class _Inertial(Effect):
         """Nominal, kg."""
         return max(float(context.pi[place.index][0]), 1e-9)
 
+    @abc.abstractmethod
+    def change(self, pi: np.ndarray, found: Identified) -> np.ndarray:
+        """δπ of what was found."""
+
+    def edit(self, spec, model, found):
+        names = [body.name for body in spec.bodies]
+        if found.name not in names:
+            raise ValueError(f"the model has no body {found.name!r}; it has: {', '.join(names)}")
+        pi = body_pi(model, model.body(found.name).id)
+        changed = pi + self.change(pi, found)
+        set_inertials(spec, {found.name: changed})
+        body = spec.body(found.name)
+        if not body.gravcomp:
+            return Edit(whole=True)
+        # What lifts a body goes on lifting what the model said it weighs.
+        body.gravcomp *= pi[0] / changed[0]
+        return Edit(whole=True, remark=LIFTED.format(found.name))
+
 
 class Payload(_Inertial):
     """All ten numbers free of each other: linear, and a load's own inertia is in them."""
 
-    name, equation, form_error = "payload", "π + [m, m c, J]", 0.02
+    name, equation, form_error = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 0.02
+    source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
+    units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
+    prior = "0.8 kg or 0.3 of the body's mass, 6 cm from its frame; more than nothing, within a link's length"
 
     def columns(self, context, place, shape):
         return Columns(-self.regressor(context, place))
@@ -53,9 +113,18 @@ class Payload(_Inertial):
             ),
         }
 
+    def change(self, pi, found):
+        # MuJoCo has no body without rotational inertia; a point on a massless one gets that of a 2 mm ball.
+        gyration = found.values.get("gyration_radius", 0.0 if pi[0] > 0 else 1e-3)
+        mass = found.values["mass"]
+        return load_change(mass, np.array(found.vector("com"))) + mass * gyration**2 * ROUND
+
 
 class ComShift(_Inertial):
     name, equation, secant = "com_shift", "centre of mass + δ, mass and inertia about it kept", True
+    source = "batteries, cables and covers that CAD leaves out"
+    units = {"com_shift_x": "m", "com_shift_y": "m", "com_shift_z": "m"}
+    prior = "15 mm along each axis, below 0.15 m"
 
     def shapes(self, context, place):
         return [(0.0, 0.0, 0.0)]
@@ -81,6 +150,9 @@ class ComShift(_Inertial):
             f"com_shift_{k}": Parameter(float(x), "m") for k, x in zip("xyz", theta, strict=True)
         }
 
+    def change(self, pi, found):
+        return shift_change(pi, np.array(found.vector("com_shift")))
+
 
 def _between(m: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The six moments of the symmetric form whose diagonal is `steiner`."""
@@ -90,6 +162,9 @@ def _between(m: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 class LinkInertia(_Inertial):
     name, equation = "link_inertia", "rotational inertia about the centre of mass scaled by s"
+    source = "shells and motors that CAD takes for solid"
+    units = {"inertia_scale": "1"}
+    prior = "s − 1: 0.8; s from 0.1 to 10"
 
     def columns(self, context, place, shape):
         pi, m = context.pi[place.index], self.mass(context, place)
@@ -104,3 +179,6 @@ class LinkInertia(_Inertial):
 
     def numbers(self, context, place, shape, theta):
         return {"inertia_scale": Parameter(1.0 + float(theta[0]), "1", factor=True)}
+
+    def change(self, pi, found):
+        return inertia_change(pi, found.values["inertia_scale"] - 1.0)

@@ -2,27 +2,32 @@
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, of_row, peak_of
-from jax_inertia.gap.families.base import Parameter
+from jax_inertia.diagnosis.effects import advice
+from jax_inertia.diagnosis.effects.base import Edit, Effect, Parameter, of_row, peak_of
+from jax_inertia.diagnosis.effects.spec_joint import add_damping, joint_of, wind
+
+ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994"
 
 
 class _AlongTheJoint(Effect):
     """A column of the joint's motion; θ scales with the joint's peak torque by `share`."""
 
     share = 0.1
-    unit = "N m"
-    number = ""
+    advice = advice.WIDE
 
     def scale(self, context, place, shape):
         return np.array([self.share * peak_of(context, place.index)])
 
     def numbers(self, context, place, shape, theta):
-        return {self.number: Parameter(float(theta[0]), self.unit)}
+        ((name, unit),) = self.units.items()
+        return {name: Parameter(float(theta[0]), unit)}
 
 
 class ViscousFriction(_AlongTheJoint):
     name, equation, ordinary, form_error = "viscous_friction", "−d q̇", True, 0.02
-    number, unit, share = "damping", "N m s/rad", 0.15
+    source, units, share = ARMSTRONG, {"damping": "N m s/rad"}, 0.15
+    prior = "0.15 of the joint's peak torque at 1 rad/s; not below minus the model's own"
+    mjcf = "joint damping"
 
     def columns(self, context, place, shape):
         return of_row(-context.v[:, place.index], place)
@@ -30,10 +35,19 @@ class ViscousFriction(_AlongTheJoint):
     def lower(self, context, place):
         return -float(context.damping[place.index])
 
+    def edit(self, spec, model, found):
+        add_damping(joint_of(spec, found), found.values["damping"])
+        return Edit(whole=True)
+
 
 class Armature(_AlongTheJoint):
     name, equation, ordinary = "armature", "−I q̈", True
-    number, unit = "armature", "kg m²"
+    source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 9.6: a rotor's inertia times gear ratio squared"
+    units, advice = {"armature": "kg m²"}, advice.STARTS_AND_STOPS
+    prior = (
+        "0.3 of the joint's peak torque over its peak acceleration; not below minus the model's own"
+    )
+    mjcf = "joint armature"
 
     def columns(self, context, place, shape):
         return of_row(-context.acceleration[:, place.index], place)
@@ -45,35 +59,68 @@ class Armature(_AlongTheJoint):
     def lower(self, context, place):
         return -float(context.armature[place.index])
 
+    def edit(self, spec, model, found):
+        joint = joint_of(spec, found)
+        joint.armature = max(joint.armature + found.values["armature"], 0.0)
+        return Edit(whole=True)
+
 
 class TorqueBias(_AlongTheJoint):
     name, equation, ordinary = "torque_bias", "+ b", True
-    number, unit, share = "bias", "N m", 0.05
+    source = "a current sensor's or a torque sensor's zero"
+    units, share, advice = {"bias": "N m"}, 0.05, advice.BOTH_WAYS
+    prior = "0.05 of the joint's peak torque"
+    mjcf = "joint stiffness of 1e-6 N m/rad, wound up by springref"
 
     def columns(self, context, place, shape):
         return of_row(np.ones(len(context.time)), place)
 
+    def edit(self, spec, model, found):
+        wind(spec, joint_of(spec, found), 0.0, 0.0, found.values["bias"])
+        return Edit(whole=True)
+
 
 class AsymmetricViscous(_AlongTheJoint):
     name, equation, refines = "asymmetric_viscous", "−½ (d⁺ − d⁻) |q̇|", True
-    number, unit, share, form_error = "difference", "N m s/rad", 0.05, 0.05
+    source = ARMSTRONG
+    units, share, form_error = {"difference": "N m s/rad"}, 0.05, 0.05
+    prior = "0.05 of the joint's peak torque at 1 rad/s"
+    mjcf = "none: step law"
 
     def columns(self, context, place, shape):
         return of_row(-np.abs(context.v[:, place.index]), place)
 
+    def torque(self, xp, now, at):
+        return -at.values["difference"] * xp.abs(now.v)
+
 
 class QuadraticViscous(_AlongTheJoint):
     name, equation, refines = "quadratic_viscous", "−c |q̇| q̇", True
-    number, unit, share, form_error = "coefficient", "N m s²/rad²", 0.05, 0.05
+    source = "churning of oil; " + ARMSTRONG
+    units, share, form_error = {"coefficient": "N m s²/rad²"}, 0.05, 0.05
+    prior = "0.05 of the joint's peak torque at 1 rad/s"
+    mjcf = "joint damping, its second coefficient; MJX by step law"
+    unread_by_mjx = True
 
     def columns(self, context, place, shape):
         v = context.v[:, place.index]
         return of_row(-np.abs(v) * v, place)
 
+    def edit(self, spec, model, found):
+        add_damping(joint_of(spec, found), found.values["coefficient"], power=1)
+        return Edit(whole=True)
+
+    def torque(self, xp, now, at):
+        return -at.values["coefficient"] * xp.abs(now.v) * now.v
+
 
 class FrictionDrift(_AlongTheJoint):
-    name, equation, refines = "friction_drift", "−d₁ exp(−t/T) q̇", True
-    number, unit, share, form_error = "damping", "N m s/rad", 0.1, 0.05
+    name, equation, refines = "friction_drift", "−(d∞ + d₁ exp(−t/T)) q̇", True
+    source = "a lubricant that warms up; Simoni, Beschi, Legnani and Visioli, Robotica 37(5), 2019"
+    units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
+    share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
+    prior = "0.1 of the joint's peak torque at 1 rad/s; T from 1 to 12 s"
+    mjcf = "joint damping for d∞; the rest by step law"
 
     def shapes(self, context, place):
         return [(T,) for T in (1.0, 2.0, 3.0, 5.0, 8.0, 12.0) if 2 * context.time[-1] > T]
@@ -85,16 +132,29 @@ class FrictionDrift(_AlongTheJoint):
         return of_row(-context.v[:, place.index] * np.exp(-context.time / shape[0]), place)
 
     def numbers(self, context, place, shape, theta):
+        # d∞ before d₁ where both are fitted at once.
+        *final, more = (float(x) for x in theta)
         return {
-            "damping": Parameter(float(theta[0]), "N m s/rad"),
-            "damping_final": Parameter(0.0, "N m s/rad"),
+            "damping": Parameter(sum(final) + more, "N m s/rad"),
+            "damping_final": Parameter(float(sum(final)), "N m s/rad"),
             "time_constant": Parameter(shape[0], "s", 0.0),
         }
+
+    def edit(self, spec, model, found):
+        add_damping(joint_of(spec, found), found.values["damping_final"])
+        return Edit(whole=False)
+
+    def torque(self, xp, now, at):
+        more = at.values["damping"] - at.values["damping_final"]
+        return -more * xp.exp(-now.t / at.values["time_constant"]) * now.v
 
 
 class JointSpring(_AlongTheJoint):
     name, equation = "joint_spring", "−k (q − q₀)"
-    number, unit = "stiffness", "N m/rad"
+    source = "a hose, a cable, a balancing spring: Hooke"
+    units = {"stiffness": "N m/rad", "rest_angle": "rad"}
+    prior = "0.1 of the joint's peak torque at 1 rad; not below minus the model's own"
+    mjcf = "joint stiffness and springref"
 
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
@@ -102,17 +162,28 @@ class JointSpring(_AlongTheJoint):
         return of_row(-q, place)
 
     def numbers(self, context, place, shape, theta):
+        # k q₀ behind k where both are fitted at once.
+        stiffness, *moment = (float(x) for x in theta)
         return {
-            "stiffness": Parameter(float(theta[0]), "N m/rad"),
-            "rest_angle": Parameter(0.0, "rad"),
+            "stiffness": Parameter(stiffness, "N m/rad"),
+            "rest_angle": Parameter(moment[0] / stiffness if moment and stiffness else 0.0, "rad"),
         }
 
     def lower(self, context, place):
         return -float(context.stiffness[place.index])
 
+    def edit(self, spec, model, found):
+        values = found.values
+        wind(spec, joint_of(spec, found), values["stiffness"], values["rest_angle"], 0.0)
+        return Edit(whole=True)
+
 
 class Cogging(_AlongTheJoint):
     name, equation, form_error = "cogging", "A sin(N q + φ)", 0.1
+    source = "a motor's teeth; Zhu and Howe, IEEE Trans. Energy Conversion 15(4), 2000"
+    units, advice = {"amplitude": "N m", "frequency": "1/rad", "phase": "rad"}, advice.SLOW_SWEEP
+    prior = "0.05 of the joint's peak torque, below 0.3 of it"
+    mjcf = "none: step law"
 
     def shapes(self, context, place):
         q, v = context.joint_position[:, place.index], context.v[:, place.index]
@@ -143,3 +214,6 @@ class Cogging(_AlongTheJoint):
 
     def possible(self, context, place, theta):
         return bool(np.hypot(*theta) < 0.3 * peak_of(context, place.index))
+
+    def torque(self, xp, now, at):
+        return at.values["amplitude"] * xp.sin(at.values["frequency"] * now.q + at.values["phase"])

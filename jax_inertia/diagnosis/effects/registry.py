@@ -1,5 +1,7 @@
 """All effects, in the order in which ties are broken."""
 
+from collections.abc import Sequence
+
 from jax_inertia.diagnosis.effects import (
     actuator,
     dry_friction,
@@ -28,6 +30,7 @@ EFFECTS: tuple[Effect, ...] = (
     joint.Cogging(),
     actuator.TorqueGain(),
     actuator.TorqueSaturation(),
+    actuator.TorqueSpeed(),
     actuator.TimeDelay(),
     actuator.ActuatorLag(),
     actuator.TorqueFilter(),
@@ -51,3 +54,10 @@ EFFECTS: tuple[Effect, ...] = (
     generic.PathOfTorque(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))
+DRY_FORMS = tuple(e.name for e in EFFECTS if isinstance(e, dry_friction.DryFriction) and e.refines)
+"""Laws of dry friction that hold its level too."""
+
+
+def known(family: str, extra: Sequence[Effect] = ()) -> Effect | None:
+    """The effect of that name, a user's own among them; None where there is none."""
+    return next((e for e in (*EFFECTS, *extra) if e.name == family), None)

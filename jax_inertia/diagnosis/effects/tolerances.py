@@ -3,10 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns
-from jax_inertia.gap.families.body import steiner
+from jax_inertia.diagnosis.effects.base import Columns, Effect
+from jax_inertia.diagnosis.effects.inertial import steiner
+from jax_inertia.diagnosis.features.context import Context
 
 TIMING = 0.1
 """Standard deviation of when within a sample's period a torque acted, of the period."""

@@ -1,7 +1,8 @@
-"""Every family of effects that the diagnosis knows."""
+"""A plan of search for every effect that the search for single ones knows."""
 
+from jax_inertia.diagnosis.effects.actuator import ActuatorLag, TimeDelay
 from jax_inertia.gap.families import body, drive, encoder, force, friction, joint, world
-from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+from jax_inertia.gap.families.base import Family
 
 LIBRARY: tuple[Family, ...] = (
     joint.ViscousFriction(),
@@ -14,10 +15,10 @@ LIBRARY: tuple[Family, ...] = (
     joint.JointSpring(),
     joint.Cogging(),
     drive.TorqueGain(),
-    drive.TorqueBias(),
+    joint.TorqueBias(),
     drive.TorqueSaturation(),
-    drive.TimeDelay(),
-    drive.ActuatorLag(),
+    drive.Late(TimeDelay()),
+    drive.Late(ActuatorLag()),
     encoder.EncoderOffset(),
     encoder.EncoderScale(),
     encoder.JointElasticity(),
@@ -31,7 +32,3 @@ LIBRARY: tuple[Family, ...] = (
     force.Drag(),
     force.Push(),
 )
-
-NAMES = tuple(sorted(f.name for f in LIBRARY))
-
-__all__ = ["LIBRARY", "NAMES", "Columns", "Family", "Parameter", "Place"]

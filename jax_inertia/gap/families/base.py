@@ -1,72 +1,47 @@
-"""The one interface of all effects.
+"""How the search for single effects looks for each: its grids, its preferences, and fits with more numbers at once.
 
-A family is an equation; a *candidate* is the family at a place. On the fast grid a candidate gives columns A(shape), so
-that the effect's torque is e = A(shape) θ: linear in θ, given a few nonlinear numbers, `shape`. A body's change of
-inertial parameters is nonlinear in another way, e = −Y δπ(θ), and some equations have no θ at all (a delay).
+What an effect *is* (equation, columns, numbers, edits, step law) is its class in `diagnosis.effects`; a family is a
+plan of search for one. On the fast grid a family gives columns A(shape), so that the torque is e = A(shape) θ: linear
+in θ, given a few nonlinear numbers, `shape`. A body's change of inertial parameters is nonlinear in another way,
+e = −Y δπ(θ), and some equations have no θ at all (a delay).
 """
 
 import abc
-import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import ClassVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.context import Context
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Parameter, Place, Shape, slid
+from jax_inertia.diagnosis.features.context import Context
 
-Shape = tuple[float, ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class Place:
-    """Where an effect acts: kind 'joint', 'body', 'contact' or 'global', and the model's own name."""
-
-    kind: str
-    name: str
-    index: int
-    """Row of a joint, index of a body or contact; −1 for global."""
+E = TypeVar("E", bound=Effect)
 
 
-@dataclasses.dataclass(frozen=True)
-class Columns:
-    """Columns on the fast grid: of one row (T, k), or of all rows (T, nv, k)."""
+class Family(abc.ABC, Generic[E]):
+    """A plan of search for an effect."""
 
-    values: np.ndarray
-    row: int | None = None
+    effect: E
 
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
 
-@dataclasses.dataclass(frozen=True)
-class Parameter:
-    """One reported number."""
+    @property
+    def equation(self) -> str:
+        """Of the effect."""
+        return self.effect.equation
 
-    value: float
-    unit: str
-    least: float = -np.inf
-    """Less it cannot be, so its interval does not reach below."""
-    factor: bool = False
-    """Whether it multiplies a number of the model, so that one is none of it."""
+    @property
+    def kind(self) -> str:
+        """Of its place."""
+        return self.effect.kind
 
-
-# Units of a hinge's numbers, and of a slide's.
-_OF_SLIDE = {
-    "N m": "N",
-    "N m/rad": "N/m",
-    "N m s/rad": "N s/m",
-    "kg m²": "kg",
-    "rad": "m",
-    "rad/s": "m/s",
-    "1/rad": "1/m",
-}
-
-
-class Family(abc.ABC):
-    """An equation that may be missing from the model."""
-
-    name: ClassVar[str]
-    equation: ClassVar[str]
-    kind: ClassVar[str]
+    law_of: ClassVar[str] = ""
+    """What it is one law of, where a place has but one: a joint has one dry friction, a torque is late by one law."""
     simpler: ClassVar[tuple[str, ...]] = ()
     """Families at the same place that this one contains: preferred where they fit nearly as well."""
     set_apart: ClassVar[float] = 30.0
@@ -81,7 +56,7 @@ class Family(abc.ABC):
     """How many peaks its grid may show in a band, of which the highest grid point need not be on the highest."""
     passing: ClassVar[bool] = False
     """Whether the effect lasts for a stretch of time only, found beforehand (`Context.windows`)."""
-    form_error: ClassVar[float] = 0.01
+    form_error: float = 0.01
     """How far the equation may be from a real robot's, as a share (rms) of the effect: real teeth rattle, friction
     creeps. What is left within it is no further effect, and no reason to call the cause unknown."""
     slow: ClassVar[bool] = False
@@ -89,8 +64,6 @@ class Family(abc.ABC):
     a controller that feeds encoder noise back correlates the torque it asks for with that noise."""
     alike: ClassVar[str] = ""
     """Families that name the same have the same columns at a place, and differ in their weights."""
-    law_of: ClassVar[str] = ""
-    """What it is one law of, where a place has but one: a joint has one dry friction, a torque is late by one law."""
     bends: ClassVar[tuple[str, ...]] = ()
     """Kinds of numbers at its place that the effect changes beyond its equation: they may be off as well."""
     changes: ClassVar[tuple[str, ...]] = ("time", "position", "load", "speed")
@@ -106,13 +79,7 @@ class Family(abc.ABC):
 
     def places(self, context: Context) -> list[Place]:
         """Everywhere the effect can be in this log."""
-        if self.kind == "joint":
-            return [Place("joint", name, row) for name, row in context.joint_dofs.items()]
-        if self.kind == "body":
-            return [Place("body", n, i) for i, n in enumerate(context.robot.body_names)]
-        if self.kind == "contact":
-            return [Place("contact", n, i) for i, n in enumerate(context.contacts)]
-        return [Place("global", "global", -1)]
+        return self.effect.places(context)
 
     def grid(self, context: Context, place: Place) -> tuple[Sequence[float] | np.ndarray, ...]:
         """Grid of each nonlinear number; none where the effect is linear."""
@@ -158,33 +125,25 @@ class Family(abc.ABC):
     free_shape: ClassVar[int | None] = None
     """How many of the nonlinear numbers count as found (the rest are detail, such as presliding); None: all."""
 
-    @abc.abstractmethod
     def columns(self, context: Context, place: Place, shape: Shape) -> Columns:
         """A(shape)."""
+        return self.effect.columns(context, place, shape)
 
-    @abc.abstractmethod
     def physical(self, context: Context, place: Place, shape: Shape, theta: np.ndarray) -> bool:
         """Whether the numbers are ones that a real robot can have."""
+        return self.effect.possible(context, place, theta)
 
-    @abc.abstractmethod
     def parameters(
         self, context: Context, place: Place, shape: Shape, theta: np.ndarray
     ) -> dict[str, Parameter]:
         """What is reported, in the field's own terms; of a joint as of a hinge."""
+        return self.effect.numbers(context, place, shape, theta)
 
     def reported(
         self, context: Context, place: Place, shape: Shape, theta: np.ndarray
     ) -> dict[str, Parameter]:
-        """`parameters`, in newtons and metres of a joint that slides; a phase is an angle there too."""
-        out = self.parameters(context, place, shape, theta)
-        if place.kind != "joint" or context.robot.topology.dof_rotates[place.index]:
-            return out
-        return {
-            name: p
-            if name == "phase"
-            else dataclasses.replace(p, unit=_OF_SLIDE.get(p.unit, p.unit))
-            for name, p in out.items()
-        }
+        """`parameters`, in newtons and metres of a joint that slides."""
+        return slid(self.parameters(context, place, shape, theta), context, place)
 
     def weights(self, context: Context, place: Place, theta: np.ndarray) -> Float[np.ndarray, " k"]:
         """What the columns are multiplied by, e = A(shape) w(θ): θ itself, or δπ(θ) of a body whose columns are −Y."""
@@ -235,5 +194,20 @@ class Family(abc.ABC):
         """Where a search over θ begins where w(θ) is not linear; `free` is w fitted as if it were."""
         return [np.zeros(self.size or 0)]
 
-    def prepare(self, context: Context, place: Place, shapes: list[Shape]) -> None:  # noqa: B027
+    def prepare(self, context: Context, place: Place, shapes: list[Shape]) -> None:
         """Compute at once what the columns of many shapes need."""
+
+
+class Plain(Family[Effect]):
+    """An effect as it is, searched on its own grid: a user's own, or one that needs no plan."""
+
+    def __init__(self, effect: Effect):
+        self.effect = effect
+        self.form_error = effect.form_error
+
+    def shapes(self, context, place):
+        return [tuple(float(x) for x in shape) for shape in self.effect.shapes(context, place)]
+
+    def around(self, context, place, shape):
+        steps = self.effect.steps(context, place, shape) or (0.0,) * len(shape)
+        return [(x - step, x + step) for x, step in zip(shape, steps, strict=True)]

@@ -1,21 +1,22 @@
-"""Effects on a body's inertial parameters."""
+"""Plans for effects on a body's inertial parameters, which stay on the manifold of bodies that can exist."""
 
 import numpy as np
 
-from jax_inertia.gap.families.base import Columns, Family, Parameter
-
-
-def steiner(m: float, c: np.ndarray) -> np.ndarray:
-    """Inertia [xx, xy, xz, yy, yz, zz] of a mass point at c: m (c·c 1 − c cᵀ)."""
-    # Scalars: the fit on a body's manifold asks for it a hundred thousand times.
-    x, y, z = c.tolist()
-    return m * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+from jax_inertia.diagnosis.effects import inertial
+from jax_inertia.diagnosis.effects.base import Columns, Parameter
+from jax_inertia.diagnosis.effects.inertial import (
+    ROUND,
+    inertia_change,
+    load_change,
+    shift_change,
+)
+from jax_inertia.gap.families.base import Family
 
 
 class Inertial(Family):
     """e = −Y δπ(θ), δπ the weights."""
 
-    kind, alike, slow = "body", "−Y", True
+    alike, slow = "−Y", True
 
     def columns(self, context, place, shape):
         return Columns(-context.regressor[:, :, place.index, :])
@@ -32,7 +33,7 @@ FARTHEST, OFF_CENTRE = 1.0, 0.15
 class Load(Inertial):
     """A mass more, at a point c of the body."""
 
-    name = "payload"
+    effect = inertial.Payload()
     rigid = True
     # A real load is neither a point nor a ball: some of its own inertia is left.
     form_error = 0.05
@@ -46,8 +47,7 @@ class Load(Inertial):
         return out
 
     def weights(self, context, place, theta):
-        m, c = theta[0], theta[1:4]
-        return np.array([m, *(m * c), *steiner(m, c)])
+        return load_change(theta[0], theta[1:4])
 
     def physical(self, context, place, shape, theta):
         return bool(theta[0] > 0 and np.linalg.norm(theta[1:4]) < FARTHEST * context.scale)
@@ -64,7 +64,7 @@ class Load(Inertial):
 
 
 class LoadOfSomeSize(Load):
-    equation, size = "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 5
+    size = 5
     simpler = ("payload",)
 
     def starts(self, context, place, free):
@@ -88,34 +88,24 @@ class LoadOfSomeSize(Load):
 
 # Radius of gyration of what is carried, and of the widest of that, likewise [m].
 SIZE, WIDEST = 0.07, 0.3
-# A ball's inertia of one, among a body's parameters.
-ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 
 class Payload(Load):
-    equation, size, freer = "π + [m, m c, m (c·c 1 − c cᵀ)]", 4, LoadOfSomeSize()
+    size, freer = 4, LoadOfSomeSize()
 
 
 class ComShift(Inertial):
-    name, equation, size = "com_shift", "centre of mass + δ, mass and inertia about it kept", 3
-    simpler = ()
+    effect = inertial.ComShift()
+    size = 3
 
     def sized(self, context, place, size):
         return [*(size * np.eye(3))]
 
     def weights(self, context, place, theta):
-        pi = self.pi(context, place)
-        m = pi[0]
-        if m <= 0:
-            return np.zeros(10)
-        old, new = pi[1:4] / m, pi[1:4] / m + theta[:3]
-        return np.array([0.0, *(m * theta[:3]), *(steiner(m, new) - steiner(m, old))])
+        return shift_change(self.pi(context, place), theta[:3])
 
     def physical(self, context, place, shape, theta):
         return bool(np.linalg.norm(theta) < OFF_CENTRE * context.scale)
-
-    def parameters(self, context, place, shape, theta):
-        return {f"com_shift_{k}": Parameter(x, "m") for k, x in zip("xyz", theta, strict=True)}
 
 
 # No link has so many times more rotational inertia than its model, or less: a motor about its own axis may.
@@ -123,11 +113,8 @@ MOST = 10.0
 
 
 class LinkInertia(Inertial):
-    name, equation, size = (
-        "link_inertia",
-        "rotational inertia about the centre of mass scaled by s",
-        1,
-    )
+    effect = inertial.LinkInertia()
+    size = 1
 
     def starts(self, context, place, free):
         return [np.array([0.1])]
@@ -136,14 +123,7 @@ class LinkInertia(Inertial):
         return [np.array([size])]
 
     def weights(self, context, place, theta):
-        pi = self.pi(context, place)
-        m = pi[0]
-        if m <= 0:
-            return np.zeros(10)
-        return np.array([0.0, 0.0, 0.0, 0.0, *(theta[0] * (pi[4:] - steiner(m, pi[1:4] / m)))])
+        return inertia_change(self.pi(context, place), theta[0])
 
     def physical(self, context, place, shape, theta):
         return bool(1.0 / MOST < 1.0 + theta[0] < MOST)
-
-    def parameters(self, context, place, shape, theta):
-        return {"inertia_scale": Parameter(1.0 + theta[0], "1", factor=True)}

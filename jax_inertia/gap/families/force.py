@@ -1,12 +1,14 @@
-"""Forces on a body: for good, for a while, or of the air."""
+"""Plans for forces on a body: for good, for a while, or of the air."""
 
 import abc
-from types import ModuleType
 
 import numpy as np
 
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns, Family, Parameter, Place
+from jax_inertia.diagnosis.effects import external_force
+from jax_inertia.diagnosis.effects.base import Columns, Parameter, Place
+from jax_inertia.diagnosis.effects.external_force import components, push_window
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.gap.families.base import Family
 
 # What holds a robot up, or weighs it down: so many times its weight, and a hand's pull beside it [N].
 HARDEST_HOIST, HAND = 3.0, 50.0
@@ -27,7 +29,7 @@ def _weight(context: Context) -> float:
 class Force(Family):
     """Jᵀ f, f fixed in the world, on a body's centre of mass."""
 
-    kind, vector = "body", True
+    vector = True
 
     @abc.abstractmethod
     def hardest(self, context: Context) -> float:
@@ -45,7 +47,7 @@ class Force(Family):
         return np.full(3, UNLIKELY / self.hardest(context))
 
     def parameters(self, context, place, shape, theta):
-        return {f"force_{k}": Parameter(x, "N") for k, x in zip("xyz", theta, strict=True)}
+        return components(theta)
 
 
 class AtAPoint(Force):
@@ -119,7 +121,7 @@ def _centre(context: Context, place: Place) -> np.ndarray:
 class Lasting(Force):
     """A force for good."""
 
-    name = "constant_force"
+    effect = external_force.ConstantForce()
 
     def hardest(self, context):
         return hardest(context)
@@ -129,12 +131,11 @@ class Lasting(Force):
 
 
 class ConstantForceAtAPoint(Lasting, AtAPoint):
-    equation = "Jᵀ f, f fixed in the world, at a point p of the body"
     simpler = ("constant_force",)
 
 
 class ConstantForce(Lasting):
-    equation, freer = "Jᵀ f, f fixed in the world", ConstantForceAtAPoint()
+    freer = ConstantForceAtAPoint()
     # A force has a point, and a centre of mass that is off by a millimetre is not it. What a hard force at the wrong
     # point leaves would be taken for another force on the next link.
     leeway = 0.0
@@ -145,39 +146,21 @@ DENSEST = 200.0
 
 
 class Drag(Family):
-    name, equation, kind = "drag", "−c |v| v at the centre of mass", "body"
+    effect = external_force.Drag()
     form_error = 0.05
-
-    def columns(self, context, place, shape):
-        v = context.com_velocity[:, place.index]
-        f = -np.linalg.norm(v, axis=1, keepdims=True) * v
-        return Columns(np.einsum("tjc,tc->tj", context.force_rows[:, place.index], f)[:, :, None])
 
     def physical(self, context, place, shape, theta):
         return bool(0 < theta[0] < DENSEST * context.scale**2)
-
-    def parameters(self, context, place, shape, theta):
-        return {"coefficient": Parameter(theta[0], "N s²/m²", 0.0)}
 
 
 # A person, or a light collision [N]; what passes by a machine of tonnes, in its weights.
 HARDEST_PUSH, HARDEST_BLOW = 700.0, 0.3
 
 
-def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
-    """w(t): flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
-
-    `xp` is numpy or jax.numpy.
-    """
-    phase = xp.clip((time - start) / (end - start), 0.0, 1.0)
-    near = xp.minimum(xp.minimum(phase, 1 - phase) / flank, 1.0)
-    return (0.5 - 0.5 * xp.cos(np.pi * near)) * (1.0 + skew * xp.sin(2 * np.pi * phase))
-
-
 class Passing(Force):
     """A force for a while, f w(t)."""
 
-    name = "push"
+    effect = external_force.Push()
     passing, smooth, form_error = True, True, 0.1
     # Where its torque changes sign midway, the louder half alone is a peak too.
     peaks = 2
@@ -213,23 +196,17 @@ class Passing(Force):
         return Columns(self.rows(context, place) * window[:, None, None])
 
     def parameters(self, context, place, shape, theta):
-        start, stop = _whole(shape)
-        return {
-            **super().parameters(context, place, shape, theta),
-            "start": Parameter(start, "s"),
-            "end": Parameter(stop, "s"),
-            "flank": Parameter(shape[2], "1", 0.0),
-            "skew": Parameter(shape[3], "1"),
+        window = self.effect.numbers(context, place, (*_whole(shape), *shape[2:]), theta[:3])
+        return super().parameters(context, place, shape, theta) | {
+            name: p for name, p in window.items() if not name.startswith("force")
         }
 
 
 class PushAtAPoint(Passing, AtAPoint):
-    equation = "Jᵀ f w(t), w a plateau with flanks over a short window, at a point p of the body"
     simpler = ("push",)
 
 
 class Push(Passing):
-    equation = "Jᵀ f w(t), w a plateau with flanks over a short window"
     freer = PushAtAPoint()
 
 

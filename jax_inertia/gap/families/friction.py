@@ -1,17 +1,18 @@
-"""Dry friction: what turns with the direction of motion, by one law or another."""
+"""Plans for dry friction: what turns with the direction of motion, by one law or another."""
 
 from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.families.base import Columns, Family, Parameter, Place, Shape
+from jax_inertia.diagnosis.effects import dry_friction
+from jax_inertia.diagnosis.effects.base import Columns, Parameter, Place, Shape
+from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.gap.families.base import Family
 
 # Presliding displacements on the grid [rad]; zero is the sharp sign.
 PRESLIDING = (0.0, 2e-4, 5e-4, 1.2e-3, 3e-3)
-# How it turns over one: as Dahl's bristles bend, or as a straight spring slips.
-BENT, STRAIGHT = 0.0, 1.0
 # Levels at which friction may creep as MuJoCo's does (`Context.creeping`), of the joint's peak torque.
 CREEPING = (1.0, 0.3, 0.1, 0.03)
 # Of its own, that level is so close.
@@ -25,14 +26,7 @@ DRY = "dry friction"
 EXPONENTS = (2.0, 1.0)
 
 
-def turned_round(context: Context, row: int, over: float, way: float = BENT) -> np.ndarray:
-    """z in [−1, 1] of friction that turns round over a displacement [rad]; below zero, creeping at a level [N m]."""
-    if over < 0:
-        return context.creeping(row, -over)
-    return context.bristle(row, over, straight=way == STRAIGHT) if over else context.side[:, row]
-
-
-class DryFriction(Family):
+class DryFriction(Family[dry_friction.DryFriction]):
     """Friction whose direction turns over a presliding displacement [rad], the last of its nonlinear numbers.
 
     Below zero that number is a level [N m]: friction that creeps as MuJoCo's does where all of it is as large. The last
@@ -40,7 +34,7 @@ class DryFriction(Family):
     others too where that leads.
     """
 
-    kind, law_of = "joint", DRY
+    law_of = DRY
     free_shape, form_error = 0, 0.1
     of_few: ClassVar[tuple[int, ...]] = (-2,)
     """Which of the nonlinear numbers."""
@@ -76,9 +70,22 @@ class DryFriction(Family):
             return ()
         return dict.fromkeys((*own[:-2], *shape[-2:]) for own in self.shapes(context, place))
 
+    def of_effect(self, shape: Shape) -> Shape:
+        """The nonlinear numbers in the effect's own order."""
+        return (*shape[:-3:-1], *shape[:-2])
+
     def direction(self, context: Context, place: Place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
-        return turned_round(context, place.index, float(shape[-1]), shape[-2])
+        return self.effect.direction(context, place, self.of_effect(shape))
+
+    def columns(self, context, place, shape):
+        # The level, and what the form adds to it.
+        z = self.direction(context, place, shape)[:, None]
+        more = self.effect.columns(context, place, self.of_effect(shape))
+        return Columns(np.concatenate([-z, more.values], axis=1), place.index)
+
+    def parameters(self, context, place, shape, theta):
+        return self.effect.numbers(context, place, self.of_effect(shape), theta)
 
     def turning_over(self, shape: Shape, reach: float) -> Shape:
         """The same friction where it turns round over another displacement."""
@@ -109,21 +116,18 @@ class LevelFriction(DryFriction):
 
 
 class CoulombFriction(LevelFriction):
-    name, equation = "coulomb_friction", "−F sign(q̇)"
+    effect = dry_friction.CoulombFriction()
 
     def columns(self, context, place, shape):
-        return Columns(-self.direction(context, place, shape)[:, None], place.index)
+        return self.effect.columns(context, place, self.of_effect(shape))
 
     def physical(self, context, place, shape, theta):
         own = context.frictionloss[place.index]
         return theta[0] + own >= -1e-9 and self.creeps_alike(context, place, shape, theta)
 
-    def parameters(self, context, place, shape, theta):
-        return {"coulomb": Parameter(theta[0], "N m")}
-
 
 class AsymmetricCoulomb(LevelFriction):
-    name, equation = "asymmetric_coulomb", "−F⁺ (q̇ > 0), +F⁻ (q̇ < 0)"
+    effect = dry_friction.AsymmetricCoulomb()
     simpler = ("coulomb_friction", "torque_bias")
     # From a friction a constant torque sets it apart, and from that a friction: errors of neither equation look so.
     set_apart = 10.0
@@ -141,6 +145,7 @@ class AsymmetricCoulomb(LevelFriction):
         return float(np.mean(theta))
 
     def parameters(self, context, place, shape, theta):
+        # Both levels at once, where the effect has half their difference beside the level.
         return {
             "positive": Parameter(theta[0], "N m"),
             "negative": Parameter(theta[1], "N m"),
@@ -148,7 +153,7 @@ class AsymmetricCoulomb(LevelFriction):
 
 
 class StribeckFriction(DryFriction):
-    name, equation = "stribeck_friction", "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) sign(q̇)"
+    effect = dry_friction.StribeckFriction()
     simpler = ("coulomb_friction",)
     # 99 % of χ² of its three numbers: what one level leaves behind resembles it in nothing but noise.
     set_apart = 12.0
@@ -157,23 +162,10 @@ class StribeckFriction(DryFriction):
 
     def grid(self, context, place):
         way, _ = super().grid(context, place)
-        return ((0.02, 0.035, 0.06, 0.1, 0.17, 0.3), EXPONENTS, way, (0.0, 2e-4, 5e-4, 2e-3))
-
-    def columns(self, context, place, shape):
-        s = self.direction(context, place, shape)
-        slow = np.exp(-(np.abs(context.v[:, place.index] / shape[0]) ** shape[1]))
-        return Columns(-np.stack([s, s * slow], 1), place.index)
+        return (dry_friction.STRIBECK_SPEEDS, EXPONENTS, way, (0.0, 2e-4, 5e-4, 2e-3))
 
     def physical(self, context, place, shape, theta):
         return theta[0] > 0 and 0 < theta[1] < 4 * theta[0]
-
-    def parameters(self, context, place, shape, theta):
-        return {
-            "coulomb": Parameter(theta[0], "N m"),
-            "stiction": Parameter(theta[0] + theta[1], "N m", theta[0]),
-            "stribeck_velocity": Parameter(shape[0], "rad/s", 0.0),
-            "exponent": Parameter(shape[1], "1"),
-        }
 
 
 # Whose torque loads the teeth: what the link needs, or what its motor gives, that is friction too.
@@ -185,13 +177,7 @@ GROWS_FROM = ((BENT, 0.0), (BENT, 5e-4))
 
 
 class LoadFriction(DryFriction):
-    """Friction that grows with the load on the teeth.
-
-    Their stiffness need not: then the displacement that it turns over grows too, by so much a newton metre [rad/(N m)],
-    the second of the nonlinear numbers.
-    """
-
-    name, equation = "load_friction", "−(F₀ + μ|τ|) sign(q̇), τ of the link or of its motor"
+    effect = dry_friction.LoadFriction()
     simpler, of_few = ("coulomb_friction",), (0, -2)
 
     def grid(self, context, place):
@@ -211,27 +197,6 @@ class LoadFriction(DryFriction):
     def turning_over(self, shape, reach):
         return super().turning_over((shape[0], 0.0, *shape[2:]), reach)
 
-    def direction(self, context, place, shape):
-        if shape[1] == 0.0:
-            return super().direction(context, place, shape)
-        reach = np.maximum(shape[-1] + shape[1] * self._load(context, place, shape), 1e-9)
-        return context.bristle_of_any(place.index, reach, shape[-2] == STRAIGHT)
-
-    def _load(self, context: Context, place: Place, shape: Shape) -> np.ndarray:
-        torque = context.tau if shape[0] else context.inverse
-        return np.abs(torque[:, place.index])
-
-    def columns(self, context, place, shape):
-        s = self.direction(context, place, shape)
-        return Columns(-np.stack([s, s * self._load(context, place, shape)], 1), place.index)
-
     def physical(self, context, place, shape, theta):
         own = context.frictionloss[place.index]
         return theta[0] + own > -0.02 * context.peak[place.index] and 0.005 < theta[1] < 0.6
-
-    def parameters(self, context, place, shape, theta):
-        return {
-            "coulomb": Parameter(theta[0], "N m"),
-            "load_coefficient": Parameter(theta[1], "1"),
-            "of_motor": Parameter(shape[0], "1"),
-        }

@@ -1,16 +1,18 @@
-"""Effects that belong to no single joint or body: where gravity points, what contact sensors read."""
+"""Plans for effects that belong to no single joint or body: where gravity points, what contact sensors read."""
 
 import numpy as np
 
-from jax_inertia.gap.families.base import Columns, Family, Parameter
+from jax_inertia.diagnosis.effects import environment
+from jax_inertia.diagnosis.effects.base import Columns
+from jax_inertia.gap.families.base import Family
 
 
 class GravityTilt(Family):
-    name, equation, kind = "gravity_tilt", "gravity turned about world x and y", "global"
+    effect = environment.GravityTilt()
     size = 2
 
     def columns(self, context, place, shape):
-        # The real robot needs more torque for its own gravity; what is missing is what it did not need to give.
+        # All five of the second order, weighed at once.
         return Columns(-context.tilt)
 
     def weights(self, context, place, theta):
@@ -23,21 +25,6 @@ class GravityTilt(Family):
     def physical(self, context, place, shape, theta):
         return np.hypot(*theta) < 0.25
 
-    def parameters(self, context, place, shape, theta):
-        return {
-            "tilt_x": Parameter(theta[0], "rad"),
-            "tilt_y": Parameter(theta[1], "rad"),
-        }
-
 
 class ContactForceScale(Family):
-    name, equation, kind = "contact_force_scale", "λ_measured = g λ", "contact"
-
-    def columns(self, context, place, shape):
-        return Columns(context.contact_rows[:, place.index, :, None])
-
-    def physical(self, context, place, shape, theta):
-        return abs(theta[0]) < 0.5
-
-    def parameters(self, context, place, shape, theta):
-        return {"scale": Parameter(1.0 / (1.0 + theta[0]), "1", factor=True)}
+    effect = environment.ContactForceScale()

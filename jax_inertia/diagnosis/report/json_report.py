@@ -3,13 +3,21 @@
 from collections.abc import Sequence
 from typing import Any
 
+from jax_inertia.diagnosis.effects.base import Effect, Interval
+from jax_inertia.diagnosis.report.json_values import clean, located, motion_values, rollout_values
+from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
-from jax_inertia.gap.intervals import Interval
-from jax_inertia.gap.report import clean, located
+from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.preflight.preflight import Finding as Quality
 
 
-def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str, Any]:
+def to_report(
+    found: Diagnosis,
+    *,
+    rollouts: Rollouts | None = None,
+    quality: Sequence[Quality] = (),
+    extra: Sequence[Effect] = (),
+) -> dict[str, Any]:
     """The diagnosis in the contract's form: only JSON's own types, no NaN."""
     report = {
         "schema": 1,
@@ -35,7 +43,7 @@ def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str,
         "shrink": {
             "heldout": _shrink(found.heldout),
             "test_log": None if found.test is None else _shrink(found.test),
-            "rollout": None,
+            "rollout": None if rollouts is None else rollout_values(rollouts),
         },
         "explained_share": 1.0 - found.remainder.share,
         "remainder": {
@@ -44,8 +52,11 @@ def to_report(found: Diagnosis, *, quality: Sequence[Quality] = ()) -> dict[str,
             "resembles": "; ".join(found.remainder.resembles),
         },
         "when": [],
-        "undetectable_below": [],
-        "suggested_motion": {},
+        "undetectable_below": [
+            {"family": family, "location": located(place), "value": p.value, "unit": p.unit}
+            for family, place, p in found.undetectable_below
+        ],
+        "suggested_motion": motion_values(to_record(found, extra)),
         "data_quality": [
             {"severity": str(q.severity), "check": q.check, "message": q.message} for q in quality
         ],
@@ -60,6 +71,7 @@ def _effect(f: Found) -> dict[str, Any]:
         "family": f.family,
         "location": located(f.place),
         "ordinary": f.ordinary,
+        "equation": f.equation,
         "parameters": {name: _number(p) for name, p in f.parameters.items()},
         "share": f.share,
         "evidence": f.evidence,

@@ -9,13 +9,14 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jax_inertia.diagnosis import pipeline
-from jax_inertia.diagnosis import report as whole_report
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.report import json_report as whole_report
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import diagnosis as single
 from jax_inertia.gap import report as single_report
-from jax_inertia.gap.families import NAMES
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, LogError
@@ -31,6 +32,7 @@ def diagnose(
     *,
     test_log: Log | None = None,
     exclude: Sequence[str] = (),
+    extra: Sequence[Effect] = (),
     max_effects: int = 3,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Diagnosis | WholeRobot:
@@ -38,9 +40,9 @@ def diagnose(
 
     Both results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of either.
     `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
-    effects; `max_effects` holds where single effects are sought. Torques that are no N m get one drive gain per joint
-    from the log itself, and a note says so. Computed in double precision, whatever JAX is set to. Raises ValueError
-    for an unknown family, and LogError for a log that cannot be used.
+    effects, `extra` adds effects of your own; `max_effects` holds where single effects are sought. Torques that are no
+    N m get one drive gain per joint from the log itself, and a note says so. Computed in double precision, whatever JAX
+    is set to. Raises ValueError for an unknown family, and LogError for a log that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -63,7 +65,7 @@ def diagnose(
             raise LogError(f"{name}: {error}") from None
         notes += [f"{name}: {f.message}" for f in findings if f.severity is Severity.WARNING]
     of = logs["log"], logs.get("test_log")
-    whole = whole_robot(robot, *of, exclude, progress)
+    whole = whole_robot(robot, *of, exclude, progress, extra)
     found = (
         whole
         if whole is not None
@@ -72,6 +74,7 @@ def diagnose(
             of[0],
             test_log=of[1],
             exclude=exclude,
+            extra=extra,
             max_effects=max_effects,
             progress=progress,
         )
@@ -126,6 +129,7 @@ def whole_robot(
     test_log: Log | None,
     exclude: Sequence[str],
     progress: Callable[[str], None],
+    extra: Sequence[Effect] = (),
 ) -> WholeRobot | None:
     """The diagnosis of every joint at once, for a model that lacks ordinary physics all over.
 
@@ -134,7 +138,9 @@ def whole_robot(
     """
     if robot.has_free_base or not all(robot.topology.dof_scalar):
         return None
-    found = pipeline.diagnose(robot, log, test_log=test_log, exclude=exclude, progress=progress)
+    found = pipeline.diagnose(
+        robot, log, test_log=test_log, exclude=exclude, extra=extra, progress=progress
+    )
     return found if pipeline.ordinary_is_missing(found, robot) else None
 
 

@@ -1,5 +1,6 @@
 """A model in MuJoCo C, run from a log's states by its torques, and the log as that needs it."""
 
+import dataclasses
 import warnings
 from collections.abc import Sequence
 
@@ -7,12 +8,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.callbacks import Callback, law
-from jax_inertia.gap.context import Context
-from jax_inertia.gap.couplings import DAMPING_RATIO, DEFLECTION
-from jax_inertia.gap.effect import Effect
-from jax_inertia.gap.trace import Trace
-from jax_inertia.gap.turning import CREEPS
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.couplings import DAMPING_RATIO, DEFLECTION
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.simulate.step_law import Callback, law
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.model.load import ModelWarning, compile_spec
@@ -24,6 +24,18 @@ from jax_inertia.signals.torque_residual import prepare
 _MEMORY = 0.06  # of the torque before a window, which a delay or a lag still holds [s]
 # ω² h² of a joint on its bristles, at most.
 STIFFEST = 0.2
+
+
+CREEPS = -1.0
+"""In place of a displacement over which friction turns round: as MuJoCo's soft constraint at its defaults."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Erring:
+    """Torque that the nominal model's own errors most likely have along a log."""
+
+    time: Float[np.ndarray, " R"]
+    torque: Float[np.ndarray, "R nv"]
 
 
 _UNSTABLE = (
@@ -60,7 +72,7 @@ class _Torque:
 class Recording:
     """A log as the plants need it."""
 
-    def __init__(self, robot: Robot, log: Log, effects: Sequence[Effect]):
+    def __init__(self, robot: Robot, log: Log, effects: Sequence[Identified]):
         self.prepared = prepare(robot, log)
         self.torque = _Torque(log, robot)
         self._context = Context(self.prepared)
@@ -88,9 +100,10 @@ class Plant:
         self,
         spec: MjSpec,
         robot: Robot,
-        effects: Sequence[Effect],
+        effects: Sequence[Identified],
         step: float,
         turning: Float[np.ndarray, " nv"],
+        extra: Sequence[Effect] = (),
     ):
         spec = spec.copy()
         spec.option.timestep = step
@@ -103,7 +116,7 @@ class Plant:
             warnings.simplefilter("ignore", ModelWarning)  # said when the model was loaded
             self.model = model = compile_spec(spec)
         self.effects = tuple(effects)
-        self.law = law(model, self.effects)
+        self.law = law(model, self.effects, extra)
         self.data = mujoco.MjData(model)
         joints = [_joint_id(model, name, k) for k, name in enumerate(robot.joint_names)]
         model.jnt_limited[joints] = False
@@ -149,11 +162,11 @@ class Plant:
 
     @mujoco_warnings()
     def run(
-        self, recording: Recording, k: int, samples: np.ndarray, erring: Trace | None = None
+        self, recording: Recording, k: int, samples: np.ndarray, erring: Erring | None = None
     ) -> Float[np.ndarray, "S nv"]:
         """Positions at the samples, as the log's encoders would show them; zero on other rows.
 
-        `erring`: a trace whose errors of the model act as well.
+        `erring`: errors of the model that act as well.
         """
         model, data, torque = self.model, self.data, recording.torque
         time, step = recording.prepared.time, model.opt.timestep
@@ -174,7 +187,7 @@ class Plant:
         applied, held = self._on_rows(torque(middle)), torque.index(middle)
         errors = np.zeros_like(applied)
         if erring is not None:
-            rows = [np.interp(middle - origin, erring.time, x) for x in erring.erring.T]
+            rows = [np.interp(middle - origin, erring.time, x) for x in erring.torque.T]
             errors = self._on_rows(np.stack(rows, axis=1))
         seen, scale = self.places[self.adr[own]], self.scale[own]
         for n in range(steps + 1):

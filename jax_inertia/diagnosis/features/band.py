@@ -1,6 +1,6 @@
 """Which accelerations are motion: those below a frequency, and for moments at which a joint moves faster, all of them.
 
-What lies above is the encoders' noise twice differentiated, and the missing torque has it too: columns that share it
+What lies above is the encoders' noise twice differentiated, and the torque residual has it too: columns that share it
 would take a share of it. Each row has a frequency of its own: a trunk that hardly moves is measured as noisily as legs
 that step. A start or a stop is over before the spectrum of a whole log shows it, and what the low-pass takes from it no
 effect could explain.
@@ -16,7 +16,7 @@ from jax_inertia.signals.torque_residual import Prepared, below
 
 # No robot's motion ends below this [Hz].
 SLOWEST = 4.0
-# A moment [s] in which a robot may start or stop, and how much louder than the noise ever is that must be.
+# A moment [s] in which a robot may start or stop, and how many times the noise's largest power that must have.
 MOMENT, LOUDER = 0.2, 1.5
 
 
@@ -44,7 +44,7 @@ class Band:
 
         quiet = loudness(noise)
         usual = quiet.mean(axis=0)
-        # One row's noise of one log hardly tells how loud a moment of it may be; all rows' together do.
+        # One row's noise of one log hardly tells how large it may be for a moment; all rows' together do.
         most = np.max(quiet / np.maximum(usual, 1e-300))
         loud = 1.0 * (loudness(a) > LOUDER * most * usual)
         loud = ndimage.maximum_filter1d(loud, 2 * moment + 1, axis=0)

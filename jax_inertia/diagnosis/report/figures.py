@@ -5,8 +5,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from jax_inertia.diagnosis.report.drawing import BLUE, GREY, ORANGE, STYLE, embedded
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.gap.figures import _BLUE, _GREY, _ORANGE, _STYLE, embedded
 
 WIDTH = 5.2
 
@@ -16,13 +16,13 @@ def joints(found: Diagnosis) -> str:
     shrink = found.checked
     names = list(shrink.per_joint)
     before, after = (np.array([shrink.per_joint[n][k] for n in names]) for k in (0, 1))
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure((WIDTH, 1.1 + 0.3 * len(names)), layout="constrained")
         axes = figure.subplots()
         at = np.arange(len(names))
-        axes.hlines(at, after, before, color=_GREY, linewidth=1.2)
-        axes.plot(before, at, "o", color=_ORANGE, label="nominal model")
-        axes.plot(after, at, "s", color=_BLUE, label="with what was found")
+        axes.hlines(at, after, before, color=GREY, linewidth=1.2)
+        axes.plot(before, at, "o", color=ORANGE, label="nominal model")
+        axes.plot(after, at, "s", color=BLUE, label="with what was found")
         axes.set_xscale("log")
         axes.xaxis.set_minor_formatter(NullFormatter())
         # Mathematics is off, since names come from files.
@@ -30,7 +30,7 @@ def joints(found: Diagnosis) -> str:
         axes.set_yticks(at, names)
         axes.invert_yaxis()
         axes.set_xlabel("torque error, rms of moving rows [N m]")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=2)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return embedded(figure)
 
 
@@ -38,13 +38,13 @@ def along_time(found: Diagnosis, joint: str) -> str:
     """Torque residual of one joint along the checked run, before and after."""
     trace = found.trace
     row = trace.rows.index(joint)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure((WIDTH, 2.6), layout="constrained")
         axes = figure.subplots()
         rests = trace.moving[:, row] < 0.5
         for values, colour, label in (
-            (trace.before, _ORANGE, "nominal model"),
-            (trace.after, _BLUE, "with what was found"),
+            (trace.before, ORANGE, "nominal model"),
+            (trace.after, BLUE, "with what was found"),
         ):
             y = np.where(rests, np.nan, values[:, row])
             axes.plot(trace.time, y, color=colour, linewidth=1.0, label=label)

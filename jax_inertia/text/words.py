@@ -1,8 +1,20 @@
 """Names and numbers as people read them."""
 
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 
-from jax_inertia.gap.families.base import Place
+
+@runtime_checkable
+class Placed(Protocol):
+    """A place: what kind, its name in the model, and another name where it is between two."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def other(self) -> str: ...
 
 
 def plain(name: str) -> str:
@@ -10,12 +22,17 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
-def at(place: Place) -> str:
+def where(place: Placed) -> str:
+    """Its name, and the other's of a place between two."""
+    return f"{place.name} with {place.other}" if place.other else place.name
+
+
+def at(place: Placed) -> str:
     """Where; nothing for what is everywhere."""
-    return "" if place.kind == "global" else f" at {place.name}"
+    return "" if place.kind == "global" else f" at {where(place)}"
 
 
-def named(family: str, place: Place) -> str:
+def named(family: str, place: Placed) -> str:
     """An effect and where it is."""
     return plain(family) + at(place)
 

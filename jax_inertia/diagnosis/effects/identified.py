@@ -4,11 +4,9 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from jax_inertia.gap.finding import Diagnosis
-
 
 @dataclasses.dataclass(frozen=True)
-class Effect:
+class Identified:
     """A family at a place with its parameters, in the units of the contract."""
 
     family: str
@@ -16,29 +14,30 @@ class Effect:
     """'joint', 'body', 'contact' or 'global'."""
     name: str
     values: Mapping[str, float]
+    other: str = ""
+    """The other joint, of an effect between two."""
 
     def __str__(self) -> str:
         numbers = ", ".join(f"{key} = {value:.6g}" for key, value in self.values.items())
-        return f"{self.family} at {self.kind} {self.name}: {numbers}"
+        other = f" with {self.other}" if self.other else ""
+        return f"{self.family} at {self.kind} {self.name}{other}: {numbers}"
+
+    def vector(self, name: str) -> tuple[float, float, float]:
+        """Three numbers along x, y and z."""
+        x, y, z = (float(self.values[f"{name}_{k}"]) for k in "xyz")
+        return x, y, z
 
 
-def effects_of(found: Diagnosis) -> tuple[Effect, ...]:
-    """The findings of a diagnosis, the most important first."""
-    return tuple(
-        Effect(f.family, f.place.kind, f.place.name, {k: p.value for k, p in f.parameters.items()})
-        for f in found.findings
-    )
-
-
-def effects_in(report: Mapping[str, Any]) -> tuple[Effect, ...]:
+def effects_in(report: Mapping[str, Any]) -> tuple[Identified, ...]:
     """The effects of a report.json as parsed; raises ValueError where it is none."""
     try:
         return tuple(
-            Effect(
+            Identified(
                 e["family"],
                 e["location"]["kind"],
                 e["location"]["name"],
                 {k: float(p["value"]) for k, p in e["parameters"].items()},
+                e["location"].get("other", ""),
             )
             for e in report["effects"]
         )

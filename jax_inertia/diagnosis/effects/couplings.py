@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from jax_inertia.gap.effect import Effect
-from jax_inertia.gap.spec_joints import joint_of, set_first, unit_of
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.effects.spec_joint import joint_of, set_first, unit_of
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 DEFLECTION = "_deflection"
@@ -15,7 +15,7 @@ DAMPING_RATIO = 0.06
 """Of a coupling between motor and link, of the link alone: a log says little of it."""
 
 
-def elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
+def elasticity(spec, model, effect: Identified) -> tuple[bool, str]:
     """A spring between, slightly damped."""
     stiffness = effect.values["stiffness"]
     hinge, link = _between(spec, model, effect)
@@ -26,7 +26,7 @@ def elasticity(spec, model, effect: Effect) -> tuple[bool, str]:
     return True, _two(effect)
 
 
-def backlash(spec, model, effect: Effect) -> tuple[bool, str]:
+def backlash(spec, model, effect: Identified) -> tuple[bool, str]:
     """The dead zone as a range whose limit is a spring.
 
     With a direct `solref` and an impedance d → 0, MuJoCo's limit is a₁ = a₀ − K' r − B' ṙ, a spring of K' over the
@@ -46,7 +46,7 @@ def backlash(spec, model, effect: Effect) -> tuple[bool, str]:
     return True, _two(effect)
 
 
-def _two(effect: Effect) -> str:
+def _two(effect: Identified) -> str:
     """How a joint in two parts is to be read."""
     joint = effect.name
     text = (
@@ -63,7 +63,7 @@ _CROWDED = (
 )
 
 
-def _between(spec: MjSpec, model: MjModel, effect: Effect):
+def _between(spec: MjSpec, model: MjModel, effect: Identified):
     """A second hinge in line with the joint, and the link's inertia about it; (None, 0) where there is no room."""
     joint = joint_of(spec, effect)
     body = joint.parent

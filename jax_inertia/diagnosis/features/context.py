@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy import signal
 
-from jax_inertia.gap import derivatives
-from jax_inertia.gap.band import Band
-from jax_inertia.gap.twomass import DrivenLink, OwnFriction
+from jax_inertia.diagnosis.features import derivatives
+from jax_inertia.diagnosis.features.band import Band
+from jax_inertia.diagnosis.features.two_mass import DrivenLink, OwnFriction
 from jax_inertia.maths.inertial_parameters import centre_of_mass
 from jax_inertia.model.robot import HINGE, SLIDE
 from jax_inertia.signals.creep import DAMPING, softness

@@ -1,11 +1,15 @@
 """report.html of a whole-robot diagnosis: one file, nothing in it is fetched, nothing in it runs."""
 
-from jax_inertia.diagnosis import figures
+from jax_inertia.diagnosis.report import figures
+from jax_inertia.diagnosis.report.detectable_sizes import by_family
+from jax_inertia.diagnosis.report.drawing import fan
+from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.gap.correct import Correction
-from jax_inertia.gap.words import chance, number, percent, plain
+from jax_inertia.diagnosis.simulate.corrected import Correction
+from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.logs.log import Log
 from jax_inertia.text.report_page import rendered
+from jax_inertia.text.words import chance, number, percent, plain, where
 
 COLUMNS = (
     ("viscous_friction", "viscous friction [N m s/rad]"),
@@ -16,14 +20,21 @@ COLUMNS = (
 """Of the joints' table."""
 
 
-def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, str], report) -> str:
+def page(
+    found: Diagnosis,
+    correction: Correction,
+    log: Log,
+    names: tuple[str, str],
+    report: dict,
+    rolled: Rollouts | None,
+) -> str:
     """The report as HTML, every name in it escaped; `names`: of log and model."""
-    filters = {"plain": plain, "number": number, "percent": percent, "chance": chance}
+    filters = {f.__name__: f for f in (plain, number, percent, chance, where)}
     worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
     shown = remains != worst and found.remainder.where[remains] > 0
     return rendered(
-        "jax_inertia.diagnosis",
+        "jax_inertia.diagnosis.report",
         filters,
         found=found,
         correction=correction,
@@ -35,6 +46,10 @@ def page(found: Diagnosis, correction: Correction, log: Log, names: tuple[str, s
         joints_figure=figures.joints(found),
         worst=worst,
         worst_figure=figures.along_time(found, worst),
+        wanted=to_record(found, correction.extra),
+        rolled=rolled,
+        fan=None if rolled is None else fan(rolled),
+        undetectable=by_family(found.undetectable_below),
         remains=remains,
         remains_figure=figures.along_time(found, remains) if shown else None,
     )

@@ -1,7 +1,7 @@
 """What is said of a diagnosis, as an engineer would say it."""
 
 from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
-from jax_inertia.gap.words import at, number, percent, plain, unit
+from jax_inertia.text.words import at, number, percent, plain, unit
 
 MANY = 3
 

@@ -79,7 +79,7 @@ class DrivenLink:
 
     @functools.cached_property
     def leans(self) -> float:
-        """On which side the teeth lie when the log begins, −1 or 1; zero where that is not told.
+        """On which side the teeth lie when the log begins, −1 or 1; zero where that is unknown.
 
         A link that no weight turns rests anywhere within its play.
         """

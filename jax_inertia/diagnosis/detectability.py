@@ -1,0 +1,92 @@
+"""How small an effect may be for a log to show it: below that, its absence is not known."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.effects.base import Parameter, Place
+from jax_inertia.diagnosis.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search import Selection
+
+
+def undetectable(selection: Selection) -> tuple[tuple[str, Place, Parameter], ...]:
+    """Smallest size of each odd effect that this log would have shown, by family and place.
+
+    With information s, everything chosen marginalised, of a number in units of its prior standard deviation, an effect
+    of z of them gains ½ z² s²/(1 + s) − ½ ln(1 + s) nats: that has to pay the prior odds. Of what has a grid of
+    nonlinear numbers, at its middle one; where those *are* the size, at the faintest that pays. Of a vector, along the
+    axis that is seen best.
+    """
+    chosen = {h.key for h in selection.posterior.chosen}
+    every: dict[tuple[str, str, str], list[Hypothesis]] = {}
+    for c in selection.candidates:
+        if c.named and c.is_odd and c.key not in chosen:
+            every.setdefault(c.key, []).append(c)
+    sizes = (_smallest(selection, group) for group in every.values())
+    return tuple(
+        (group[0].family, group[0].place, p)
+        for group, p in zip(every.values(), sizes, strict=True)
+        if p is not None
+    )
+
+
+MOST_AXES = 3
+"""Numbers of a vector; of a body's ten, the first alone (a mass)."""
+
+
+def _smallest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:
+    if group[0].effect.sized_by_shape:
+        return _faintest(selection, group)
+    h = group[len(group) // 2]
+    found = list(_along_axes(selection, h))
+    return min(found, key=lambda x: x[0])[1] if found else None
+
+
+def _along_axes(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, Parameter]]:
+    """Along each of its axes: how many prior standard deviations have to be there, and what is reported of them."""
+    for axis in range(h.count if h.count <= MOST_AXES else 1):
+        s = information(selection.evidence, selection.posterior, h)[axis]
+        if s <= 0:
+            continue
+        z = smallest(s, h.odds)
+        theta = np.zeros(h.count)
+        theta[axis] = z * h.scale[axis]
+        if not h.effect.possible(selection.residual.context, h.place, theta):
+            continue
+        nothing = h.numbers(selection.residual, 0.0 * theta)
+        numbers = h.numbers(selection.residual, theta)
+        yield z, next(p for name, p in numbers.items() if p.value != nothing[name].value)
+
+
+def _faintest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:
+    """Of effects that are all there or not at all, the first number of the one that does least and still pays."""
+    best, least = None, np.inf
+    for h in group:
+        s = float(information(selection.evidence, selection.posterior, h)[0])
+        gain = 0.5 * s**2 / (1.0 + s) - 0.5 * np.log1p(s) if s > 0 else -np.inf
+        if h.odds < gain < least:
+            best, least = h, gain
+    if best is None:
+        return None
+    return next(iter(best.numbers(selection.residual, np.ones(1)).values()))
+
+
+def smallest(s: float, odds: float) -> float:
+    """How many prior standard deviations of a number with information s gain as much as the prior odds cost."""
+    return float(np.sqrt((2.0 * odds + np.log1p(s)) * (1.0 + s)) / s)
+
+
+def information(evidence: Evidence, now: Posterior, h: Hypothesis) -> Float[np.ndarray, " k"]:
+    """diag(AᵀA − AᵀX C XᵀA): A the hypothesis' columns per prior standard deviation, X the chosen ones', C their
+    covariance, both weighed by the residual's precision."""
+    root = np.sqrt(evidence.precision)
+    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
+    if h.row is None:
+        own = (h.scaled * root[..., None]).reshape(-1, h.count)
+        x = base.reshape(-1, base.shape[-1])
+    else:
+        own, x = h.scaled * root[:, h.row, None], base[:, h.row]
+    cross = x.T @ own
+    return np.sum(own**2, axis=0) - np.sum(cross * (now.covariance @ cross), axis=0)

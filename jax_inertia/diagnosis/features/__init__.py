@@ -1,0 +1,1 @@
+"""What effects are computed from: quantities of one log along its motion, in the model's derivatives."""

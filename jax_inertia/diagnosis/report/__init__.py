@@ -1,0 +1,1 @@
+"""What is written and said of a diagnosis: report.json, report.html, figures, sentences."""

@@ -1,0 +1,1 @@
+"""Found effects in simulation: the corrected model, its step law, rollouts compared with the log."""

@@ -1,0 +1,84 @@
+"""Found effects put into a MuJoCo model: attributes where MJCF has them, a step law for the rest.
+
+What each changes is its own `Effect.edit`; what no attribute can say is listed in <custom> and done by `step_law`.
+"""
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+
+from jax_inertia.diagnosis.effects.base import Edit, Effect
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.effects.registry import known
+from jax_inertia.model.load import ModelWarning, compile_spec
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
+
+STEP_LAW = "jax_inertia.diagnosis.simulate.step_law"
+
+
+@dataclasses.dataclass(frozen=True)
+class Correction:
+    """A nominal model with effects added."""
+
+    spec: MjSpec
+    in_model: tuple[Identified, ...]
+    """Done by attributes alone."""
+    by_callback: tuple[Identified, ...]
+    """Need `step_law`, at least for torques given by `qfrc_applied`."""
+    outside: tuple[Identified, ...]
+    """Of sensors, or without a law: neither in the model nor done before a step."""
+    notes: tuple[str, ...]
+    extra: tuple[Effect, ...] = ()
+    """Effects of a user's own among them."""
+
+    @property
+    def effects(self) -> tuple[Identified, ...]:
+        """All of them."""
+        return (*self.in_model, *self.by_callback, *self.outside)
+
+
+def corrected(
+    spec: MjSpec, effects: Sequence[Identified], extra: Sequence[Effect] = ()
+) -> Correction:
+    """Add effects to a spec, which is changed; it must compile. `extra`: effects of your own.
+
+    Raises ValueError for a joint or body that the model does not have.
+    """
+    with warnings.catch_warnings():
+        # Said when the model was loaded; from here on the spec compiles as it is.
+        warnings.simplefilter("ignore", ModelWarning)
+        model = compile_spec(spec)
+    _name_all(spec, model)
+    for key in list(spec.keys):
+        spec.delete(key)
+    inside, outside, neither, notes = [], [], [], []
+    for k, found in enumerate(effects):
+        effect = known(found.family, extra)
+        edit = (effect and effect.edit(spec, spec.compile(), found)) or Edit(whole=False)
+        if edit.whole:
+            inside.append(found)
+            where = "in the model's attributes"
+        elif effect is not None and effect.by_step:
+            outside.append(found)
+            where = f"by {STEP_LAW}"
+        else:
+            neither.append(found)
+            where = "not in this model"
+        if edit.remark:
+            notes.append(edit.remark)
+        # MuJoCo writes texts as CDATA, which a name must not end.
+        text = f"{found}; {where}".replace("]]>", "]] >")
+        spec.add_text(name=f"gap_effect_{k}", data=text)
+    spec.compile()
+    every = tuple(inside), tuple(outside), tuple(neither), tuple(notes)
+    return Correction(spec, *every, tuple(extra))
+
+
+def _name_all(spec: MjSpec, model: MjModel) -> None:
+    """Names for what has none, as `load_model` calls it."""
+    for k, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = f"body_{k}"
+    for k, joint in enumerate(spec.joints):
+        if not joint.name:
+            joint.name = f"joint_{k}"
