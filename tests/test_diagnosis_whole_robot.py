@@ -24,6 +24,7 @@ from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.logs.log import Log
 from jax_inertia.model.load import load_model
 
 MODEL = mujoco.MjModel.from_xml_string(NOMINAL)
@@ -156,6 +157,51 @@ def test_one_odd_effect_beside_ordinary_physics(robot, family, place, number, tr
         close = 0.2 if family == "push" else 0.1
         assert first.parameters[number].value == pytest.approx(true, rel=close)
     assert diagnosis.test.after < 0.05 * diagnosis.test.before
+
+
+def at_its_voltage(seed, limit, no_load_speed, joint=1, seconds=10.0, rate=500.0):
+    """A log of MuJoCo C: a controller that does not know its elbow's torque–speed line asks for more than it gets."""
+    spec = mujoco.MjSpec.from_string(NOMINAL)
+    spec.option.timestep, spec.option.integrator = (
+        1.0 / rate,
+        mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    )
+    model = spec.compile()
+    model.dof_damping[:], model.dof_armature[:] = VISCOUS, ARMATURE
+    thought, data, rng = mujoco.MjData(model), mujoco.MjData(model), np.random.default_rng(seed)
+    t, q, v, a = motion(seed, seconds=seconds, rate=rate)
+    data.qpos[:], data.qvel[:] = q[0], v[0]
+    rows = []
+    for k in range(len(t)):
+        off, fast = q[k] - data.qpos, v[k] - data.qvel
+        thought.qpos[:], thought.qvel[:] = data.qpos, data.qvel
+        thought.qacc[:] = a[k] + 60.0 * off + 15.0 * fast
+        mujoco.mj_inverse(model, thought)
+        asked = thought.qfrc_inverse + COULOMB * np.tanh(data.qvel / 0.002)
+        rows.append((data.qpos.copy(), asked))
+        given, part = asked.copy(), data.qvel[joint] / no_load_speed
+        given[joint] = np.clip(asked[joint], -limit * (1 + part), limit * (1 - part))
+        data.qfrc_applied[:] = given - COULOMB * np.tanh(data.qvel / 0.002)
+        mujoco.mj_step(model, data)
+    qpos, tau = (np.array(x) for x in zip(*rows, strict=True))
+    return Log(
+        time=t,
+        joint_names=("shoulder", "elbow", "wrist"),
+        qpos=qpos + rng.normal(0, 2e-5, q.shape),
+        tau=tau + rng.normal(0, 0.005, tau.shape),
+        tau_kind="commanded",
+    )
+
+
+@pytest.mark.slow
+def test_a_motor_at_its_supply_s_voltage(robot):
+    log, other = (at_its_voltage(seed, 5.0, 3.5) for seed in (0, 1))
+    diagnosis = diagnose(robot, log, test_log=other)
+    first = next(f for f in diagnosis.odd if f.place.name == "elbow")
+    named = {first.family, *(t.family for t in first.equivalent)}
+    assert "torque_speed" in named
+    if first.family == "torque_speed":
+        assert first.parameters["limit"].value == pytest.approx(5.0, rel=0.1)
 
 
 def test_a_report_is_json_of_the_contract(plain):

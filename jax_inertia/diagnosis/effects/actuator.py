@@ -117,31 +117,29 @@ class TorqueSaturation(Effect):
         return applied._replace(torque=xp.where(at.rows, xp.clip(tau, -limit, limit), tau))
 
 
+CUT = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
+"""Shares of a log in which a motor asks for more than its torque–speed line lets it give."""
+
+
 class TorqueSpeed(Effect):
     """A motor at its supply's voltage: the faster it turns, the less it can drive, and the more it can brake."""
 
     name, equation = "torque_speed", "τ = clip(τ_logged, −L (1 + q̇/v₀), L (1 − q̇/v₀))"
     source = "back-EMF; Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2006, ch. 6"
     units, advice = {"limit": "N m", "no_load_speed": "rad/s"}, advice.SMALL_AND_LARGE
-    prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 40 % of the log"
+    prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 30 % of the log"
     mjcf = "none: step law"
     form_error, sized_by_shape = 0.05, True
 
     def shapes(self, context, place):
-        tau, needed, v = (x[:, place.index] for x in (context.tau, context.inverse, context.v))
+        tau, v = context.tau[:, place.index], context.v[:, place.index]
         fastest, side = float(np.percentile(np.abs(v), 99.5)), np.sign(tau)
         out = []
         for share in (1.1, 1.4, 2.0, 3.0):
-            # What is left of the motor's torque at each speed; backwards it brakes.
+            # Share of the motor's torque that each speed leaves it; backwards it brakes.
             left = np.maximum(1.0 - side * v / (share * fastest), 0.05)
-            top = np.percentile(np.abs(tau) / left, 99.8)
-            for level in np.linspace(0.5, 0.95, 7):
-                limit = float(level * top)
-                over = np.abs(tau) > limit * left
-                # At its limit a motor gives about the limit: one that is disconnected would explain any friction.
-                given = np.median((side * needed)[over] / (limit * left[over])) if over.any() else 0
-                if 0.005 < over.mean() < 0.4 and given > 0.5:
-                    out.append((limit, share * fastest))
+            limits = np.quantile(np.abs(tau) / left, 1.0 - np.array(CUT))
+            out += [(float(limit), share * fastest) for limit in limits]
         return out
 
     def steps(self, context, place, shape):
