@@ -9,7 +9,8 @@ import pytest
 
 from jax_inertia.cli.main import main
 from jax_inertia.logs.chunks import followed, read_chunks
-from jax_inertia.logs.log import LogError, write_log
+from jax_inertia.logs.log import LogError
+from jax_inertia.logs.log_files import write_log
 from jax_inertia.robots.pendulum import double_pendulum, swing
 
 

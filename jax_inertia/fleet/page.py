@@ -2,13 +2,11 @@
 
 import dataclasses
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
-
-import jinja2
 
 from jax_inertia.fleet.drift import Drift, changing
 from jax_inertia.fleet.numbers import Errors, Interval, Quantity, errors, lacks, numbers
+from jax_inertia.text.report_page import rendered
 from jax_inertia.text.words import chance, number, plain
 
 
@@ -69,16 +67,11 @@ def page(
     refused: Sequence[Refused] = (),
 ) -> str:
     """The reports side by side as HTML, every name in it escaped; with `drifts` of a fleet."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("jax_inertia.fleet"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {"plain": plain, "number": number, "chance": chance, "title": label}
+    filters = {"plain": plain, "number": number, "chance": chance, "title": label}
     rows = table(columns)
-    return environment.get_template("several.html").render(
+    return rendered(
+        "jax_inertia.fleet",
+        filters,
         title=title,
         columns=columns,
         rows=rows,
@@ -87,7 +80,6 @@ def page(
         dated=bool(drifts),
         fleet=any(c.robot for c in columns),
         refused=refused,
-        version=version("jax-inertia"),
     )
 
 
