@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 _DESCRIPTION = """
 Follow FILE, a .csv that is still being written (columns as in jax-inertia convert, velocities among them), and print
 mass and centre of mass of BODIES as they come, with the normalised innovation squared (NIS) of the filter against its
-gate. The noise of each joint is learned from the first seconds. Ends when the file has not grown for a while, or by Ctrl-C.
+gate. The noise of each joint is learned from the first seconds. Ends when the file has not grown for a while, or by
+Ctrl-C.
 """
 _EXAMPLES = """
 examples:
