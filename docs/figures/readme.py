@@ -11,10 +11,11 @@ import tempfile
 from pathlib import Path
 
 from matplotlib import image
+from PIL import Image
 
 FIGURES = Path(__file__).parent
 JAX_INERTIA = (sys.executable, "-m", "jax_inertia")
-WIDTH, HIGH = 1200, 2400
+WIDTH = 1200
 # Numbers at the parts of a page that report.md explains, in their order.
 ANNOTATED = """<style>
 .badge::before { content: "1"; } .badge + .soft::before { content: "2"; } h1::before { content: "3"; }
@@ -44,6 +45,13 @@ def screenshot(page: Path, target: Path, high: int) -> None:
     size = f"--window-size={WIDTH},{high}"
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", size)
     run(page.parent, "chromium", *options, f"--screenshot={target}", page.as_uri())
+    smaller(target)
+
+
+def smaller(target: Path) -> None:
+    """64 colours are enough for pages and charts, and a third of the bytes."""
+    picture = Image.open(target).convert("RGB").quantize(64, dither=Image.Dither.NONE)
+    picture.save(target, optimize=True)
 
 
 def main() -> None:
@@ -72,6 +80,7 @@ def main() -> None:
         whole = image.imread(folder / "out" / "hand" / "estimate.png")
         # Mass and centre of mass: the upper part.
         image.imsave(FIGURES / "readme_estimate.png", whole[: round(0.405 * len(whole))])
+        smaller(FIGURES / "readme_estimate.png")
 
         recorded(folder, "start_policy.md")
         run(folder, *JAX_INERTIA, "replay", "log.npz", "--model", "leg.xml", "--out", "out/replay")
