@@ -68,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
     if not args.model.exists() and ":" not in str(args.model):
         raise ValueError(f"{args.model}: no such file")
+    if args.out.exists() and not args.out.is_dir():
+        raise ValueError(f"cannot write to {args.out}: it is no folder; give another with --out")
     named = [robot_and_date(log, args.pattern) for log in args.logs]
     todo = tasks(args, named)
     told = _Told(len(todo))

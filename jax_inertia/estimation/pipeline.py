@@ -175,7 +175,7 @@ def _tied(robot: Robot, bodies: Sequence[str]) -> list[str]:
             are = "is" if len(others) == 1 else "are"
             told.append(
                 f"{listed(others)} {are} fixed to {body} without a joint: no torque tells whose a load is; mass and "
-                f"centre are told as {body}'s, in its frame"
+                f"centre are given as {body}'s, in its frame"
             )
     return told
 

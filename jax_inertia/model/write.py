@@ -51,7 +51,7 @@ def write_with_inertials(
     """Write a model with π (10,) of the named bodies replaced: a URDF as URDF, MJCF as MJCF; the files' paths.
 
     With `joints` also their damping, friction and armature, and in `<custom>` offset and gain of their torques; of a
-    URDF, which has no place for these, an MJCF file is written beside it. `home` is where the files will lie, if not
+    URDF, which has no place for these, an MJCF file is written next to it. `home` is where the files will lie, if not
     in `folder`. Raises ModelError for parameters that no body can have.
     """
     source, written = model_path(model), []
