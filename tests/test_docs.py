@@ -178,3 +178,14 @@ def test_a_policy_s_first_hour(tmp_path, monkeypatch):
     found = {e["family"]: next(iter(e["parameters"].values()))["value"] for e in report["effects"]}
     assert found == pytest.approx({"target_delay": 0.02, "kp_scale": 0.7}, rel=0.03)
     assert (tmp_path / "out" / "log" / "policy.json").is_file()
+
+
+def test_the_reference_has_every_name_that_the_package_gives():
+    import jax_inertia as ji
+
+    page = (ROOT / "docs" / "api.md").read_text()
+    named = re.findall(r"^::: [\w.]+\.(\w+)$", page, re.MULTILINE)
+    for members in re.findall(r"members: \[(.*)\]", page):
+        named += members.split(", ")
+    # A warning and a text for notebooks have nothing to be called with.
+    assert set(ji.__all__) - set(named) <= {"ModelWarning"}
