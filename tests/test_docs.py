@@ -1,7 +1,12 @@
 """The pages of docs/ name files that exist, and the figure has a place for every folder."""
 
+import json
+import os
 import re
 import runpy
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -45,3 +50,142 @@ def test_the_figure_has_every_folder_and_every_arrow_points_down():
 def test_the_page_of_effects_is_what_the_registry_says():
     page = runpy.run_path(str(ROOT / "docs" / "effects.py"))["text"]()
     assert (ROOT / "docs" / "effects.md").read_text() == page, "run python docs/effects.py"
+
+
+README = (ROOT / "README.md").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_the_readme_is_short_and_its_links_lead_into_the_repository():
+    """On a package index only absolute links work: all begin with the project's address, and what follows is there."""
+    assert len(README.splitlines()) <= 150
+    home = PROJECT["urls"]["Homepage"]
+    raw = home.replace("github.com", "raw.githubusercontent.com")
+    links = re.findall(r"\]\(([^)#]+)\)", README) + re.findall(
+        r"^\[\w+\]: (\S+)$", README, re.MULTILINE
+    )
+    pages = [link.removeprefix(f"{home}/blob/main/") for link in links if link.endswith(".md")]
+    images = [link.removeprefix(f"{raw}/main/") for link in links if not link.endswith(".md")]
+    assert len(pages) > 10
+    assert len(images) == 3
+    assert [name for name in pages + images if not (ROOT / name).is_file()] == []
+    assert [name for name in images if (ROOT / name).stat().st_size > 160_000] == []
+    # What is used as [text][label] has its address.
+    used = set(re.findall(r"\]\[(\w+)\]", README))
+    assert used == set(re.findall(r"^\[(\w+)\]: ", README, re.MULTILINE))
+
+
+def test_every_page_is_in_the_navigation():
+    named = set(re.findall(r"(\w+\.md)$", (ROOT / "docs" / "mkdocs.yml").read_text(), re.MULTILINE))
+    assert named == {page.name for page in PAGES}
+
+
+def test_anchors_of_links_are_headings():
+    def anchors(page):
+        titles = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+        return {re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", t.lower()).strip()) for t in titles}
+
+    wrong = [
+        (page.name, f"{name}#{anchor}")
+        for page in PAGES
+        for name, anchor in re.findall(r"\]\((\w*(?:\.md)?)#([^)]+)\)", page.read_text())
+        if anchor not in anchors(page.parent / (name or page.name))
+    ]
+    assert wrong == []
+
+
+def test_the_docs_build_without_a_warning(tmp_path):
+    pytest.importorskip("material", reason="no mkdocs-material here")
+    pytest.importorskip("mkdocstrings", reason="no mkdocstrings here")
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mkdocs",
+            "build",
+            "--strict",
+            "-q",
+            "-f",
+            "docs/mkdocs.yml",
+            "-d",
+            tmp_path,
+        ],
+        cwd=ROOT,
+        env={**os.environ, "DISABLE_MKDOCS_2_WARNING": "true", "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    page = (tmp_path / "api" / "index.html").read_text()
+    assert "torque_regressor" in page
+    assert "&gt;&gt;&gt;" in page
+
+
+def programs(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", ["start_arm.md", "start_policy.md"])
+def test_the_logs_of_the_first_hours_are_recorded(page, tmp_path, monkeypatch):
+    """By the page's own program, which is plain MuJoCo; the log fits the model that lies beside it."""
+    import jax_inertia as ji
+
+    monkeypatch.chdir(tmp_path)
+    (program,) = programs(page)
+    assert "jax_inertia" not in program
+    exec(compile(program, page, "exec"), {})
+    (model,) = tmp_path.glob("*.xml")
+    log, robot = ji.read_log("log.npz"), ji.load_model(model)
+    assert log.joint_names == robot.joint_names
+    assert log.duration > 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["start_jax.md", "live.md"])
+def test_the_programs_of_a_page_run(page, capsys):
+    exec(compile("\n".join(programs(page)), page, "exec"), {})
+    assert "kg" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_an_arm_s_first_hour(tmp_path, monkeypatch, capsys):
+    """The commands of the page, on its own log: friction as put in, and the load."""
+    from jax_inertia.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    exec(compile(programs("start_arm.md")[0], "start_arm.md", "exec"), {})
+    assert main(["diagnose", "log.npz", "--model", "arm.xml", "--test-log", "other.npz"]) == 0
+    assert "99 % of the torque" in " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "out" / "log" / "report.json").read_text())
+    assert report["verdict"] == "explained"
+    friction = {n: own["coulomb_friction"]["value"] for n, own in report["joints"].items()}
+    assert friction == pytest.approx({"turn": 0.9, "shoulder": 1.2, "elbow": 0.6}, rel=0.05)
+    command = ["estimate", "loaded.npz", "--model", "out/log/corrected.xml", "--bodies", "lower"]
+    assert main(command) == 0
+    body = json.loads((tmp_path / "out" / "loaded" / "report.json").read_text())["bodies"]["lower"]
+    assert body["batch"]["mass_kg"]["value"] == pytest.approx(2.1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_policy_s_first_hour(tmp_path, monkeypatch):
+    from jax_inertia.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    exec(compile(programs("start_policy.md")[0], "start_policy.md", "exec"), {})
+    assert main(["diagnose", "log.npz", "--model", "leg.xml", "--test-log", "other.npz"]) == 0
+    report = json.loads((tmp_path / "out" / "log" / "report.json").read_text())
+    found = {e["family"]: next(iter(e["parameters"].values()))["value"] for e in report["effects"]}
+    assert found == pytest.approx({"target_delay": 0.02, "kp_scale": 0.7}, rel=0.03)
+    assert (tmp_path / "out" / "log" / "policy.json").is_file()
+
+
+def test_the_reference_has_every_name_that_the_package_gives():
+    import jax_inertia as ji
+
+    page = (ROOT / "docs" / "api.md").read_text()
+    named = re.findall(r"^::: [\w.]+\.(\w+)$", page, re.MULTILINE)
+    for members in re.findall(r"members: \[(.*)\]", page):
+        named += members.split(", ")
+    # A warning and a text for notebooks have nothing to be called with.
+    assert set(ji.__all__) - set(named) <= {"ModelWarning"}

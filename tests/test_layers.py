@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # Folder: its modules and folders from the ground up; each may use those before it. A folder stands for all that is in
 # it. `gap` has no order of its own: it goes once `diagnosis` has replaced it.
 ORDER: dict[str, str] = {
-    "": """text maths logs model dynamics signals preflight estimation diagnosis gap replay
+    "": """text maths logs model dynamics signals preflight estimation diagnosis gap replay fleet
         control robots cli __main__""",
     "text": "closest_names notebook_page report_page words",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
@@ -32,8 +32,9 @@ ORDER: dict[str, str] = {
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": "loop simulate fit checks odd result pipeline corrected report command",
+    "fleet": "numbers drift page jobs",
     "cli": """console gains conventions convert replay_run replay diagnose_whole diagnose_run diagnose
-        plots estimate_output estimate_wrench estimate suggest_motion demo main""",
+        plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis bank evidence pushes
         search detectability checks verdict report summary pipeline""",

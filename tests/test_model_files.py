@@ -270,7 +270,7 @@ def test_a_model_goes_back_in_the_form_that_it_came_in(leg, arm, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ji.ModelWarning)
         for source, body in ((leg, "upper"), (arm / "scene.xml", "link2")):
-            path = write_with_inertials(out, "estimated", source, {body: pi})
+            (path,) = write_with_inertials(out, "estimated", source, {body: pi})
             assert path.name == f"estimated{source.suffix}"
             before, after = (compile_spec(load_spec(p)) for p in (source, path))
             changed = changed_inertials(before, after)
@@ -296,7 +296,7 @@ def test_a_flat_body_outlives_the_six_digits_that_mujoco_writes():
     before = spec.compile()
     with pytest.raises(ValueError, match="A \\+ B >= C"):
         mujoco.MjModel.from_xml_string(spec.to_xml())
-    after = mujoco.MjModel.from_xml_string(loadable(spec, Path("vane.xml")))
+    after = mujoco.MjModel.from_xml_string(loadable(spec, Path("vane.xml"), Path()))
     assert after.body_inertia[1] == pytest.approx(before.body_inertia[1], rel=3e-5)
     assert body_pi(after, 1) == pytest.approx(body_pi(before, 1), rel=1e-4, abs=1e-7)
 

@@ -70,3 +70,6 @@ def test_a_notebook_runs(path, tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     first = next(line for line in done.stdout.splitlines() if line.startswith("cell 1: "))
     assert not first.startswith("cell 1: 0 figures")
+    # Where it takes its time it says what for; nothing is said that the reader can do nothing about.
+    assert " ... " in done.stdout
+    assert "warp" not in done.stdout + done.stderr

@@ -92,6 +92,23 @@ BAD = {
         "--prior-mass": ["0", "-1", "nan", "x"],
         "--seed": ["-1", "x", "1.5"],
     },
+    "compare": {"--names": ["one", "a b c"], "--out": ["log.npz"]},
+    "fleet": {
+        "--model": ["no.xml"],
+        "--jobs": ["0", "257", "x", "1.5"],
+        "--dask": ["nowhere"],
+        "--pattern": ["(", "robot"],
+        "--options": ["'"],
+        "--out": ["log.npz"],
+    },
+    "watch": {
+        "--model": ["no.xml", "log.npz"],
+        "--bodies": ["nobody", ""],
+        "--learn": ["0", "-1", "nan", "x"],
+        "--prior-mass": ["0", "-1", "nan", "x"],
+        "--every": ["0", "nan", "x"],
+        "--idle": ["0", "nan", "x"],
+    },
     "demo": {"--seed": ["-1", "x", "1.5"], "--out": ["log.npz"]},
 }
 # What a reader is told is of use for some kinds of files only.
@@ -107,6 +124,9 @@ GIVEN = {
     "estimate": ["log.npz", "--model", "model.xml", "--bodies", "lower", "--out", "made"],
     "diagnose": ["log.npz", "--model", "model.xml", "--out", "made"],
     "suggest-motion": ["model.xml", "--bodies", "lower", "--out", "made.csv"],
+    "compare": ["report", "report", "--out", "made"],
+    "fleet": ["log.npz", "--model", "model.xml", "--out", "made"],
+    "watch": ["log.csv", "--model", "model.xml", "--bodies", "lower", "--idle", "0.01"],
     "demo": [],
 }
 
@@ -126,6 +146,9 @@ def folder(tmp_path_factory):
     told = dataclasses.replace(log, tau=None, qpos_target=np.asarray(log.qpos))
     write_log(told, made / "told.npz")
     write_csv(made / "table.csv", columns())
+    write_log(log, made / "log.csv")
+    (made / "report").mkdir()
+    (made / "report" / "report.json").write_text('{"verdict": "no_gap"}')
     pytest.importorskip("pyarrow")
     write_dataset(made / "dataset")
     return made

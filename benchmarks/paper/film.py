@@ -24,7 +24,7 @@ VIEW = 0.9  # m to either side of the pelvis
 
 
 def make() -> Path:
-    """Run one robot and write `benchmarks/figures/paper_walk.gif`."""
+    """Run one robot and write `docs/figures/paper_walk.gif`."""
     found = pelvis.walk(
         np.array([SEED]), (ADAPTIVE,), duration=SECONDS, label="film", keep_path=True
     )
@@ -61,7 +61,7 @@ def make() -> Path:
     fig.tight_layout()
     film = animation.FuncAnimation(fig, draw, frames=list(frames), interval=1000 / RATE)
     FOLDER.mkdir(exist_ok=True)
-    target = FOLDER / "paper_walk.gif"
+    target = FOLDER.parents[1] / "docs" / "figures" / "paper_walk.gif"
     film.save(target, writer=animation.PillowWriter(fps=RATE))
     plt.close(fig)
     return target

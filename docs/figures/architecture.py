@@ -25,6 +25,7 @@ FOLDERS = {
     "diagnosis": ("effects, whole robots", ANSWERS, 0, 7),
     "gap": ("search for one effect", ANSWERS, 1, 8),
     "replay": ("position targets only", ANSWERS, 2, 9),
+    "fleet": ("many logs, many dates", ANSWERS, 0, 8),
     "control": ("whole-body controller", LEAVES, 3, 7),
     "robots": ("models for examples", LEAVES, 3, 3),
     "cli": ("the commands", LEAVES, 2, 10),

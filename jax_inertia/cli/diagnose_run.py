@@ -186,7 +186,7 @@ def write(folder: Path, inputs: Inputs, result: Result) -> None:
     """report.json, report.html and corrected.xml; for a URDF whose inertials change corrected.urdf too."""
     text = json.dumps(result.report, indent=1, allow_nan=False)
     (folder / "report.json").write_text(text + "\n")
-    model = loadable(result.correction.spec, inputs.model)
+    model = loadable(result.correction.spec, inputs.model, folder.parent)
     if result.found.verdict is Verdict.UNKNOWN and result.found.findings:
         model = f"<!-- {NO_CORRECTION} -->\n{model}"
     (folder / "corrected.xml").write_text(model)

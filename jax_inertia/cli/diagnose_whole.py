@@ -43,7 +43,7 @@ def write(
     report["notes"] += list(done.notes)
     text = json.dumps(report, indent=1, allow_nan=False)
     (folder / "report.json").write_text(text + "\n")
-    (folder / "corrected.xml").write_text(loadable(done.spec, model))
+    (folder / "corrected.xml").write_text(loadable(done.spec, model, folder.parent))
     if is_urdf(model_path(model)):
         before, after = compile_spec(nominal), compile_spec(done.spec)
         if pi := changed_inertials(before, after):

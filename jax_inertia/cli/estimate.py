@@ -54,7 +54,10 @@ def add_parser(subparsers) -> None:
     add("--bodies", nargs="+", metavar="B", help="bodies to estimate, by name")
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
 
-    write_help = "write the model with the estimated bodies too: a URDF as URDF, MJCF as MJCF"
+    write_help = (
+        "write the model with the estimated bodies, and with all that was calibrated: a URDF as URDF (and as MJCF, "
+        "where joints were calibrated), MJCF as MJCF"
+    )
     add("--write-model", action="store_true", help=write_help)
     add("--json", action="store_true", help="print report.json instead of the tables")
 
@@ -179,7 +182,7 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from jax_inertia.model.write import write_with_inertials
 
     out = args.out if args.out is not None else folder_for(args.log)
-    written = None
+    written = []
     with stages() as stage:
         inputs = read(args)
         with output_folder(out) as folder:
@@ -188,10 +191,18 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
             report = output.report(args, found)
             output.write(folder, found, report)
             if args.write_model:
-                written = write_with_inertials(folder, "estimated", args.model, found.pi)
+                written = write_with_inertials(
+                    folder,
+                    "estimated",
+                    args.model,
+                    found.calibrated_pi | found.pi,
+                    joints=found.calibrated_joints,
+                    home=out,
+                )
     output.show(found, report, out, as_json=args.json)
-    if written is not None and not args.json:
-        print(f"The model with these bodies: {out / written.name}")
+    if not args.json:
+        for file in written:
+            print(f"The model with what was estimated: {out / file.name}")
     return 0
 
 

@@ -5,13 +5,23 @@ parser. Modules that do the work are imported by `run` alone, so that `--help` i
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
-from jax_inertia.cli import convert, diagnose, estimate, replay, suggest_motion
+from jax_inertia.cli import (
+    compare,
+    convert,
+    diagnose,
+    estimate,
+    fleet,
+    replay,
+    suggest_motion,
+    watch,
+)
 from jax_inertia.cli.demo import command as demo_command
 
 _COMMANDS = (
@@ -20,6 +30,9 @@ _COMMANDS = (
     replay,
     estimate,
     suggest_motion,
+    fleet,
+    watch,
+    compare,
     demo_command,
 )
 
@@ -75,6 +88,18 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 2 for bad input (one line on stderr), 130 for Ctrl-C."""
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Who read our output (head, less) has gone; files were written before. Python flushes once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = _Parser(
         prog="jax-inertia",
         description="Masses, centres of mass and inertias of a robot's bodies from its logs, never unphysical.",
@@ -100,6 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         jax.config.update("jax_enable_x64", True)
         with warnings_as_lines():
             return args.run(args)
+    except BrokenPipeError:
+        raise
     except KeyboardInterrupt:
         print("jax-inertia: interrupted; nothing was written", file=sys.stderr)
         return 130

@@ -163,7 +163,7 @@ def diagnosed(
     out["notes"] += remarks
     (folder / "report.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
     (folder / "policy.json").write_text(json.dumps(out["policy"], indent=1) + "\n")
-    text = loadable(spec, model)
+    text = loadable(spec, model, folder.parent)
     if said := distrust(found):
         text = f"<!-- {said} -->\n{text}"
         warn(said)

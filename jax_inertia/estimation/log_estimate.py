@@ -19,7 +19,8 @@ from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.maths.inertial_parameters import PI_NAMES, is_physical
 from jax_inertia.maths.precision import in_double_precision
-from jax_inertia.model.robot import Robot
+from jax_inertia.model.robot import HINGE, SLIDE, Robot
+from jax_inertia.model.write import JointNumbers
 from jax_inertia.signals.differences import Observation
 from jax_inertia.text.notebook_page import line, table
 
@@ -65,6 +66,36 @@ class LogEstimate:
         """π of each body [kg, kg m, kg m²]: from the whole log, or where the bodies changed meanwhile from its end."""
         pi = self.trace.estimate.pi[-1] if self.changed else self.fit.estimate.pi
         return dict(zip(self.bodies, np.asarray(pi), strict=True))
+
+    @property
+    def calibrated_pi(self) -> dict[str, Float[np.ndarray, "10"]]:
+        """π of each body that the calibration fitted [kg, kg m, kg m²]; empty where there was none."""
+        if self.calibration is None:
+            return {}
+        robot = self.calibration.robot
+        return {
+            name: pi
+            for name, pi, physical in zip(
+                robot.body_names, np.asarray(robot.pi), is_physical(robot.pi), strict=True
+            )
+            if physical
+        }
+
+    @property
+    def calibrated_joints(self) -> dict[str, JointNumbers] | None:
+        """What the calibration adds to each joint of one degree of freedom; None where there was none."""
+        fit = self.calibration
+        if fit is None:
+            return None
+        robot, terms = fit.robot, fit.joint_terms
+        out = {}
+        for name, kind, dof in zip(
+            robot.joint_names, robot.joint_type, robot.joint_dofadr, strict=True
+        ):
+            if kind in (HINGE, SLIDE):
+                own = {term: float(terms[term][dof]) for term in terms}
+                out[name] = JointNumbers(**own, gain=float(fit.gains[dof]))
+        return out
 
     @property
     def unloaded_mass(self) -> Float[np.ndarray, " bodies"]:
@@ -257,6 +288,14 @@ def _calibration(found: LogEstimate) -> dict[str, Any] | None:
         "converged": fit.converged,
         "gains": {name: {"value": g, "sigma": s} for name, g, s in gains},
         "added_to_the_model": terms,
+        "bodies": {
+            name: {
+                "mass_kg": pi[0],
+                "com_m": pi[1:4] / pi[0],
+                "pi": dict(zip(PI_NAMES, pi, strict=True)),
+            }
+            for name, pi in found.calibrated_pi.items()
+        },
         "residual_rms_before": dict(zip(found.row_names, fit.rms_before, strict=True)),
         "residual_rms_after": dict(zip(found.row_names, fit.rms_after, strict=True)),
         "load_sigma_kg": found.calibration_sigma,

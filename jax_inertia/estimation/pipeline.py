@@ -27,6 +27,7 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.holds import holds_note, holds_of
 from jax_inertia.signals.misfit import misfit_notes, misfits
+from jax_inertia.text.closest_names import listed
 
 
 @in_double_precision
@@ -140,7 +141,7 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         bodies=bodies,
         robot=robot,
         findings=inputs.findings,
-        notes=tuple(notes),
+        notes=(*_tied(robot, bodies), *notes),
         observation=observation,
         trace=trace,
         time=time,
@@ -159,6 +160,24 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         row_names=row_names,
         settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
     )
+
+
+# Frames of a URDF weigh next to nothing, and nobody puts a load on them.
+_FRAME = 1e-6  # kg
+
+
+def _tied(robot: Robot, bodies: Sequence[str]) -> list[str]:
+    """Where a body that was asked for is one with others."""
+    mass = dict(zip(robot.body_names, np.asarray(robot.pi)[:, 0], strict=True))
+    told = []
+    for body in bodies:
+        if others := [name for name in robot.rigid_with(body) if mass[name] > _FRAME]:
+            are = "is" if len(others) == 1 else "are"
+            told.append(
+                f"{listed(others)} {are} fixed to {body} without a joint: no torque tells whose a load is; mass and "
+                f"centre are given as {body}'s, in its frame"
+            )
+    return told
 
 
 _CHANGED = (

@@ -87,7 +87,7 @@ class Stream(eqx.Module):
                 "a stream needs measured velocities: qvel, and of a floating base base_linvel and base_angvel"
             )
         require_usable(chunk, self.estimator.robot, of_many=True)
-        return self._advance(state, _joined(state.waiting, chunk), whole_blocks=True)
+        return self._advance(state, joined(state.waiting, chunk), whole_blocks=True)
 
     def finish(self, state: StreamState) -> tuple[StreamState, Part | None]:
         """Filter what waits; less than one window is left over. Raises LogError before the first chunk."""
@@ -128,7 +128,7 @@ class Stream(eqx.Module):
             number = min(self.block, count - first)
             rows = slice(first * self.window, (first + number) * self.window + 1)
             piece = _rows(log, rows)
-            observation = self._observed(piece)
+            observation = self.observed(piece)
             time = np.asarray(observation.motion.time)
             before = 2.0 * float(piece.time[0]) - time[0] if np.isnan(last) else last
             dt = np.diff(time, prepend=before)
@@ -143,8 +143,8 @@ class Stream(eqx.Module):
         part = jax.tree.map(lambda *x: np.concatenate(x), *parts) if parts else None
         return StreamState(carried, np.asarray(last), left), part
 
-    def _observed(self, log: Log) -> Observation:
-        """One observation for each window of a block."""
+    def observed(self, log: Log) -> Observation:
+        """One observation for each window of a log, as the filter gets them."""
         motion = dataclasses.replace(generalised(log, self.estimator.robot), notes=())
         return jax.tree.map(lambda x: x[:: self.window], aligned_differences(motion, self.window))
 
@@ -159,8 +159,8 @@ def _measured(chunk: Log) -> Bool[np.ndarray, " n"]:
     return np.all([np.isfinite(np.asarray(x)) for x in channels], axis=0).any(axis=0)
 
 
-def _joined(waiting: Log | None, chunk: Log) -> Log:
-    """The samples that wait, and those that have come."""
+def joined(waiting: Log | None, chunk: Log) -> Log:
+    """Two logs that follow one another as one; raises LogError where they do not, or are not of one log."""
     chunk = dataclasses.replace(chunk, notes=())
     if waiting is None:
         return _rows(chunk, slice(None))

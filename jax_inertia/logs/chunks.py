@@ -6,7 +6,8 @@ for part in Stream(estimator).run(read_chunks("day.parquet", names=robot)):
 
 import dataclasses
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +31,14 @@ def read_chunks(
     rows: int = 1 << 16,
     options: Options | None = None,
     names: JointNames | None = None,
+    more: Callable[[], bool] | None = None,
 ) -> Iterator[Log]:
     """Read a .csv or .parquet file as logs of `rows` samples each, in order; the last has one more or fewer.
 
     Names, units and every sample are checked as `read_log` does, chunk by chunk, and stamps and `sigma_*` also from
     chunk to chunk; only the first chunk carries notes. Raises `LogError` with one line, where the chunk is reached
-    that is at fault: what came before it was sound. Other kinds of files: `jax-inertia convert` makes a .parquet.
+    that is at fault: what came before it was sound. A .csv file that is still being written is followed: at its end
+    `more` is asked whether to look again (`followed`). Other kinds of files: `jax-inertia convert` makes a .parquet.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -58,15 +61,18 @@ def read_chunks(
             raise LogError(
                 f"{kind or 'such a file'} is not read in chunks; {', '.join(_KINDS)} are"
             )
-        parts = (
-            parquet_parts(path, options, rows) if kind == ".parquet" else csv_parts(path, options)
-        )
+        if kind == ".parquet":
+            if more is not None:
+                raise LogError("a .parquet file cannot be read while it is written; write a .csv")
+            parts = parquet_parts(path, options, rows)
+        else:
+            parts = csv_parts(path, options, more or (lambda: False))
         for plan, table in _recut(parts, rows):
             contents = columns.arrays(plan, table)
             if before is None and options.time_unit is None and not contents.in_seconds:
                 # What the first chunk says of the stamps' unit goes for all.
-                time, *channels = (contents.arrays.get(name) for name in ("time", "qpos", "qvel"))
-                unit = None if time is None else guess(time, *channels)
+                stamps, *channels = (contents.arrays.get(n) for n in ("time", "qpos", "qvel"))
+                unit = None if stamps is None else guess(stamps, *channels)
                 options = dataclasses.replace(options, time_unit=unit or "s")
             log = _log_of(contents, options, names, before)
             if before is not None:
@@ -74,6 +80,23 @@ def read_chunks(
                 log = dataclasses.replace(log, notes=())
             yield log
             before = log
+
+
+def followed(path: Path, idle: float, pause: float = 0.05) -> Callable[[], bool]:
+    """`more` of a file that is written: True as soon as it has grown, False once it has not for `idle` seconds."""
+    seen = 0
+
+    def more() -> bool:
+        nonlocal seen
+        end = time.monotonic() + idle
+        while (size := path.stat().st_size) <= seen:
+            if time.monotonic() > end:
+                return False
+            time.sleep(pause)
+        seen = size
+        return True
+
+    return more
 
 
 def _recut(parts: Iterable[_Part], rows: int) -> Iterator[_Part]:

@@ -235,6 +235,22 @@ class Robot(eqx.Module):
             raise ValueError(f"a body is named twice in {list(bodies)}")
         return out
 
+    def rigid_with(self, body: int | str) -> tuple[str, ...]:
+        """Other bodies that no joint parts from a body: no torque tells which of them a mass is on."""
+        index, topology = self.body_index(body), self.topology
+
+        def carrier(node: int) -> int:
+            while node >= 0 and topology.kind[node] == WELD:
+                node = topology.parent[node]
+            return node
+
+        own = carrier(topology.body_node[index])
+        return tuple(
+            name
+            for k, name in enumerate(self.body_names)
+            if k != index and carrier(topology.body_node[k]) == own
+        )
+
     def joint_index(self, name: str) -> int:
         """Index of a joint by name; ValueError lists the names where there is no such joint."""
         return _index(name, self.joint_names, "joint")

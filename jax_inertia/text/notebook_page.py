@@ -1,7 +1,9 @@
 """What people see of an object: small pages for notebooks. Names come from files, so all text is escaped."""
 
+import contextlib
 import html
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
 
 import jax
 import numpy as np
@@ -28,3 +30,18 @@ def line(text: str, *, strong: bool = False) -> str:
     """A paragraph."""
     inner = html.escape(text)
     return f"<p><b>{inner}</b></p>" if strong else f"<p>{inner}</p>"
+
+
+@contextlib.contextmanager
+def working(what: str) -> Iterator[None]:
+    """Say what takes its time while it does, and how long it took.
+
+    >>> from jax_inertia.text.notebook_page import working
+    >>> with working("adding"):
+    ...     total = 1 + 1
+    adding ... 0 s
+    """
+    print(f"{what} ...", end="", flush=True)
+    start = time.perf_counter()
+    yield
+    print(f" {time.perf_counter() - start:.0f} s", flush=True)

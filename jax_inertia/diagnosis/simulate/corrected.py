@@ -4,6 +4,7 @@ What each changes is its own `Effect.edit`; what no attribute can say is listed 
 """
 
 import dataclasses
+import itertools
 import warnings
 from collections.abc import Sequence
 
@@ -52,7 +53,10 @@ def corrected(
     for key in list(spec.keys):
         spec.delete(key)
     inside, outside, neither, notes = [], [], [], []
-    for k, found in enumerate(effects):
+    # A model that was corrected before has texts of its own.
+    taken = {text.name for text in spec.texts}
+    names = (name for k in itertools.count() if (name := f"gap_effect_{k}") not in taken)
+    for name, found in zip(names, effects, strict=False):
         effect = known(found.family, extra)
         edit = (effect and effect.edit(spec, spec.compile(), found)) or Edit(whole=False)
         if edit.whole:
@@ -68,7 +72,7 @@ def corrected(
             notes.append(edit.remark)
         # MuJoCo writes texts as CDATA, which a name must not end.
         text = f"{found}; {where}".replace("]]>", "]] >")
-        spec.add_text(name=f"gap_effect_{k}", data=text)
+        spec.add_text(name=name, data=text)
     spec.compile()
     every = tuple(inside), tuple(outside), tuple(neither), tuple(notes)
     return Correction(spec, *every, tuple(extra))

@@ -167,6 +167,4 @@ def missing(array: str, headings: Sequence[str]) -> str:
         starts = (alias + mark for alias in _ALIASES[array] for mark in "._/ -")
         found = (name[: len(s)] for s in starts for name in bare if name.lower().startswith(s))
         name, hint = f"{array}.<joint>", f"{array}.*={next(found, 'PREFIX')}*"
-    return (
-        f"no column {name}; name the file's with --column '{hint}'; it has {listed(headings, 12)}"
-    )
+    return f"no column {name}; name the file's (jax-inertia convert --column '{hint}'); it has {listed(headings, 12)}"

@@ -3,7 +3,7 @@
 import csv
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -36,15 +36,20 @@ def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
 
 
 def csv_parts(
-    path: Path, options: Options
+    path: Path, options: Options, more: Callable[[], bool] = lambda: False
 ) -> Iterator[tuple[column_plan.Plan, dict[str, np.ndarray]]]:
-    """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same."""
-    for table, _ in _growing(path, options):
+    """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same.
+
+    At the file's end `more` is asked whether to look again, for a file that is still being written.
+    """
+    for table, _ in _growing(path, options, more):
         yield table.plan, table.values()
         table.blocks.clear()
 
 
-def _growing(path: Path, options: Options) -> Iterator[tuple["_Table", int]]:
+def _growing(
+    path: Path, options: Options, more: Callable[[], bool] = lambda: False
+) -> Iterator[tuple["_Table", int]]:
     """One table, before its first block and after each, and how many characters went into it."""
     options.check("a CSV file", ("columns",))
     try:
@@ -56,7 +61,7 @@ def _growing(path: Path, options: Options) -> Iterator[tuple["_Table", int]]:
                 columns.arrays(plan, {})
             table, taken = _Table(headings, plan, delimiter, first_line, notes), 0
             yield table, taken
-            for lines in _blocks(file):
+            for lines in _blocks(file, more):
                 table.add(lines)
                 taken += sum(map(len, lines)) + len(lines)
                 yield table, taken
@@ -210,10 +215,10 @@ def _header(file: TextIO) -> tuple[list[str], str, int]:
     return headings, delimiter, number + 1
 
 
-def _blocks(file: TextIO) -> Iterator[list[str]]:
+def _blocks(file: TextIO, more: Callable[[], bool]) -> Iterator[list[str]]:
     """The lines that follow, many at a time, and no line without bound."""
     rest = ""
-    while block := file.read(_BLOCK):
+    while (block := file.read(_BLOCK)) or more():
         *lines, rest = (rest + block).split("\n")
         if len(rest) > _LONGEST_LINE:
             raise LogError(f"a line is longer than {_LONGEST_LINE} characters; is it a CSV file?")
