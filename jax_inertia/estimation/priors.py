@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jax_inertia.maths import charts, inertial_parameters
+from jax_inertia.maths import charts, inertial_parameters, spatial
 
 
 class Uncertainty(eqx.Module):
@@ -22,11 +22,13 @@ class Uncertainty(eqx.Module):
 class Load(Uncertainty):
     """A load that a body may carry: `mass` [kg] anywhere within `reach` [m].
 
-    The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach².
+    The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach². Besides, the
+    radii of gyration of body and load together are known to e^±`shape` (infinite: only as the moments say).
     """
 
     mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
+    shape: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
 
     def sigma_pi(self) -> Float[Array, "10"]:
         """Standard deviation of each component of π."""
@@ -39,6 +41,10 @@ class Load(Uncertainty):
         """G⁻¹ Σ G⁻ᵀ, with G at the body carrying the load as a ball around its centre of mass, not at the bare body:
         a load that dwarfs the body is a moderate change of the two together, while the bare body's tangent would call
         it e^17.
+
+        Moments alone would still call radii of gyration that are e^5 times larger or smaller as likely as not. What
+        falls to nothing has no slope any more, and a filter that was led there by its first samples stays: `shape`
+        says what bodies there are.
         """
         ball = inertial_parameters.from_com(
             jnp.broadcast_to(self.mass, nominal.shape[:-1]),
@@ -47,8 +53,18 @@ class Load(Uncertainty):
                 0.1 * self.mass * self.reach**2 * jnp.eye(3), (*nominal.shape[:-1], 3, 3)
             ),
         )
-        g = chart.jacobian(chart.from_pi(nominal + ball.astype(nominal.dtype)))
-        return _pulled_back(g, jnp.diag(self.sigma_pi()))
+        loaded = nominal + ball.astype(nominal.dtype)
+        x = inertial_parameters.to_log_cholesky_uut(loaded)
+        g = inertial_parameters.log_cholesky_uut_jacobian(x)
+        own = _pulled_back(g, jnp.diag(self.sigma_pi()))
+        # Both statements hold at once: the shape's information is added to the six numbers that say it.
+        six = slice(1, 7)
+        weight = (self.shape * _shape_units(x)) ** -2
+        inner = jnp.eye(6, dtype=own.dtype) + own[:, six, six] * weight[:, None, :]
+        known = jnp.linalg.solve(inner, own[:, six, :])
+        narrow = own - (own[:, :, six] * weight[:, None, :]) @ known
+        narrow = 0.5 * (narrow + jnp.swapaxes(narrow, -1, -2))
+        return _pulled_back(chart.jacobian(chart.from_pi(loaded)), g @ spatial.cholesky(narrow))
 
 
 class Tolerance(Uncertainty):
@@ -69,14 +85,20 @@ class Tolerance(Uncertainty):
         the spread.
         """
         x = inertial_parameters.to_log_cholesky_uut(nominal)
-        length = jnp.exp(x[:, 1:4])
-        # The spread's off-diagonal entries, each in units of the two lengths that it couples.
-        pairs = jnp.sqrt(length[:, [0, 0, 1]] * length[:, [1, 2, 2]])
-        one = jnp.ones_like(length)
-        sigma = [0.5 * self.mass * one[:, :1], self.spread * one, self.spread * pairs]
+        one = jnp.ones_like(x[:, 1:4])
+        sigma = [0.5 * self.mass * one[:, :1], self.spread * _shape_units(x)]
         sigma = jnp.concatenate([*sigma, self.com * one], axis=-1).astype(nominal.dtype)
         spread = inertial_parameters.log_cholesky_uut_jacobian(x) * sigma[:, None, :]
         return _pulled_back(chart.jacobian(chart.from_pi(nominal)), spread)
+
+
+def _shape_units(x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 6"]:
+    """What `LogCholeskyUUt`'s d and s are measured in: logs, and off-diagonal entries in units of the two lengths that
+    each couples [m].
+    """
+    length = jnp.exp(x[:, 1:4])
+    pairs = jnp.sqrt(length[:, [0, 0, 1]] * length[:, [1, 2, 2]])
+    return jnp.concatenate([jnp.ones_like(length), pairs], axis=-1)
 
 
 def _pulled_back(

@@ -1,0 +1,98 @@
+"""Which link carries the load: MuJoCo C rollouts of three robots, a load on a link drawn at random at half time."""
+
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.online.draws import (
+    NAMES,
+    REACH,
+    RATE,
+    WINDOW,
+    ball,
+    carrying,
+    forces,
+    noise_of_acceleration,
+    noise_of_torque,
+    observed,
+    subject,
+    trajectory,
+)
+from jax_inertia import load_model
+from jax_inertia.estimation.load_bank import LoadBank, make_load_bank
+from jax_inertia.estimation.priors import Load
+
+SECONDS, CHANGE = 6.0, 3.0
+SHOCKS = 8
+"""Of 20 ms each, at times drawn at random."""
+
+
+def bank_of(who) -> LoadBank:
+    """The bank of a subject's links, told its sensors' noise."""
+    return make_load_bank(
+        load_model(who.model),
+        who.links,
+        sigma_tau=noise_of_torque(who),
+        sigma_a=noise_of_acceleration(who),
+        load=Load(who.load, REACH),
+    )
+
+
+def rollout(who, seed: int, *, shocks: bool, loads: int = 1):
+    """(observation, candidate that changes) of one seed."""
+    rng = np.random.default_rng([seed, 3])
+    chosen = sorted(rng.choice(len(who.links), size=loads, replace=False))
+    put = {who.links[i]: ball(who, who.links[i], rng, least=0.4) for i in chosen}
+    path = trajectory(who, SECONDS, rng)
+    k = round(CHANGE * RATE)
+    force = np.concatenate(
+        [forces(who.model, path, slice(0, k)), forces(carrying(who.model, put), path, slice(k, None))]
+    )
+    if shocks:
+        # An impact that no sensor of force sees: on all rows, a hundred times their noise.
+        for _ in range(SHOCKS):
+            at = rng.integers(0, len(force) - 10)
+            size = 100.0 * np.array(noise_of_torque(who)) * rng.normal(size=force.shape[1])
+            force[at : at + 10] += size
+    return observed(who, path, force, rng), tuple(int(i) for i in chosen)
+
+
+@eqx.filter_jit
+def follow(bank: LoadBank, log):
+    def one(state, x):
+        state, seen = bank.step(state, x, WINDOW / RATE)
+        return state, seen
+
+    return jax.lax.scan(one, bank.initial(), log)[1]
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    name, seeds = sys.argv[1], int(sys.argv[2])
+    who = subject(name)
+    bank = bank_of(who)
+    for kind in ({"shocks": False}, {"shocks": True}, {"shocks": False, "loads": 2}):
+        if kind.get("loads", 1) > len(who.links):
+            continue
+        right = false = 0
+        mass = []
+        for seed in range(seeds):
+            log, chosen = rollout(who, seed, **kind)
+            seen = follow(bank, jax.tree.map(jnp.asarray, log))
+            time, opened = np.asarray(log.motion.time), np.asarray(seen.opened)
+            at = np.flatnonzero(opened >= 0)
+            wrong = [k for k in at if time[k] < CHANGE]
+            false += len(wrong)
+            soon = [bank.candidates[opened[k]] for k in at if CHANGE <= time[k] <= CHANGE + 1.0]
+            ok = sorted({i for c in soon for i in c}) == list(chosen)
+            right += ok
+            print(kind, seed, "true", chosen, "opened", [(round(float(time[k]), 2), bank.candidates[opened[k]], round(float(seen.since[k]), 2), round(float(seen.probability[k].max()), 3)) for k in at],
+                  "size", np.asarray(seen.weight).mean().round(2), "m", np.asarray(seen.pi)[-1, :, 0] - np.asarray(bank.estimator.robot.pi)[list(bank.estimator.bodies), 0], flush=True)
+        print(name, kind, "right", right, "of", seeds, "false", false, flush=True)
+
+
+if __name__ == "__main__":
+    main()
