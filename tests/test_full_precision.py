@@ -35,9 +35,7 @@ def robot():
 
 def observation() -> Observation:
     two = jnp.ones(2, jnp.float32)
-    motion = Motion(
-        time=jnp.zeros((), jnp.float32), q=two, v=two, tau=two, valid=jnp.ones(2, bool)
-    )
+    motion = Motion(time=jnp.zeros((), jnp.float32), q=two, v=two, tau=two, valid=jnp.ones(2, bool))
     return Observation(motion, two)
 
 

@@ -107,7 +107,11 @@ def carrying(model: mujoco.MjModel, loads: dict[str, Ball]) -> mujoco.MjModel:
         mujoco.mju_quat2Mat(rotation, out.body_iquat[b])
         axes = rotation.reshape(3, 3)
         parts = [
-            (out.body_mass[b], out.body_ipos[b].copy(), axes @ np.diag(out.body_inertia[b]) @ axes.T),
+            (
+                out.body_mass[b],
+                out.body_ipos[b].copy(),
+                axes @ np.diag(out.body_inertia[b]) @ axes.T,
+            ),
             (load.mass, load.at, 0.4 * load.mass * load.radius**2 * np.eye(3)),
         ]
         mass = sum(m for m, _, _ in parts)
@@ -192,14 +196,20 @@ def forces(model: mujoco.MjModel, path: Trajectory, rows: slice = slice(None)) -
 
 
 def observed(
-    who: Subject, path: Trajectory, force: np.ndarray, rng: np.random.Generator, window: int = WINDOW
+    who: Subject,
+    path: Trajectory,
+    force: np.ndarray,
+    rng: np.random.Generator,
+    window: int = WINDOW,
 ) -> Observation:
     """What the robot's sensors give, as the package prepares it: windows that follow one another."""
     v = path.v + who.sigma_v * rng.normal(size=path.v.shape)
     tau, wrench, bodies, quats = force + who.sigma_tau * rng.normal(size=v.shape), None, (), ()
     if who.floating:
         tau[:, :6] = 0.0
-        moment = np.array([_rotate(q, m) for q, m in zip(path.q[:, 3:7], force[:, 3:6], strict=True)])
+        moment = np.array(
+            [_rotate(q, m) for q, m in zip(path.q[:, 3:7], force[:, 3:6], strict=True)]
+        )
         wrench = np.hstack([force[:, :3], moment]) + who.sigma_wrench * rng.normal(size=(len(v), 6))
         wrench, bodies, quats = wrench[:, None], (who.model.body(1).name,), (3,)
     motion = Motion(
@@ -228,7 +238,7 @@ def _rotate(quat: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def noise_of_torque(who: Subject, window: int = WINDOW) -> np.ndarray:
     """σ of an observation's Δτ, accelerations apart (nv,): the mean over a window by the trapezoid rule."""
-    mean = np.sqrt((window - 0.5)) / window
+    mean = np.sqrt(window - 0.5) / window
     sigma = np.full(who.model.nv, who.sigma_tau)
     if who.floating:
         sigma[:6] = who.sigma_wrench

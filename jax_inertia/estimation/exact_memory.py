@@ -19,8 +19,8 @@ with the covariance of its curvature; what no sample saw stays at the prior, exa
   the innovation of Δτ by it is white, and so is what the regressor becomes (the innovations algorithm for a moving
   average: Brockwell and Davis 1991, sec. 5.2). White noise of the same size would make slow motion far too noisy: of a
   sum of differences only the two ends are left.
-- A sample that contradicts the belief may be a shock: it counts by the mixture of `sample_weight.mixture`; where nothing
-  else has come for `reopen_after`, the load is new, and what was known counts as if it had drifted by the prior.
+- A sample that contradicts the belief may be a shock: it counts by `sample_weight.mixture`. Where nothing else has come
+  for `reopen_after`, the load is new, and what was known counts as if it had drifted by the prior.
 """
 
 from collections.abc import Sequence
@@ -103,46 +103,59 @@ class ExactEstimator(eqx.Module):
         """Take one sample, whose acceleration is the difference of velocities over the `dt` [s] since the last."""
         observation = floats_as(observation, self.robot.pi.dtype)
         dt = jnp.asarray(dt, self.prior.mean.dtype)
-        q = jnp.asarray(observation.motion.q)
-        zero = jnp.zeros(self.robot.nv, dt.dtype)
-        regressor, delta = torque_residual(self.robot, observation, self.bodies, zero)
-        pi = self._pi(state.belief.mean)
-        inertia = mass_matrix(self.robot.believed(self.bodies, pi.reshape(-1, 10)), q)
-        rows = jnp.concatenate([regressor.reshape(len(delta), -1), delta[:, None]], axis=1)
-        used = jnp.asarray(observation.motion.valid) & jnp.all(jnp.isfinite(rows), axis=1)
-        rows = jnp.where(used[:, None], rows, 0.0)
+        pi, n = self._pi(state.belief.mean), len(self.prior.mean)
+        believed = self.robot.believed(self.bodies, pi.reshape(-1, 10))
+        inertia = mass_matrix(believed, jnp.asarray(observation.motion.q))
+        rows, used = self._unexplained(observation)
+        counted = used.astype(dt.dtype)
 
         # The error of the window's beginning is known from the window before, that of its end is not.
         lever = inertia / dt
         fresh = jnp.diag(self.sigma_v**2)
-        rows = rows + jnp.where(used[:, None], lever @ state.ends, 0.0)
-        noise = self.noise.plus(lever @ (fresh + state.ends_covariance) @ lever.T)
-        counted = used.astype(dt.dtype)
-        white = noise.whiten(jnp.concatenate([rows, lever * self.sigma_v**2], axis=1), counted)
-        n = len(pi)
-        h, z, gain = white[:, :n], white[:, n], white[:, n + 1 :]
+        both = fresh + state.ends_covariance
+        noise = self.noise.plus(lever @ both @ lever.T)
+        white = noise.whiten(jnp.concatenate([rows + lever @ state.ends, lever], axis=1), counted)
+        h, z, lever = white[:, :n], white[:, n], white[:, n + 1 :]
 
         reopened = state.doubted_for >= self.reopen_after
         memory = self._aged(state, dt, reopened)
         before = self._believed(state.belief.mean, memory)[1]
         root = h @ self._slope(state.belief.mean) @ before
         count = jnp.sum(counted)
-        nis, weight = _sample(root, z - h @ pi, count)
+        nis, weight, settled = _sample(root, z - h @ pi, count)
+
+        # What is noise in v̇ is in the regressor too (`residual.agreed_residual`): both are taken where sensors,
+        # forces and the belief agree, which the innovation does not correlate with.
+        start = state.ends[:, :n] @ pi - state.ends[:, n]
+        shift = (start + both @ lever.T @ settled) / dt
+        agreed = eqx.tree_at(lambda o: o.a, observation, observation.a + shift)
+        rows, _ = self._unexplained(agreed)
+        rows = rows.at[:, n].add(inertia @ shift) + (inertia / dt) @ state.ends
+        white = noise.whiten(rows, counted)
         finite = jnp.all(jnp.isfinite(white))
         weight = jnp.where(finite, weight, 0.0)
-        taken = jnp.sqrt(weight) * jnp.where(finite, white[:, : n + 1], 0.0)
+        taken = jnp.sqrt(weight) * jnp.where(finite, white, 0.0)
         memory = jnp.asarray(jnp.linalg.qr(jnp.concatenate([memory, taken]), mode="r"))[:n]
 
         x = self._most_probable(state.belief.mean, memory)
         belief = kalman.Belief(x, self._covariance(x, memory))
         # A shock says nothing of the velocity at its end.
         good = weight > 0.5
-        ends = jnp.where(good, gain.T @ white[:, : n + 1], 0.0)
+        gain = lever * self.sigma_v**2
+        ends = jnp.where(good, gain.T @ white, 0.0)
         known = jnp.where(good, fresh - gain.T @ gain, fresh)
         waited = jnp.where(reopened, 0.0, state.doubted_for) + dt
         waited = jnp.where(good | (count == 0), 0.0, waited)
         after = ExactState(belief, memory, ends, known, waited)
         return after, ExactStep(belief, nis, count, weight, reopened)
+
+    def _unexplained(self, observation: Observation) -> tuple[Array, Bool[Array, " nv"]]:
+        """([Y, Δτ], which rows are measured), zero where they are not."""
+        zero = jnp.zeros(self.robot.nv, self.prior.mean.dtype)
+        regressor, delta = torque_residual(self.robot, observation, self.bodies, zero)
+        rows = jnp.concatenate([regressor.reshape(len(delta), -1), delta[:, None]], axis=1)
+        used = jnp.asarray(observation.motion.valid) & jnp.all(jnp.isfinite(rows), axis=1)
+        return jnp.where(used[:, None], rows, 0.0), used
 
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
@@ -181,9 +194,7 @@ class ExactEstimator(eqx.Module):
     def _believed(self, x: Float[Array, " n"], memory: Array) -> tuple[Array, Array]:
         """(Gauss–Newton's step, a root L of the covariance L Lᵀ) at x."""
         jacobian, left = self._rows(x, memory)
-        r = jnp.asarray(
-            jnp.linalg.qr(jnp.concatenate([jacobian, left[:, None]], axis=1), mode="r")
-        )
+        r = jnp.asarray(jnp.linalg.qr(jnp.concatenate([jacobian, left[:, None]], axis=1), mode="r"))
         n = len(x)
         root = solve_triangular(r[:n, :n], jnp.eye(n, dtype=x.dtype), lower=False)
         return root @ r[:n, n], root
@@ -245,7 +256,8 @@ def make_exact_estimator(
 
     `sigma_tau` is the noise of each observation's row [N m, N], accelerations apart (overridden by `noise`); `sigma_v`
     that of the velocities [m/s, rad/s] whose differences the accelerations are, over windows that follow one another
-    (`Stream`, or every w-th row of `aligned_differences`). `prior` and `drift` as in `make_estimator`.
+    (`Stream`, or every w-th row of `aligned_differences`). `prior` and `drift` as in `make_estimator`, a
+    load's `shape` one where it has none.
     Raises ValueError as `make_estimator` does.
 
     >>> from jax_inertia import load_model
@@ -269,6 +281,7 @@ def make_exact_estimator(
     mean = chart.from_pi(nominal)
     settings.require_physical(robot, chosen, chart, mean)
     prior = Load(0.1 * jnp.sum(robot.pi[:, 0])) if prior is None else prior
+    prior = prior.of_a_body() if isinstance(prior, Load) else prior
     covariance = block_diag(*settings.covariance("prior", prior, chart, nominal))
     growth = settings.growth(drift, chart, nominal, covariance)
     g = block_diag(*chart.jacobian(mean))
@@ -287,12 +300,14 @@ def make_exact_estimator(
 
 def _sample(
     root: Float[Array, "nv n"], nu: Float[Array, " nv"], rows: Float[Array, ""]
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """(NIS, weight) of a whitened innovation whose state's share has this root."""
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, " nv"]]:
+    """(NIS, weight, S⁻¹ ν) of a whitened innovation whose state's share has this root."""
     inner = jnp.eye(root.shape[1], dtype=nu.dtype) + root.T @ root
-    half = solve_triangular(jnp.linalg.cholesky(inner), root.T @ nu, lower=True)
+    factor = jnp.linalg.cholesky(inner)
+    half = solve_triangular(factor, root.T @ nu, lower=True)
     nis = jnp.maximum(nu @ nu - half @ half, 0.0)
-    return nis, mixture(nis, rows)[1]
+    rest = solve_triangular(factor, half, trans=1, lower=True)
+    return nis, mixture(nis, rows)[1], nu - root @ rest
 
 
 def _as_bodies(pi: Float[Array, "b 10"], thinnest: float = 0.01) -> Float[Array, "b 10"]:

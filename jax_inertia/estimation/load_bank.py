@@ -20,10 +20,10 @@ coming at `rate` per link these are posterior probabilities. Once one is beyond 
 filter (their covariance grows by the load's), and all others keep resting.
 
 Two things would make such evidence lie. Shocks: "no change" and a load are told apart by samples that may be garbage, a
-mixture of the noise stated and of noises 10 to 1000 times as large; one sample that no belief explains is then as likely
-a shock as a load, and a second one is a load. And residuals that are not white: evidence counts the effective number of
-samples, (1 − r) / (1 + r) of them at the correlation r of neighbouring residuals, and their size is that of the last
-seconds where it is above the one stated. The same mixture weighs the samples that the filter takes.
+mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
+likely a shock as a load, and a second one is a load. And residuals that are not white: evidence counts the effective
+number of samples, (1 − r) / (1 + r) of them at the correlation r of neighbouring residuals, and their size is that of
+the last seconds where it is above the one stated. The filter takes its samples with the same weights.
 """
 
 import itertools
@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jax_inertia.dynamics.rigid_body import mass_matrix, resolve_bodies
 from jax_inertia.estimation.inertial_filter import Estimator, State, make_estimator
 from jax_inertia.estimation.priors import Load
+from jax_inertia.maths import inertial_parameters
 from jax_inertia.maths.argument_checks import floats_as, is_positive, require
 from jax_inertia.maths.charts import LogCholeskyUUt
 from jax_inertia.maths.gates import FixedGate
@@ -48,6 +49,7 @@ from jax_inertia.maths.sample_weight import mixture
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.residual import torque_residual
+
 
 class BankState(eqx.Module):
     """What is carried from one sample to the next."""
@@ -90,8 +92,8 @@ class LoadBank(eqx.Module):
     """Settings and the filter; immutable. Make one with `make_load_bank`."""
 
     estimator: Estimator
-    spread: Float[Array, " ten"]
-    """Standard deviations of a load's π."""
+    spread: Float[Array, "n n"]
+    """Root of the covariance of the loads' π, each about its link's centre of mass."""
     opening: Float[Array, "links 10 10"]
     """By how much the covariance of each link grows when it is opened, in the chart's coordinates."""
     rate: Float[Array, ""]
@@ -129,9 +131,7 @@ class LoadBank(eqx.Module):
         """Take one sample that comes `dt` [s] after the one before."""
         own = self.estimator
         observation = floats_as(observation, own.robot.pi.dtype)
-        regressor, delta = torque_residual(
-            own.robot, observation, own.bodies, state.filter.bias
-        )
+        regressor, delta = torque_residual(own.robot, observation, own.bodies, state.filter.bias)
         noise = own.noise
         if own.sigma_a is not None:
             believed = own.robot.believed(own.bodies, self._pi(state))
@@ -176,7 +176,7 @@ class LoadBank(eqx.Module):
             lambda s: s.age, state, state.age.at[-1].set(jnp.where(noticed, state.age[-1], 0.0))
         )
         moved = self._opened(state.filter, best, opened)
-        noise = noise.scaled(state.size / jnp.maximum(weight, 1e-6))
+        noise = noise.scaled(state.size / (jnp.maximum(weight, 1e-6) * _effective(state)))
         loud = eqx.tree_at(lambda e: e.noise, own, noise)
         after, _ = loud.update(moved, regressor, delta, used, dt)
         rest = jnp.where(opened, self.settle, jnp.maximum(state.rest - dt, 0.0))
@@ -233,23 +233,18 @@ class LoadBank(eqx.Module):
         self, state: BankState, pi: Float[Array, " n"]
     ) -> tuple[Float[Array, " k"], Int[Array, ""], Float[Array, ""]]:
         """(probabilities of none and of each candidate, the best candidate, time since its change)."""
-        correlation = jnp.clip(state.product, 0.0, 0.95)
-        effective = (1.0 - correlation) / (1.0 + correlation)
-        spread = jnp.tile(self.spread, len(pi) // 10)
+        effective = _effective(state)
 
         def evidence(information, vector, mask):
-            scale = mask * spread
-            eta = scale * (vector - information @ pi) * effective
-            inner = jnp.eye(len(pi), dtype=pi.dtype)
-            inner = inner + effective * scale[:, None] * information * scale[None, :]
-            factor = jnp.linalg.cholesky(inner)
-            half = jax.scipy.linalg.solve_triangular(factor, eta, lower=True)
+            inner = jnp.diag(1.0 - mask) + mask[:, None] * mask * information
+            factor = jnp.linalg.cholesky(inner + jnp.diag(mask))
+            half = jax.scipy.linalg.solve_triangular(factor, mask * vector, lower=True)
             return 0.5 * half @ half - jnp.sum(jnp.log(jnp.diagonal(factor)))
 
+        left = effective * (state.vector - state.information @ pi) @ self.spread
+        seen = effective * self.spread.T @ state.information @ self.spread
         over_masks = jax.vmap(evidence, in_axes=(None, None, 0))
-        factors = jax.vmap(over_masks, in_axes=(0, 0, None))(
-            state.information, state.vector, self._masks(pi.dtype)
-        )
+        factors = jax.vmap(over_masks, in_axes=(0, 0, None))(seen, left, self._masks(pi.dtype))
         # A change of two links at once is as rare as one of each within a window.
         count = jnp.asarray([len(c) for c in self.candidates], pi.dtype)
         every = self.memory / self.windows
@@ -307,11 +302,12 @@ def make_load_bank(
     """Bank over `links`, each of which may take up a `load` at any time.
 
     `candidates` are the sets of links that may change at once (default: every link, and every pair of them).
-    `sigma_tau` (or `noise`) is the noise of each row [N m, N], `sigma_a` that of accelerations [m/s², rad/s²], which the
-    robot's inertia makes a noise of all rows at once. `rate` [1/s] says how
-    often a link's load changes, `threshold` from which probability on a change is believed, `memory` [s] how far back a
-    change is looked for, in so many `windows`, `settle` [s] how long the filter has for a new load before the next is
-    looked for, `confirm` [s] for how long links are told apart after a change is noticed, `averaging` [s] over which residuals' size and correlation are taken.
+    `sigma_tau` (or `noise`) is the noise of each row [N m, N], `sigma_a` that of accelerations [m/s², rad/s²], which
+    the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often a link's load changes,
+    `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
+    many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
+    for how long links are told apart after a change is noticed, `averaging` [s] over which residuals' size and
+    correlation are taken.
     Raises ValueError for an unknown link, a candidate that is no set of the links, or numbers that cannot be.
 
     >>> from jax_inertia import Load, load_model
@@ -327,7 +323,7 @@ def make_load_bank(
         sigma_tau=sigma_tau,
         noise=noise,
         sigma_a=sigma_a,
-        prior=Load(_RESTING * load.mass, load.reach),
+        prior=Load(_RESTING * load.mass, load.reach).of_a_body(),
         drift=_REST_SECONDS,
         chart=LogCholeskyUUt(),
         gate=FixedGate(),
@@ -342,21 +338,42 @@ def make_load_bank(
         raise ValueError(f"windows is {windows}; it must be two at least")
     count = len(estimator.bodies)
     if candidates is None:
-        chosen = [*itertools.combinations(range(count), 1), *itertools.combinations(range(count), 2)]
+        chosen = [
+            *itertools.combinations(range(count), 1),
+            *itertools.combinations(range(count), 2),
+        ]
     else:
         chosen = [_places(estimator, robot, one) for one in candidates]
     dtype = robot.pi.dtype
     nominal = robot.pi[np.array(estimator.bodies)]
     return LoadBank(
         estimator=estimator,
-        spread=load.sigma_pi().astype(dtype),
-        opening=load.covariance(estimator.chart, nominal),
+        spread=jax.scipy.linalg.block_diag(*_roots(load, nominal)),
+        opening=load.of_a_body().covariance(estimator.chart, nominal),
         rate=jnp.asarray(rate, dtype),
         threshold=jnp.asarray(threshold, dtype),
         **{name: jnp.asarray(value, dtype) for name, value in times.items()},
         candidates=tuple(chosen),
         windows=windows,
     )
+
+
+def _effective(state: BankState) -> Float[Array, ""]:
+    """Share of samples that carry news of their own, by the correlation of neighbouring residuals."""
+    correlation = jnp.clip(state.product, 0.0, 0.95)
+    return (1.0 - correlation) / (1.0 + correlation)
+
+
+def _roots(load: Load, nominal: Float[Array, "links 10"]) -> Float[Array, "links 10 10"]:
+    """Root of a load's covariance about each link's frame: independent about the link's centre of mass, and moved."""
+    com = inertial_parameters.centre_of_mass(nominal)
+    units = inertial_parameters.pseudo_inertia(jnp.eye(10, dtype=nominal.dtype))
+
+    def moved(c: Float[Array, "3"]) -> Float[Array, "10 10"]:
+        shift = jnp.eye(4, dtype=nominal.dtype).at[:3, 3].set(c)
+        return inertial_parameters.from_pseudo_inertia(shift @ units @ shift.T).T
+
+    return jax.vmap(moved)(com) * load.sigma_pi().astype(nominal.dtype)
 
 
 _RESTING, _REST_SECONDS = 0.01, 3600.0

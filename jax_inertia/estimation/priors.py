@@ -23,12 +23,13 @@ class Load(Uncertainty):
     """A load that a body may carry: `mass` [kg] anywhere within `reach` [m].
 
     The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach². Besides, the
-    radii of gyration of body and load together are known to e^±`shape` (infinite: only as the moments say).
+    radii of gyration of body and load together are known to e^±`shape` (None: only as the moments say, which call radii
+    that are e^5 times larger or smaller as likely as not).
     """
 
     mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
-    shape: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
+    shape: Float[Array, ""] | None = None
 
     def sigma_pi(self) -> Float[Array, "10"]:
         """Standard deviation of each component of π."""
@@ -41,10 +42,6 @@ class Load(Uncertainty):
         """G⁻¹ Σ G⁻ᵀ, with G at the body carrying the load as a ball around its centre of mass, not at the bare body:
         a load that dwarfs the body is a moderate change of the two together, while the bare body's tangent would call
         it e^17.
-
-        Moments alone would still call radii of gyration that are e^5 times larger or smaller as likely as not. What
-        falls to nothing has no slope any more, and a filter that was led there by its first samples stays: `shape`
-        says what bodies there are.
         """
         ball = inertial_parameters.from_com(
             jnp.broadcast_to(self.mass, nominal.shape[:-1]),
@@ -54,6 +51,8 @@ class Load(Uncertainty):
             ),
         )
         loaded = nominal + ball.astype(nominal.dtype)
+        if self.shape is None:
+            return _pulled_back(chart.jacobian(chart.from_pi(loaded)), jnp.diag(self.sigma_pi()))
         x = inertial_parameters.to_log_cholesky_uut(loaded)
         g = inertial_parameters.log_cholesky_uut_jacobian(x)
         own = _pulled_back(g, jnp.diag(self.sigma_pi()))
@@ -61,10 +60,19 @@ class Load(Uncertainty):
         six = slice(1, 7)
         weight = (self.shape * _shape_units(x)) ** -2
         inner = jnp.eye(6, dtype=own.dtype) + own[:, six, six] * weight[:, None, :]
-        known = jnp.linalg.solve(inner, own[:, six, :])
-        narrow = own - (own[:, :, six] * weight[:, None, :]) @ known
+        told = jnp.linalg.solve(inner, own[:, six, :])
+        narrow = own - (own[:, :, six] * weight[:, None, :]) @ told
         narrow = 0.5 * (narrow + jnp.swapaxes(narrow, -1, -2))
         return _pulled_back(chart.jacobian(chart.from_pi(loaded)), g @ spatial.cholesky(narrow))
+
+    def of_a_body(self) -> "Load":
+        """The same with a `shape`, one where none is given: loads that a robot can carry.
+
+        A radius of gyration that has fallen to nothing has no slope any more in log-Cholesky coordinates, and a filter
+        that its first samples lead there stays.
+        """
+        one = jnp.ones_like(self.mass)
+        return Load(self.mass, self.reach, one if self.shape is None else self.shape)
 
 
 class Tolerance(Uncertainty):

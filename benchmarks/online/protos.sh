@@ -1,1 +1,0 @@
-for r in humanoid arm quadruped small; do for v in default sa accw0 accm1; do echo $r $v; done; done | xargs -P 14 -L 1 sh -c 'timeout 400 python3 -m benchmarks.online.proto $0 ${N:-128} $1 2>&1 | grep -v -i warp'
