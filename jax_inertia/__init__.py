@@ -24,13 +24,13 @@ if TYPE_CHECKING:
         torque_regressor,
     )
     from jax_inertia.estimation.checkpoint import StateError, load_state, save_state
-    from jax_inertia.estimation.exact_memory import make_exact_estimator
     from jax_inertia.estimation.excitation import suggest_motion
     from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
-    from jax_inertia.estimation.load_bank import make_load_bank
     from jax_inertia.estimation.log_estimate import LogEstimate
     from jax_inertia.estimation.log_filter import observe
     from jax_inertia.estimation.motion_limits import Limits
+    from jax_inertia.estimation.online.exact_memory import make_exact_estimator
+    from jax_inertia.estimation.online.load_bank import make_load_bank
     from jax_inertia.estimation.pipeline import estimate
     from jax_inertia.estimation.priors import Load
     from jax_inertia.estimation.stream import Stream
@@ -97,10 +97,10 @@ _MODULES = {
     "dynamics.rigid_body": """body_jacobian body_poses condensed_dynamics contact_torque inverse_dynamics mass_matrix
         passive_torque torque_regressor""",
     "estimation.checkpoint": "StateError load_state save_state",
-    "estimation.exact_memory": "make_exact_estimator",
+    "estimation.online.exact_memory": "make_exact_estimator",
     "estimation.excitation": "suggest_motion",
     "estimation.inertial_filter": "Estimator make_estimator",
-    "estimation.load_bank": "make_load_bank",
+    "estimation.online.load_bank": "make_load_bank",
     "estimation.log_estimate": "LogEstimate",
     "estimation.log_filter": "observe",
     "estimation.motion_limits": "Limits",

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.online import honest
 from jax_inertia import load_model
-from jax_inertia.estimation.exact_memory import make_exact_estimator
+from jax_inertia.estimation.online.exact_memory import make_exact_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.generalised_motion import Motion

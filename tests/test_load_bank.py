@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.online import draws, links
 from jax_inertia import load_model
-from jax_inertia.estimation.load_bank import make_load_bank
+from jax_inertia.estimation.online.load_bank import make_load_bank
 from jax_inertia.estimation.priors import Load
 from jax_inertia.maths.sample_weight import mixture
 

@@ -30,8 +30,8 @@ from benchmarks.online.draws import (
     trajectory,
 )
 from jax_inertia import load_model, mass_matrix
-from jax_inertia.estimation.exact_memory import ExactEstimator, make_exact_estimator
 from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
+from jax_inertia.estimation.online.exact_memory import ExactEstimator, make_exact_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.model.load import body_pi
 

@@ -22,7 +22,7 @@ from benchmarks.online.draws import (
     trajectory,
 )
 from jax_inertia import load_model
-from jax_inertia.estimation.load_bank import LoadBank, make_load_bank
+from jax_inertia.estimation.online.load_bank import LoadBank, make_load_bank
 from jax_inertia.estimation.priors import Load
 
 SECONDS, CHANGE = 6.0, 3.0

@@ -13,7 +13,7 @@ from benchmarks.paper.brain import ORACLE, make_brain, measurement_noise
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import PER_TICK, TICK, model
 from benchmarks.paper.strides import strolling
-from jax_inertia.estimation.load_bank import LoadBank, make_load_bank
+from jax_inertia.estimation.online.load_bank import LoadBank, make_load_bank
 from jax_inertia.estimation.priors import Load
 
 LINKS = ("torso_link", "left_elbow_pitch_link", "right_elbow_pitch_link")

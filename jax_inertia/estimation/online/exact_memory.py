@@ -261,7 +261,7 @@ def make_exact_estimator(
     Raises ValueError as `make_estimator` does.
 
     >>> from jax_inertia import load_model
-    >>> from jax_inertia.estimation.exact_memory import make_exact_estimator
+    >>> from jax_inertia.estimation.online.exact_memory import make_exact_estimator
     >>> from jax_inertia.robots.pendulum import double_pendulum
     >>> ekf = make_exact_estimator(load_model(double_pendulum()), ["lower"], sigma_tau=0.1, sigma_v=1e-3)
     >>> ekf.estimate(ekf.initial().belief).pi[0, :4].round(6) + 0.0

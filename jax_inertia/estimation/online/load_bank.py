@@ -311,7 +311,7 @@ def make_load_bank(
     Raises ValueError for an unknown link, a candidate that is no set of the links, or numbers that cannot be.
 
     >>> from jax_inertia import Load, load_model
-    >>> from jax_inertia.estimation.load_bank import make_load_bank
+    >>> from jax_inertia.estimation.online.load_bank import make_load_bank
     >>> from jax_inertia.robots.pendulum import double_pendulum
     >>> bank = make_load_bank(load_model(double_pendulum()), ["upper", "lower"], sigma_tau=0.1, load=Load(1.0))
     >>> bank.candidates
