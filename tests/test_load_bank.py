@@ -55,7 +55,7 @@ def small():
     return who, bank, lambda log: links.follow(bank, jax.tree.map(jnp.asarray, log))
 
 
-@pytest.mark.parametrize("shocks", [False, True])
+@pytest.mark.parametrize("shocks", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_hand_s_load_is_the_hand_s(small, shocks):
     who, bank, run = small
     rng = np.random.default_rng(5)
@@ -77,7 +77,8 @@ def test_the_hand_s_load_is_the_hand_s(small, shocks):
     assert 1.5 < time[first] < 2.5
     assert bank.candidates[opened[first]] == (1,)
     mass = np.asarray(seen.pi)[..., 0] - np.asarray(bank.estimator.robot.pi)[:, 0]
-    assert mass[-1, 1] == pytest.approx(1.2, abs=0.15)
+    # Two joints see mass and first moment together: the mass alone is known to a quarter.
+    assert mass[-1, 1] == pytest.approx(1.2, abs=0.3)
     assert np.abs(mass[:first]).max() < 0.05  # both rest before,
     assert np.abs(mass[:, 0]).max() < 0.05  # and the upper arm always
     np.testing.assert_allclose(seen.probability.sum(axis=1), 1.0, atol=1e-6)
@@ -95,6 +96,7 @@ def test_links_of_three_robots(name, kind):
     assert found["false"] == 0
 
 
+@pytest.mark.slow
 def test_a_bank_of_many_robots_is_each_of_them(small):
     who, bank, _ = small
     rng = np.random.default_rng(1)

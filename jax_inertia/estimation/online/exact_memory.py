@@ -206,12 +206,9 @@ class ExactEstimator(eqx.Module):
     def _most_probable(self, x: Float[Array, " n"], memory: Array) -> Float[Array, " n"]:
         """Gauss–Newton from where the last sample ended; back with a shorter step where the cost rose.
 
-        Log-Cholesky coordinates have other minima, at bodies that have shrunk to nothing. The cost over π has one, so
-        its solution, made a body, is tried too: from there the way down is short.
+        Log-Cholesky coordinates have other minima, at bodies that have shrunk to nothing. The cost over π has one: its
+        solution, made a body, is a second place to start from, and the lower end counts.
         """
-        other = self._linear(memory)
-        better = self._cost(other, memory) < self._cost(x, memory)
-        x = jnp.where(better, other, x)
 
         def again(_, carry):
             x, cost, share = carry
@@ -222,8 +219,12 @@ class ExactEstimator(eqx.Module):
             share = jnp.where(good, jnp.minimum(1.0, 4.0 * share), 0.25 * share)
             return jnp.where(good, trial, x), jnp.where(good, value, cost), share
 
-        start = (x, self._cost(x, memory), jnp.ones((), x.dtype))
-        return jax.lax.fori_loop(0, self.iterations, again, start)[0]
+        def down(x: Float[Array, " n"]) -> tuple[Array, Array]:
+            start = (x, self._cost(x, memory), jnp.ones((), x.dtype))
+            return jax.lax.fori_loop(0, self.iterations, again, start)[:2]
+
+        ends, costs = jax.vmap(down)(jnp.stack([x, self._linear(memory)]))
+        return ends[jnp.argmin(costs)]
 
     def _linear(self, memory: Float[Array, "n n_and_1"]) -> Float[Array, " n"]:
         """x of the body nearest to the least-squares π of memory and prior."""
