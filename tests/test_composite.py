@@ -13,7 +13,7 @@ from jax_inertia.dynamics.rigid_body import passive_torque
 from jax_inertia.maths.inertial_parameters import from_com, is_physical
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.generalised_motion import Motion
-from jax_inertia.signals.residual import torque_residual
+from jax_inertia.signals.torque_residual import torque_residual
 
 ARM = """
 <mujoco><option timestep="0.0005" integrator="RK4"/><worldbody>
@@ -69,8 +69,8 @@ def control(robot, pi, q, v, a, tau, want, gain, predict):
     torque = jnp.einsum("vbp,bp->v", y, robot.pi.at[HAND].set(pi[0]))
     torque = torque + robot.armature * reference_a - DAMP * s - passive_torque(robot, q, v)
     motion = Motion(time=jnp.zeros(()), q=q, v=v, tau=tau, valid=jnp.ones(2, bool))
-    w, delta = torque_residual(robot, Observation(motion, a), (HAND,), jnp.zeros(2))
-    slope = jnp.einsum("vbp,v->bp", w, jnp.einsum("vbp,bp->v", w, pi) - delta)
+    w, residual = torque_residual(robot, Observation(motion, a), (HAND,), jnp.zeros(2))
+    slope = jnp.einsum("vbp,v->bp", w, jnp.einsum("vbp,bp->v", w, pi) + residual)
     after = composite_step(pi, y[:, HAND:], s, gain, DT, predict * slope)
     return torque, s, after
 

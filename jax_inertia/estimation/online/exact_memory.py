@@ -43,7 +43,7 @@ from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import torque_residual
+from jax_inertia.signals.torque_residual import torque_residual
 
 
 class ExactState(eqx.Module):
@@ -124,7 +124,7 @@ class ExactEstimator(eqx.Module):
         count = jnp.sum(counted)
         nis, weight, settled = _sample(root, z - h @ pi, count)
 
-        # What is noise in v̇ is in the regressor too (`residual.agreed_residual`): both are taken where sensors,
+        # What is noise in v̇ is in the regressor too (`errors_in_variables`): both are taken where sensors,
         # forces and the belief agree, which the innovation does not correlate with.
         start = state.ends[:, :n] @ pi - state.ends[:, n]
         shift = (start + both @ lever.T @ settled) / dt
@@ -152,8 +152,9 @@ class ExactEstimator(eqx.Module):
     def _unexplained(self, observation: Observation) -> tuple[Array, Bool[Array, " nv"]]:
         """([Y, Δτ], which rows are measured), zero where they are not."""
         zero = jnp.zeros(self.robot.nv, self.prior.mean.dtype)
-        regressor, delta = torque_residual(self.robot, observation, self.bodies, zero)
-        rows = jnp.concatenate([regressor.reshape(len(delta), -1), delta[:, None]], axis=1)
+        regressor, residual = torque_residual(self.robot, observation, self.bodies, zero)
+        flat = regressor.reshape(len(residual), -1)
+        rows = jnp.concatenate([flat, -residual[:, None]], axis=1)
         used = jnp.asarray(observation.motion.valid) & jnp.all(jnp.isfinite(rows), axis=1)
         return jnp.where(used[:, None], rows, 0.0), used
 

@@ -48,7 +48,7 @@ from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.residual import torque_residual
+from jax_inertia.signals.torque_residual import torque_residual
 
 
 class BankState(eqx.Module):
@@ -131,7 +131,8 @@ class LoadBank(eqx.Module):
         """Take one sample that comes `dt` [s] after the one before."""
         own = self.estimator
         observation = floats_as(observation, own.robot.pi.dtype)
-        regressor, delta = torque_residual(own.robot, observation, own.bodies, state.filter.bias)
+        regressor, residual = torque_residual(own.robot, observation, own.bodies, state.filter.bias)
+        delta = -residual
         noise = own.noise
         if own.sigma_a is not None:
             believed = own.robot.believed(own.bodies, self._pi(state))
@@ -178,7 +179,7 @@ class LoadBank(eqx.Module):
         moved = self._opened(state.filter, best, opened)
         noise = noise.scaled(state.size / (jnp.maximum(weight, 1e-6) * _effective(state)))
         loud = eqx.tree_at(lambda e: e.noise, own, noise)
-        after, _ = loud.update(moved, regressor, delta, used, dt)
+        after, _ = loud.update(moved, regressor, -delta, used, dt)
         rest = jnp.where(opened, self.settle, jnp.maximum(state.rest - dt, 0.0))
         state = eqx.tree_at(lambda s: (s.filter, s.rest), state, (after, rest))
         estimate = own.chart.to_pi(after.belief.mean.reshape(-1, 10))
