@@ -26,10 +26,10 @@ ORDER: dict[str, str] = {
         corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
         preflight""",
-    "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew online
+    "estimation": """priors physical_estimate filter_settings inertial_filter fused_update online
         innovation_tests batch_rows wrist_sensor batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
-    "estimation.online": "exact_memory load_bank",
+    "estimation.online": "slew exact_memory load_bank",
     "control": "qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": "loop simulate fit checks odd result pipeline corrected report command",
