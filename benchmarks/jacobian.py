@@ -67,7 +67,9 @@ def of_h(robot: Robot) -> Ways:
         theta, q, v, a = x
         y = torque_regressor(robot, q, v, a, chosen)
         slope = inertial_parameters.log_cholesky_jacobian(theta.reshape(-1, 10))
-        return jnp.einsum("vbp,bpj->vbj", y, slope).reshape(robot.nv, -1)
+        full = jax.lax.Precision.HIGHEST  # as in the filter
+        rows = jnp.einsum("vbp,bpj->vbj", y, slope, precision=full)
+        return rows.reshape(robot.nv, -1)
 
     return {
         "analytic": analytic,

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from jax_inertia.estimation.log_estimate import LogEstimate
     from jax_inertia.estimation.log_filter import observe
     from jax_inertia.estimation.motion_limits import Limits
+    from jax_inertia.estimation.online.exact_memory import make_exact_estimator
+    from jax_inertia.estimation.online.load_bank import make_load_bank
     from jax_inertia.estimation.pipeline import estimate
     from jax_inertia.estimation.priors import Load
     from jax_inertia.estimation.stream import Stream
@@ -74,6 +76,8 @@ __all__ = [
     "load_model",
     "load_state",
     "make_estimator",
+    "make_exact_estimator",
+    "make_load_bank",
     "mass_matrix",
     "observe",
     "passive_torque",
@@ -93,8 +97,10 @@ _MODULES = {
     "dynamics.rigid_body": """body_jacobian body_poses condensed_dynamics contact_torque inverse_dynamics mass_matrix
         passive_torque torque_regressor""",
     "estimation.checkpoint": "StateError load_state save_state",
+    "estimation.online.exact_memory": "make_exact_estimator",
     "estimation.excitation": "suggest_motion",
     "estimation.inertial_filter": "Estimator make_estimator",
+    "estimation.online.load_bank": "make_load_bank",
     "estimation.log_estimate": "LogEstimate",
     "estimation.log_filter": "observe",
     "estimation.motion_limits": "Limits",

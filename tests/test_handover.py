@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_inertia.estimation.slew import Slew
+from jax_inertia.estimation.online.slew import Slew
 from jax_inertia.maths import inertial_parameters
 
 DT, STEPS, PAIRS = 0.003, 400, 500

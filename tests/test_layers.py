@@ -14,7 +14,7 @@ ORDER: dict[str, str] = {
         control robots cli __main__""",
     "text": "closest_names notebook_page report_page words",
     "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
-        charts noise gates kalman least_squares""",
+        charts noise gates sample_weight kalman least_squares""",
     "logs": "npz atomic_files schema unwrap as_model log findings readers log_files chunks",
     "logs.readers": """stamps options protobuf plain_messages streams bag_messages bag_collect bag column_plan columns
         delimited normalised arrow_columns parquet export""",
@@ -26,10 +26,11 @@ ORDER: dict[str, str] = {
         corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
         preflight""",
-    "estimation": """priors physical_estimate filter_settings inertial_filter fused_update slew
+    "estimation": """priors physical_estimate filter_settings inertial_filter fused_update online
         innovation_tests batch_rows wrist_sensor batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
-    "control": "qp terms whole_body walking",
+    "estimation.online": "slew exact_memory load_bank",
+    "control": "qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": "loop simulate fit checks odd result pipeline corrected report command",
     "fleet": "numbers drift page jobs",

@@ -19,8 +19,8 @@ from jax_inertia.estimation.identifiability import Source, knowledge, structure
 from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
 from jax_inertia.estimation.innovation_tests import consistency, nees
 from jax_inertia.estimation.motion_limits import Limits
+from jax_inertia.estimation.online.slew import Slew
 from jax_inertia.estimation.priors import Load
-from jax_inertia.estimation.slew import Slew
 from jax_inertia.estimation.stream import Stream
 from jax_inertia.gap import Diagnosis, Tolerance, Verdict, diagnose
 from jax_inertia.gap.finding import effects_of

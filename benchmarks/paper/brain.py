@@ -21,8 +21,8 @@ from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
 from jax_inertia.dynamics.rigid_body import body_jacobian, body_poses, mass_matrix
 from jax_inertia.estimation.inertial_filter import Estimator, State, Step, make_estimator
+from jax_inertia.estimation.online.slew import Slew
 from jax_inertia.estimation.priors import Uncertainty
-from jax_inertia.estimation.slew import Slew
 from jax_inertia.maths import spatial
 from jax_inertia.maths.charts import Chart, LogCholeskyUUt
 from jax_inertia.maths.gates import Gate

@@ -19,6 +19,7 @@ from jax_inertia.dynamics import recursions
 from jax_inertia.dynamics.kinematics import forward_kinematics, tree_origin
 from jax_inertia.maths.argument_checks import last_axes
 from jax_inertia.maths.batch_last import batch_last
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.model.robot import Robot
 
 
@@ -184,6 +185,7 @@ def body_jacobian(robot: Robot, q: Float[Array, " nq"], body: int | str) -> Floa
     return recursions.body_jacobian(robot, kin, index)
 
 
+@in_full_precision
 def contact_torque(
     robot: Robot,
     q: Float[Array, " nq"],

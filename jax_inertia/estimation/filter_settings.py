@@ -110,7 +110,8 @@ def covariance(
 ) -> Float[Array, "bodies 10 10"]:
     """Of each body; ValueError for sizes that are none."""
     for what, size in vars(uncertainty).items():
-        require(f"{what} of {name}", size, _is_size, "finite and not negative")
+        if size is not None:
+            require(f"{what} of {name}", size, _is_size, "finite and not negative")
     return uncertainty.covariance(chart, nominal)
 
 

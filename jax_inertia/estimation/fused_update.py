@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jax_inertia.dynamics.sparse_rows import moved_rows as moved_rows
 from jax_inertia.dynamics.sparse_rows import take_rows
 from jax_inertia.maths.kalman import Correction, SquareRoot, cholesky
+from jax_inertia.maths.precision import in_full_precision
 
 MAX_STATES = 24
 """More do not fit into the registers."""
@@ -44,6 +45,7 @@ class FusedSquareRoot(SquareRoot):
     def leaves_rows_out(self) -> bool:
         return self.rows is not None
 
+    @in_full_precision
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:

@@ -28,6 +28,7 @@ from jax_inertia.maths import charts, kalman
 from jax_inertia.maths.argument_checks import floats_as
 from jax_inertia.maths.gates import ChiSquaredGate, Gate
 from jax_inertia.maths.noise import IndependentNoise, Noise
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.errors_in_variables import agreed_residual
@@ -89,6 +90,7 @@ class Estimator(eqx.Module):
         zero = jnp.zeros((), self.prior.mean.dtype)
         return State(self.prior, jnp.zeros(self.robot.nv, zero.dtype), zero)
 
+    @in_full_precision
     def step(
         self, state: State, observation: Observation, dt: Float[Array, ""] | float
     ) -> tuple[State, Step]:
@@ -108,6 +110,7 @@ class Estimator(eqx.Module):
         *rows, noise = agreed_residual(*known, *of_pi, self.noise, self.sigma_a)
         return eqx.tree_at(lambda e: e.noise, self, noise).update(state, *rows, valid, dt)
 
+    @in_full_precision
     def update(
         self,
         state: State,
@@ -199,6 +202,7 @@ class Estimator(eqx.Module):
         estimate = jax.lax.map(lambda x: physical_units(self.chart, *x), own, batch_size=64)
         return state, Trace(estimate, innovation, threshold, reopened)
 
+    @in_full_precision
     def calibrate_bias(self, state: State, observations: Observation) -> State:
         """Take the mean residual over a window into the bias, parameters held (Foster et al., sec. IV-B).
 
@@ -226,6 +230,7 @@ class Estimator(eqx.Module):
         return self.chart.to_pi(x.reshape(-1, 10))
 
 
+@in_full_precision
 def make_estimator(
     robot: Robot,
     bodies: Sequence[int | str],

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jax_inertia.maths import charts, inertial_parameters
+from jax_inertia.maths import charts, inertial_parameters, spatial
 
 
 class Uncertainty(eqx.Module):
@@ -22,11 +22,14 @@ class Uncertainty(eqx.Module):
 class Load(Uncertainty):
     """A load that a body may carry: `mass` [kg] anywhere within `reach` [m].
 
-    The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach².
+    The standard deviations of π that it stands for: m by `mass`, h by mass · reach, I by mass · reach². Besides, the
+    radii of gyration of body and load together are known to e^±`shape` (None: only as the moments say, which call radii
+    that are e^5 times larger or smaller as likely as not).
     """
 
     mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
+    shape: Float[Array, ""] | None = None
 
     def sigma_pi(self) -> Float[Array, "10"]:
         """Standard deviation of each component of π."""
@@ -47,8 +50,29 @@ class Load(Uncertainty):
                 0.1 * self.mass * self.reach**2 * jnp.eye(3), (*nominal.shape[:-1], 3, 3)
             ),
         )
-        g = chart.jacobian(chart.from_pi(nominal + ball.astype(nominal.dtype)))
-        return _pulled_back(g, jnp.diag(self.sigma_pi()))
+        loaded = nominal + ball.astype(nominal.dtype)
+        if self.shape is None:
+            return _pulled_back(chart.jacobian(chart.from_pi(loaded)), jnp.diag(self.sigma_pi()))
+        x = inertial_parameters.to_log_cholesky_uut(loaded)
+        g = inertial_parameters.log_cholesky_uut_jacobian(x)
+        own = _pulled_back(g, jnp.diag(self.sigma_pi()))
+        # Both statements hold at once: the shape's information is added to the six numbers that say it.
+        six = slice(1, 7)
+        weight = (self.shape * _shape_units(x)) ** -2
+        inner = jnp.eye(6, dtype=own.dtype) + own[:, six, six] * weight[:, None, :]
+        told = jnp.linalg.solve(inner, own[:, six, :])
+        narrow = own - (own[:, :, six] * weight[:, None, :]) @ told
+        narrow = 0.5 * (narrow + jnp.swapaxes(narrow, -1, -2))
+        return _pulled_back(chart.jacobian(chart.from_pi(loaded)), g @ spatial.cholesky(narrow))
+
+    def of_a_body(self) -> "Load":
+        """The same with a `shape`, one where none is given: loads that a robot can carry.
+
+        A radius of gyration that has fallen to nothing has no slope any more in log-Cholesky coordinates, and a filter
+        that its first samples lead there stays.
+        """
+        one = jnp.ones_like(self.mass)
+        return Load(self.mass, self.reach, one if self.shape is None else self.shape)
 
 
 class Tolerance(Uncertainty):
@@ -69,14 +93,20 @@ class Tolerance(Uncertainty):
         the spread.
         """
         x = inertial_parameters.to_log_cholesky_uut(nominal)
-        length = jnp.exp(x[:, 1:4])
-        # The spread's off-diagonal entries, each in units of the two lengths that it couples.
-        pairs = jnp.sqrt(length[:, [0, 0, 1]] * length[:, [1, 2, 2]])
-        one = jnp.ones_like(length)
-        sigma = [0.5 * self.mass * one[:, :1], self.spread * one, self.spread * pairs]
+        one = jnp.ones_like(x[:, 1:4])
+        sigma = [0.5 * self.mass * one[:, :1], self.spread * _shape_units(x)]
         sigma = jnp.concatenate([*sigma, self.com * one], axis=-1).astype(nominal.dtype)
         spread = inertial_parameters.log_cholesky_uut_jacobian(x) * sigma[:, None, :]
         return _pulled_back(chart.jacobian(chart.from_pi(nominal)), spread)
+
+
+def _shape_units(x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 6"]:
+    """What `LogCholeskyUUt`'s d and s are measured in: logs, and off-diagonal entries in units of the two lengths that
+    each couples [m].
+    """
+    length = jnp.exp(x[:, 1:4])
+    pairs = jnp.sqrt(length[:, [0, 0, 1]] * length[:, [1, 2, 2]])
+    return jnp.concatenate([jnp.ones_like(length), pairs], axis=-1)
 
 
 def _pulled_back(

@@ -14,6 +14,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from jax_inertia.maths import inertial_parameters, spatial
+from jax_inertia.maths.precision import in_full_precision
 
 
 class Chart(eqx.Module):
@@ -134,6 +135,7 @@ class Relative(Physical):
         """The chart about nominal bodies, which must be physical (NaN otherwise)."""
         return cls(spatial.cholesky(inertial_parameters.pseudo_inertia(nominal)))
 
+    @in_full_precision
     def to_pi(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
         # (L U)(L U)ᵀ rather than L (U Uᵀ) Lᵀ, here and back: in float32 thin bodies would be lost in the latter.
         root = self.factor @ inertial_parameters.factor(x)
@@ -148,6 +150,7 @@ class Relative(Physical):
         signs = jnp.sign(jnp.diagonal(upper, axis1=-2, axis2=-1))
         return inertial_parameters.read_factor(upper * signs[..., None, :])
 
+    @in_full_precision
     def jacobian(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
         inner = inertial_parameters.log_cholesky_uut_jacobian(x)
         # The congruence P ↦ L P Lᵀ is linear in π: its matrix, column by column.
@@ -156,6 +159,7 @@ class Relative(Physical):
         moved = factor @ columns @ jnp.swapaxes(factor, -1, -2)
         return jnp.swapaxes(inertial_parameters.from_pseudo_inertia(moved), -1, -2) @ inner
 
+    @in_full_precision
     def inverse_root(self, x: Float[Array, "*b 10"]) -> Float[Array, "*b 3 4"]:
         root = _inverse_factor(x) @ jnp.linalg.inv(self.factor)
         return jnp.swapaxes(root[..., :3], -1, -2)

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from jax_inertia.maths import spatial
 from jax_inertia.maths.argument_checks import last_axes
+from jax_inertia.maths.precision import in_full_precision
 
 PI_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 THETA_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s13", "s23", "t1", "t2", "t3")
@@ -324,6 +325,7 @@ def _entries(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
     return jnp.exp(theta[..., :1]) * unscaled
 
 
+@in_full_precision
 def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10 10"]:
     """(T u) ∂u/∂θ; ∂u/∂θ is diagonal but for α, which scales all of u."""
     theta = last_axes("theta", theta, (10,), _ORDER["theta"])
@@ -334,6 +336,7 @@ def _jacobian(t: np.ndarray, theta: Float[Array, "*b 10"]) -> Float[Array, "*b 1
     return jnp.concatenate([jnp.sum(slope * u[..., None, :], -1, keepdims=True), rest], axis=-1)
 
 
+@in_full_precision
 def factor(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 4 4"]:
     """U of either map as a matrix: e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], …].
 

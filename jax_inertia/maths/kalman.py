@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from jax_inertia.maths.gates import Gate
 from jax_inertia.maths.noise import Noise
+from jax_inertia.maths.precision import in_full_precision
 
 
 class Belief(eqx.Module):
@@ -81,6 +82,7 @@ class Form(eqx.Module):
 class Standard(Form):
     """The paper's text: K = P Hᵀ S⁻¹, P⁺ = (1 − K H) P (eq. update). Loses symmetry and sign in float32."""
 
+    @in_full_precision
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
@@ -105,6 +107,7 @@ class SquareRoot(Form):
     its minimum, where Woodbury's formula would subtract.
     """
 
+    @in_full_precision
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
@@ -130,6 +133,7 @@ class Information(Form):
     Squares the condition number: what a sharp measurement says of a wide prior is right to ε (σ prior/σ after)².
     """
 
+    @in_full_precision
     def correct(
         self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
     ) -> Correction:
@@ -188,6 +192,7 @@ def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
     return Belief(belief.mean, belief.covariance + q)
 
 
+@in_full_precision
 def update(
     belief: Belief,
     measurement: Float[Array, " m"],

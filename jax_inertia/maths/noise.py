@@ -32,6 +32,10 @@ class Noise(eqx.Module):
     def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
         """With independent noise of this covariance added."""
 
+    @abc.abstractmethod
+    def scaled(self, factor: Float[Array, ""]) -> "Noise":
+        """The same with all variances larger by this factor."""
+
 
 class IndependentNoise(Noise):
     """Rows with independent noise of the given variance."""
@@ -53,6 +57,9 @@ class IndependentNoise(Noise):
     def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
         return CorrelatedNoise(jnp.diag(self.variance) + covariance)
 
+    def scaled(self, factor: Float[Array, ""]) -> "IndependentNoise":
+        return IndependentNoise(self.variance * factor)
+
 
 class CorrelatedNoise(Noise):
     """Rows with a full noise covariance R, such as contact-wrench noise seen through Jᵀ."""
@@ -73,6 +80,9 @@ class CorrelatedNoise(Noise):
 
     def plus(self, covariance: Float[Array, "m m"]) -> "CorrelatedNoise":
         return CorrelatedNoise(self.covariance + covariance)
+
+    def scaled(self, factor: Float[Array, ""]) -> "CorrelatedNoise":
+        return CorrelatedNoise(self.covariance * factor)
 
     def _factor(self, used: Float[Array, " m"]) -> Float[Array, "m m"]:
         # A row left out gets unit noise apart from the others: what remains is the marginal of the rest.

@@ -31,6 +31,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from jax_inertia.logs.log import AnyArray
 from jax_inertia.logs.schema import check_time
 from jax_inertia.maths.finite_difference import continuous_signs, derivative
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.signals.generalised_motion import Motion
 
 
@@ -115,6 +116,7 @@ class Differentiator(eqx.Module):
         buffer = jax.tree.map(lambda x: jnp.repeat(x[None], self.window + 1, axis=0), first)
         return DifferentiatorState(buffer, jnp.asarray(1))
 
+    @in_full_precision
     def step(
         self, state: "DifferentiatorState", sample: Motion
     ) -> tuple["DifferentiatorState", Observation]:

@@ -16,11 +16,13 @@ from jaxtyping import Array, Float
 
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.maths.noise import CorrelatedNoise, Noise
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.torque_residual import torque_residual
 
 
+@in_full_precision
 def agreed_residual(
     robot: Robot,
     observation: Observation,
