@@ -106,6 +106,7 @@ def _add_bags(add: Callable[..., object]) -> None:
     )
     add("--topic-joints", nargs="+", metavar="T", help=joints_help)
     add("--topic-base", metavar="T", help="nav_msgs/Odometry of the floating base")
+    add("--topic-imu", metavar="T", help="sensor_msgs/Imu of the floating base, along its axes")
     add(
         "--topic-wrench",
         type=_pair,
@@ -152,6 +153,7 @@ def run(args: argparse.Namespace) -> int:
         calibration=args.calibration,
         topic_joints=args.topic_joints,
         topic_base=args.topic_base,
+        topic_imu=args.topic_imu,
         topic_wrenches=_once(args.topic_wrench, "--topic-wrench"),
         wrench_axes=WrenchAxes(args.wrench_axes),
         flip_wrenches=args.flip_wrenches,
