@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from log_files import START, Maker, joint_messages, write_bag
 from walking_log import Quadruped, shifts, trot, walked
 
 import jax_inertia as ji
@@ -16,6 +17,7 @@ from jax_inertia.cli.main import main
 from jax_inertia.dynamics.rigid_body import resolve_bodies
 from jax_inertia.gap.verdict import Verdict
 from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.readers import Options
 from jax_inertia.logs.schema import SHAPES
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.preflight.preflight import Severity, preflight
@@ -228,6 +230,33 @@ def test_a_place_that_is_no_number_is_refused(tmp_path):
     ji.write_log(log_of(stood(), imu_pos=np.array([0.0, np.nan, 0.0])), path)
     with pytest.raises(LogError, match=r"imu_pos is \[ 0. nan 0.\]; expected where the IMU is"):
         ji.read_log(path)
+
+
+def test_a_bag_s_imu(tmp_path):
+    """At 100 Hz and 3 ms off, without an orientation, which a covariance of -1 says."""
+    pytest.importorskip("rosbags")
+    maker, messages = Maker(), joint_messages()
+    make, vector = maker.types["sensor_msgs/msg/Imu"], maker.vector
+    none, lacking = np.zeros(9), np.array([-1.0] + [0.0] * 8)
+    turn = maker.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    for k in range(64):
+        stamp = START + round((k * 0.01 - 0.003) * 1e9)
+        header = maker.header(stamp, "imu_link")
+        for topic, said in (("/imu", none), ("/raw", lacking)):
+            one = make(header, turn, said, vector((0, 0, k)), none, vector((k, 0, 9.81)), none)
+            messages.append((topic, one, stamp))
+    path = write_bag(tmp_path / "log", messages, "mcap")
+    log = ji.read_log(path, options=Options(topic_imu="/imu"))
+    k = np.asarray(log.time) / 0.01 + 0.3
+    np.testing.assert_allclose(log.base_linacc[:, 0], k, atol=1e-6)
+    np.testing.assert_allclose(log.base_angvel[:, 2], k, atol=1e-6)
+    np.testing.assert_allclose(log.base_quat, np.tile([1.0, 0, 0, 0], (len(k), 1)))
+    assert any("the IMU (imu_link) is taken to lie along the base's axes" in n for n in log.notes)
+    assert ji.read_log(path, options=Options(topic_imu="/raw")).base_quat is None
+    with pytest.raises(
+        LogError, match=r"no sensor_msgs/msg/Imu on topic '/imuu'; did you mean '/imu'"
+    ):
+        ji.read_log(path, options=Options(topic_imu="/imuu"))
 
 
 def told(log: Log, check: str) -> tuple[Severity, str]:

@@ -23,7 +23,8 @@ robot does not have are left out. What was assumed on the way is printed.
 _EXAMPLES = """
 columns of CSV and Parquet: time [s], qpos.<joint>, tau.<joint>, and where there are any qvel.<joint>,
 tau_command.<joint>, qpos_target.<joint>, sigma_tau.<joint>, base_pos.x ... base_quat.w ... base_linvel.x ...
-base_angvel.x ..., contact_wrench.<body>.fx ... mz, tau_unit, tau_kind. A heading may end in its unit: qpos.elbow [deg].
+base_angvel.x ..., base_linacc.x ..., contact_wrench.<body>.fx ... mz, contact_force.<body>, contact_flag.<body>,
+imu_body, imu_pos.x ..., tau_unit, tau_kind. A heading may end in its unit: qpos.elbow [deg].
 
 examples:
   a CSV with columns of its own: t, q_elbow, q_wrist, i_elbow, i_wrist (motor currents)

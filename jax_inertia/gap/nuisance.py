@@ -134,8 +134,8 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
 
 
 GIVES = 0.05
-"""Share of a base's acceleration that feet hide, or feign, which give under the load that it is: 0.01 to 0.06 in trots of
-two simulated robots, with contacts of 8 and 12 ms."""
+"""Share of a base's acceleration that feet hide, or feign, which give under the load that it is: 0.01 to 0.06 in trots
+of two simulated robots, with contacts of 8 and 12 ms."""
 
 
 def _giving(context: Context) -> Columns:
