@@ -21,8 +21,8 @@ ORDER: dict[str, str] = {
     "model": """mujoco_types mujoco_warnings robot geometry file_safety finite_numbers
         urdf_read descriptions spec urdf_write load lock joint_match write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
-    "signals": """bands held filtering generalised_motion differences wrench_axes spikes
-        outliers creep dry_friction ground_support torque_residual errors_in_variables holds misfit
+    "signals": """bands held filtering generalised_motion differences ground_support base_motion
+        wrench_axes spikes outliers creep dry_friction torque_residual errors_in_variables holds misfit
         corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
         preflight""",

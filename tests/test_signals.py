@@ -298,7 +298,7 @@ def test_dropouts_mark_rows_in_the_model_order(walker):
         ({}, {}, r"no joints \['ankle'\]"),
         ({"joint_names": ("lift", "hop")}, {}, "'hop' is no hinge or slide.*did you mean 'hip'"),
         ({"joint_names": ("lift", "ankle")}, {}, "'ankle' is no hinge or slide"),
-        ({"base_quat": None}, {}, "needs base_pos and base_quat"),
+        ({"base_quat": None}, {}, "needs base_quat, and base_pos or an IMU"),
         ({}, {"ankel": 0.0}, "'ankel' is not in the model; did you mean 'ankle'"),
         ({}, {"hip": 0.0}, "fixed and in the log"),
         ({}, {"ankle": 0.0}, "takes 4 numbers"),

@@ -23,7 +23,8 @@ robot does not have are left out. What was assumed on the way is printed.
 _EXAMPLES = """
 columns of CSV and Parquet: time [s], qpos.<joint>, tau.<joint>, and where there are any qvel.<joint>,
 tau_command.<joint>, qpos_target.<joint>, sigma_tau.<joint>, base_pos.x ... base_quat.w ... base_linvel.x ...
-base_angvel.x ..., contact_wrench.<body>.fx ... mz, tau_unit, tau_kind. A heading may end in its unit: qpos.elbow [deg].
+base_angvel.x ..., base_linacc.x ..., contact_wrench.<body>.fx ... mz, contact_force.<body>, contact_flag.<body>,
+imu_body, imu_pos.x ..., tau_unit, tau_kind. A heading may end in its unit: qpos.elbow [deg].
 
 examples:
   a CSV with columns of its own: t, q_elbow, q_wrist, i_elbow, i_wrist (motor currents)
@@ -106,6 +107,7 @@ def _add_bags(add: Callable[..., object]) -> None:
     )
     add("--topic-joints", nargs="+", metavar="T", help=joints_help)
     add("--topic-base", metavar="T", help="nav_msgs/Odometry of the floating base")
+    add("--topic-imu", metavar="T", help="sensor_msgs/Imu of the floating base, along its axes")
     add(
         "--topic-wrench",
         type=_pair,
@@ -152,6 +154,7 @@ def run(args: argparse.Namespace) -> int:
         calibration=args.calibration,
         topic_joints=args.topic_joints,
         topic_base=args.topic_base,
+        topic_imu=args.topic_imu,
         topic_wrenches=_once(args.topic_wrench, "--topic-wrench"),
         wrench_axes=WrenchAxes(args.wrench_axes),
         flip_wrenches=args.flip_wrenches,

@@ -56,6 +56,8 @@ class Inputs:
     log: Log
     test_log: Log | None
     quality: tuple[Quality, ...]
+    of_loop: bool = False
+    """Whether torques are not of the log, but what a position loop gives."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +94,8 @@ def read(
     options = Options(time_unit=None if conventions is None else conventions.time_unit)
     given = [read_log(path, names=robot, options=options) for path in paths]
     robot, told = afloat(robot, model, given[0])
+    of_loop = given[0].tau is None and robot.has_free_base
+    given = [replay_run.by_loop(one, robot, model, gains) for one in given]
     quality: list[Quality] = [*told]
     if conventions is not None:
         robot, given, notes = met(conventions, robot, given, gains=conventions.gains)
@@ -111,7 +115,8 @@ def read(
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)
-    return Inputs(model, log, robot, logs[0], logs[1] if len(logs) > 1 else None, tuple(quality))
+    other = logs[1] if len(logs) > 1 else None
+    return Inputs(model, log, robot, logs[0], other, tuple(quality), of_loop)
 
 
 def diagnosed(
@@ -130,6 +135,8 @@ def diagnosed(
         paths, logs = (inputs.path, inputs.model), (inputs.log, inputs.test_log)
         return replay_run.diagnosed(folder, paths, logs, gains, exclude, inputs.quality, stage)
     show_it = by_torque(folder, inputs, exclude, max_effects, stage)
+    if inputs.of_loop:
+        return show_it
     return replay_run.add_command(folder, inputs.model, inputs.log, gains, show_it)
 
 

@@ -29,6 +29,7 @@ from jax_inertia.replay.loop import Loop, position_loop
 from jax_inertia.replay.pipeline import FLOATS, diagnose
 from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.simulate import Plant, fixed_base, record_of
+from jax_inertia.signals.held import with_loop_torque
 from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
@@ -50,6 +51,14 @@ def nominal_spec(model: Path, fix_base: bool) -> MjSpec:
     if fix_base:
         fixed_base(spec)
     return spec
+
+
+def by_loop(log: Log, robot: Robot, model: Path, gains: Gains) -> Log:
+    """The log of a floating base with the torque of its position loop, where it has targets and no torque."""
+    if not robot.has_free_base or log.tau is not None or log.qpos_target is None:
+        return log
+    loop = position_loop(log, compile_spec(load_spec(model), model), gains.kp, gains.kd)
+    return with_loop_torque(log, *loop)
 
 
 def read(

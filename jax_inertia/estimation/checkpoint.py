@@ -103,7 +103,10 @@ def save_stream(path: str | os.PathLike[str], stream: Stream, state: StreamState
         arrays |= {
             name: np.asarray(value) for name in SHAPES if (value := getattr(log, name)) is not None
         }
-        texts = (log.joint_names, log.contact_bodies, str(log.tau_kind), log.tau_unit_text)
+        texts = (
+            *(log.joint_names, log.contact_bodies),
+            *(log.imu_body, str(log.tau_kind), log.tau_unit_text),
+        )
         # An empty list of names has no text type of its own.
         arrays |= {n: np.asarray(t, np.str_) for n, t in zip(TEXTS, texts, strict=True)}
     _write(Path(path), _stream_settings(stream), arrays, stream.estimator)
@@ -151,6 +154,7 @@ def _log(arrays: dict[str, np.ndarray]) -> Log:
     fields = {
         "joint_names": tuple(arrays["joint_names"].tolist()),
         "contact_bodies": tuple(arrays["contact_bodies"].tolist()),
+        "imu_body": str(arrays["imu_body"]),
         "tau_kind": TorqueKind(str(arrays["tau_kind"])),
         "tau_unit": TorqueUnit.parse(unit),
         "tau_unit_text": unit,

@@ -14,6 +14,7 @@ from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, require
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Preflight, Severity, preflight
+from jax_inertia.signals.held import with_loop_torque
 from jax_inertia.text.closest_names import suggestion
 
 # By the bodies asked for as the model has them.
@@ -117,6 +118,8 @@ def checked(
     """
     if names is None:
         names = Names(calibrate=[f"calibrate[{k}]" for k in range(len(references))])
+    if robot.has_free_base:
+        log, *references = (_driven(one) for one in (log, *references))
     chosen = resolve_bodies(robot, bodies)
     if not chosen:
         raise ValueError("no body to estimate; name at least one")
@@ -171,12 +174,19 @@ def _require_unit(log: Log, references: Sequence[Log], settings: Settings, names
             )
 
 
+def _driven(log: Log) -> Log:
+    """The log with the torque of its position loop, where it has no other and says its targets and gains."""
+    given = log.tau is None and log.qpos_target is not None
+    return with_loop_torque(log, log.kp, log.kd) if given else log
+
+
 def _with_support(found: Preflight, log: Log, robot: Robot) -> Preflight:
-    """What was found, and that nothing is known to carry a robot that floats."""
+    """What was found, and that nobody measured what carries a robot that floats."""
     if not robot.has_free_base or log.contact_wrench is not None:
         return found
     message = (
-        "the model's base floats and the log has no contact_wrench: unless the robot flies, what carries its weight is "
-        "taken out of the bodies that are estimated; log the contacts' wrenches"
+        "the model's base floats and the log has no contact_wrench: forces at its feet are taken from their legs' own "
+        "torques, which then say nothing of the legs; whatever else holds the robot is taken out of the bodies that "
+        "are estimated"
     )
     return Preflight((Finding(Severity.WARNING, "contact_wrench", message), *found.findings))

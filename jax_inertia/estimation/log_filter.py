@@ -32,7 +32,7 @@ from jax_inertia.preflight.preflight import require_usable
 from jax_inertia.signals.bands import ESTIMATE, of_estimate
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.holds import Holds, holds_of, without_friction
-from jax_inertia.signals.torque_residual import observed, torque_residuals
+from jax_inertia.signals.torque_residual import observed, on_the_ground, torque_residuals
 
 _PIECE_SECONDS = 2.0
 # A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
@@ -51,7 +51,8 @@ def observe(
 
     Every channel passes one zero-phase low-pass of `cutoff` [Hz] (default: 10, at most a fifth of `rate`). Torques are
     in N m; those of `any_unit` stay in the log's own, for `batch_fit.fit(gains=...)` or `in_newton_metres`. One
-    period of the cutoff is cut off at both ends, where the filter rings. Raises LogError for a log that is not of
+    period of the cutoff is cut off at both ends, where the filter rings. What carries a floating base of a log without
+    contact_wrench is taken from its legs' torques, in N m (`base_motion`). Raises LogError for a log that is not of
     this robot or not measured (`preflight.require_usable`), ValueError for rates that do not fit it, and where too
     little is left.
 
@@ -73,6 +74,8 @@ def observe(
             "raise the cutoff or record longer"
         )
     observation = jax.tree.map(lambda x: x[edge:-edge], whole)
+    if robot.has_free_base and log.contact_wrench is None and not any_unit:
+        observation = on_the_ground(robot, observation, log.contact_bodies)
     if not np.any(observation.motion.valid):
         raise LogError(
             "no sample is complete (position, velocity and torque all finite); nothing to fit"

@@ -19,7 +19,7 @@ from jax_inertia.estimation.inertial_filter import Trace
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load, Tolerance
-from jax_inertia.logs.log import Log
+from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths import charts
 from jax_inertia.maths.inertial_parameters import is_physical
 from jax_inertia.maths.precision import in_double_precision
@@ -201,6 +201,7 @@ class _WithoutLoad(NamedTuple):
 def _without_load(inputs: Inputs, progress: Callable[[str], None]) -> _WithoutLoad:
     """The log's observations, and what the logs without load say: gains, offsets, all that is not asked for."""
     robot, raw, bias = inputs.robot, _observe(inputs, inputs.log), np.zeros(inputs.robot.nv)
+    _require_rows(inputs, raw)
     if not inputs.references:
         return _WithoutLoad(robot, _first_gains(inputs), bias, None, raw, [])
     progress("calibrating on the logs without load")
@@ -211,6 +212,20 @@ def _without_load(inputs: Inputs, progress: Callable[[str], None]) -> _WithoutLo
     chosen = inputs.chosen
     robot = fit.robot.with_pi(chosen, robot.pi[np.array(chosen)])
     return _WithoutLoad(robot, fit.gains, fit.bias, fit, raw, references)
+
+
+def _require_rows(inputs: Inputs, observation: Observation) -> None:
+    """LogError where a body hangs on legs whose torques went into the forces at their feet."""
+    if inputs.log.contact_wrench is not None or observation.motion.wrench is None:
+        return
+    used_up = ~np.asarray(observation.motion.valid).any(axis=0)
+    moved = inputs.robot.topology.body_dof[np.array(inputs.chosen)][:, used_up].any(axis=1)
+    if moved.any():
+        names = [name for name, of_leg in zip(inputs.bodies, moved, strict=True) if of_leg]
+        raise LogError(
+            f"no contact_wrench: the torques of the legs that stand give the forces at their feet, and nothing of "
+            f"{', '.join(names)} on them; estimate what the legs carry, or log the wrenches"
+        )
 
 
 def _observe(inputs: Inputs, log: Log) -> Observation:

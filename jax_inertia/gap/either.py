@@ -23,6 +23,7 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
+from jax_inertia.signals.held import with_loop_torque
 
 
 @in_double_precision
@@ -105,7 +106,9 @@ def usable(
     `drives` are those of the log before, if there is one: a gain that does not carry over is part of what is tested.
     """
     if log.tau is None:
-        raise LogError(NO_TORQUE)
+        if not robot.has_free_base or log.qpos_target is None:
+            raise LogError(NO_TORQUE)
+        log = with_loop_torque(log, log.kp, log.kd)
     found = preflight(log, robot)
     found.raise_for_errors()
     for finding in found.findings:

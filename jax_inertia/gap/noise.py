@@ -136,7 +136,7 @@ def whitener(
     draws, noisy = [], prepared
     for _ in range(replicas):
         noisy = _with_friction_of(
-            prepared, prepare(prepared.robot, perturbed(log, rng), prepared.bands)
+            prepared, prepare(prepared.robot, perturbed(log, rng), prepared.bands, rng)
         )
         draws.append(noisy.finish_torque(noisy.missing) - own)
     noise = np.array(draws)

@@ -61,7 +61,11 @@ class Log(eqx.Module):
 
     `contact_wrench` (C contacts) is the force [N] and moment [N m] on the robot in world axes, the
     moment about the frame origin of the body named in `contact_bodies`; those bodies without it may
-    touch something, and nobody measured how. `tau` may be absent where there is a `contact_wrench`,
+    touch something, and nobody measured how: perhaps `contact_force`, a scalar in any unit that grows
+    with the load, or `contact_flag`, 1 where a foot stands. A floating base that has no `base_pos` has
+    an IMU: its attitude `base_quat`, its rate `base_angvel`, and `base_linacc`, the specific force
+    [m/s²] at `imu_pos` [m] on `imu_body` (where absent: at the base's origin), in that body's axes.
+    `tau` may be absent where there is a `contact_wrench`,
     or `qpos_target`: the position targets of the joints, each from its stamp on, by a loop of
     gains `kp` [N m/rad] and `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample.
     `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or
@@ -94,7 +98,12 @@ class Log(eqx.Module):
     base_quat: Float[AnyArray, "T 4"] | None = None
     base_linvel: Float[AnyArray, "T 3"] | None = None
     base_angvel: Float[AnyArray, "T 3"] | None = None
+    base_linacc: Float[AnyArray, "T 3"] | None = None
+    imu_body: str = eqx.field(static=True, default="")
+    imu_pos: Float[AnyArray, "3"] | None = None
     contact_wrench: Float[AnyArray, "T C 6"] | None = None
+    contact_force: Float[AnyArray, "T C"] | None = None
+    contact_flag: Float[AnyArray, "T C"] | None = None
     contact_bodies: tuple[str, ...] = eqx.field(
         static=True, converter=partial(_tuple, "contact_bodies"), default=()
     )

@@ -157,6 +157,8 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
         }
     if log.contact_bodies:
         arrays["contact_bodies"] = np.array(log.contact_bodies)
+    if log.imu_body:
+        arrays["imu_body"] = np.array(log.imu_body)
     if path.suffix.lower() == ".npz":
         with whole_file(path) as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)

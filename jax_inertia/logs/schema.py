@@ -26,14 +26,18 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
     "base_quat": ("T", 4),
     "base_linvel": ("T", 3),
     "base_angvel": ("T", 3),
+    "base_linacc": ("T", 3),
+    "imu_pos": (3,),
     "contact_wrench": ("T", "C", 6),
+    "contact_force": ("T", "C"),
+    "contact_flag": ("T", "C"),
 }
 _REQUIRED = ("time", "joint_names", "qpos")
 _DRIVEN = ("tau", "qpos_target", "contact_wrench")
 """What a joint did must be known, and what made it do so: its torque, its position target, or a force sensor's
 wrench."""
 _PER_JOINT = ("sigma_qpos", "sigma_tau", "kp", "kd")
-TEXTS = ("joint_names", "contact_bodies", "tau_kind", "tau_unit")
+TEXTS = ("joint_names", "contact_bodies", "imu_body", "tau_kind", "tau_unit")
 CHANNELS = tuple(name for name, shape in SHAPES.items() if shape[0] == "T" and name != "time")
 
 _UNIT_END = r"(?=$|\s*[\[(,;:])"
@@ -119,10 +123,9 @@ def _require_all(names: Collection[str]) -> None:
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]], joints: int, contacts: int) -> None:
     if not joints:
         raise LogError("joint_names is empty; name one joint per column of qpos")
-    if "contact_wrench" in shapes and not contacts:
-        raise LogError(
-            "contact_wrench comes without contact_bodies; name the body of each of its C"
-        )
+    for name, spec in SHAPES.items():
+        if "C" in spec and name in shapes and not contacts:
+            raise LogError(f"{name} comes without contact_bodies; name the body of each of its C")
     sizes = {"T": shapes["time"][:1], "n": (joints,), "C": (contacts,)}
     for name, spec in SHAPES.items():
         if (shape := shapes.get(name)) is None:
@@ -158,10 +161,10 @@ def fields_of(
     kind = _word("tau_kind", arrays, "unknown").lower()
     if kind not in list(TorqueKind):
         raise LogError(f"tau_kind is {kind[:60]!r}; expected commanded, current or sensor")
-    wrench = fields.get("contact_wrench")
-    if fields.get("contact_bodies") == () and wrench is not None and wrench.size == 0:
+    if fields.get("contact_bodies") == ():
         # A writer for many robots gives an empty array to the one that touches nothing.
-        del fields["contact_wrench"]
+        fields = {k: x for k, x in fields.items() if "C" not in SHAPES.get(k, ()) or x.size}
+    fields["imu_body"] = _word("imu_body", arrays, "")
     fields |= {
         "tau_kind": TorqueKind(kind),
         "tau_unit": TorqueUnit.parse(unit),
@@ -173,6 +176,8 @@ def fields_of(
     for name in _PER_JOINT:
         if name in fields:
             _check_size(name, fields[name])
+    if "imu_pos" in fields and not np.isfinite(fields["imu_pos"]).all():
+        raise LogError(f"imu_pos is {fields['imu_pos']}; expected where the IMU is [m]")
     return fields
 
 

@@ -20,7 +20,7 @@ def rotation_of(quat: np.ndarray) -> np.ndarray:
 
 def surface_of(model: MjModel, bodies: list[int]) -> Surface:
     """Of the given bodies of a compiled model: spheres and capsules as they are, others by the corners of their box."""
-    body, points, radii = [], [], []
+    body, points, radii, pivots = [], [], [], []
     for index, b in enumerate(bodies):
         for geom in (model.body_geomadr[b] + np.arange(model.body_geomnum[b])).tolist():
             if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
@@ -30,7 +30,20 @@ def surface_of(model: MjModel, bodies: list[int]) -> Surface:
                 body.append(index)
                 points.append(model.geom_pos[geom] + rotation @ point)
                 radii.append(radius)
-    return Surface(tuple(body), jnp.array(np.reshape(points, (-1, 3))), jnp.array(radii, float))
+                pivots.append(_pivot(model, geom))
+    return Surface(
+        tuple(body),
+        jnp.array(np.reshape(points, (-1, 3))),
+        jnp.array(radii, float),
+        jnp.array(np.reshape(pivots, (-1, 2))),
+    )
+
+
+def _pivot(model: MjModel, geom: int) -> tuple[float, float]:
+    """Coefficients of torsional and rolling friction [m] that a geom's contacts have."""
+    _, torsional, rolling = model.geom_friction[geom].tolist()
+    directions = model.geom_condim[geom]
+    return torsional * (directions >= 4), rolling * (directions >= 6)
 
 
 def _balls(model: MjModel, geom: int) -> Iterator[tuple[np.ndarray, float]]:

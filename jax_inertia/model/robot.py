@@ -152,6 +152,8 @@ class Surface(eqx.Module):
     """m."""
     radius: Float[Array, " p"]
     """m."""
+    pivot: Float[Array, "p 2"]
+    """Moment that a contact may bear about its normal, and about what lies in the ground, per force on it [m]."""
 
 
 class Robot(eqx.Module):

@@ -135,6 +135,45 @@ def base_frames(log: Log, time: np.ndarray) -> Iterator[Finding]:
         )
 
 
+_STANDARD = 9.80665
+"""Standard gravity [m/s²]."""
+
+
+def accelerometer(log: Log) -> Iterator[Finding]:
+    """`base_linacc` against the attitude: what carries a robot points up, and is as large as gravity, in the mean."""
+    if log.base_linacc is None or log.base_quat is None or log.imu_body:
+        return
+    quat, felt = np.asarray(log.base_quat), np.asarray(log.base_linacc)
+    if not np.all(np.linalg.norm(quat, axis=1) > 0.5):
+        return
+    world, gravity = np.nanmean(_rotate(quat, felt), axis=0), np.array([0.0, 0.0, _STANDARD])
+
+    def misfit(mean: np.ndarray) -> float:
+        return float(np.linalg.norm(mean - gravity)) / _STANDARD
+
+    readings = {
+        "is minus the specific force (at rest it points up)": -world,
+        "is in g": _STANDARD * world,
+        "is minus the specific force, and in g": -_STANDARD * world,
+        "has gravity taken out (a linear acceleration)": world + gravity,
+        "is in the world's axes": np.nanmean(felt, axis=0),
+    }
+    here = misfit(world)
+    reading, best = min(((k, misfit(x)) for k, x in readings.items()), key=lambda pair: pair[1])
+    if here > 0.5 and best < 0.2 * here:
+        yield _error(
+            "accelerometer",
+            f"base_linacc {reading}: its mean, turned by base_quat, is {np.round(world, 2).tolist()} m/s²; expected "
+            "the specific force in the body's axes, near [0, 0, 9.81] then",
+        )
+    elif here > 0.1:
+        yield _warning(
+            "accelerometer",
+            f"the mean of base_linacc, turned by base_quat, is {np.round(world, 2).tolist()} m/s²; expected [0, 0, "
+            "9.81] of a robot that ends as fast as it began: check axes, unit and base_quat, or leave base_linacc out",
+        )
+
+
 def _frame(
     array: str,
     right: str,

@@ -155,6 +155,7 @@ def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding
     yield from consistency.velocity(log, time)
     yield from consistency.quaternion(log)
     yield from consistency.base_frames(log, time)
+    yield from consistency.accelerometer(log)
 
 
 def _unit(log: Log) -> Iterator[Finding]:
@@ -198,23 +199,56 @@ def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
         )
         yield Finding(Severity.ERROR, "coupled", message)
     floating = [name for name, kind in kinds.items() if kind == "free" and name not in fixed]
-    floats = bool(floating)
-    posed = log.base_pos is not None and log.base_quat is not None
-    if floats and not posed:
+    yield from _base(log, floating[0] if floating else None)
+    if log.imu_body and log.imu_body not in robot.body_names:
         message = (
-            f"the model's base floats (joint {floating[0]!r}) but the log lacks base_pos or base_quat; log both, or "
-            "take what floats out of the model"
+            f"the model has no body {log.imu_body!r} (imu_body); "
+            f"{suggestion(log.imu_body, robot.body_names)}"
         )
-        yield Finding(Severity.ERROR, "base", message)
-    if posed and not floats:
-        message = "the log has a base pose but the model's base is fixed; the pose is not used"
-        yield Finding(Severity.WARNING, "base", message)
+        yield Finding(Severity.ERROR, "imu_body", message)
     for name in log.contact_bodies:
         if name not in robot.body_names:
             message = (
                 f"the model has no body {name!r} (contact); {suggestion(name, robot.body_names)}"
             )
             yield Finding(Severity.ERROR, "contact_body", message)
+
+
+def _base(log: Log, floating: str | None) -> Iterator[Finding]:
+    """Whether a log tells of its base what the model asks, and what it tells besides."""
+    of_base = [
+        name
+        for name in ("base_pos", "base_quat", "base_linvel", "base_angvel", "base_linacc")
+        if getattr(log, name) is not None
+    ]
+    if floating is None:
+        if of_base:
+            message = f"the log has {listed(of_base)} but the model's base is fixed: not used"
+            yield Finding(Severity.WARNING, "base", message)
+        return
+    if log.base_quat is None:
+        message = (
+            f"the model's base floats (joint {floating!r}) but the log lacks base_quat (its attitude, wxyz); log it "
+            "beside base_angvel and base_linacc of an IMU, or beside base_pos; of a robot that hung in the air: "
+            "--fix-base"
+        )
+        yield Finding(Severity.ERROR, "base", message)
+        return
+    unused = []
+    if log.base_pos is None:
+        means = "base_linacc (IMU)" if log.base_linacc is not None else "feet that stand"
+        message = (
+            f"the log has no base_pos: how the base accelerates is taken from {means}, which is all that the equations "
+            "of motion need"
+        )
+        yield Finding(Severity.NOTE, "base", message)
+    else:
+        unused += ["base_linacc"] * (log.base_linacc is not None)
+    if log.base_pos is not None or log.contact_wrench is not None:
+        unused += [n for n in ("contact_force", "contact_flag") if getattr(log, n) is not None]
+    if unused:
+        message = f"read and not used, for the log holds better: {listed(unused)}"
+        yield Finding(Severity.NOTE, "unused", message)
 
 
 def _stamps(time: np.ndarray) -> Iterator[Finding]:

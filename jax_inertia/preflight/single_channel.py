@@ -6,6 +6,7 @@ import numpy as np
 
 from jax_inertia.logs.findings import Finding, Severity, run_bounds, spans
 from jax_inertia.logs.log import CHANNELS, Log
+from jax_inertia.logs.schema import SHAPES
 from jax_inertia.signals.spikes import off_neighbours, quantum
 
 _MANY_NAN = 0.2
@@ -173,16 +174,21 @@ def still(log: Log) -> Iterator[Finding]:
         yield Finding(Severity.NOTE, "no_motion", message)
 
 
+_OF_JOINTS = tuple(name for name in CHANNELS if SHAPES[name][-1] == "n")
+
+
 def _columns(log: Log, arrays: tuple[str, ...]) -> Iterator[tuple[str, np.ndarray]]:
     for array in arrays:
         if (value := getattr(log, array)) is None:
             continue
         x = np.asarray(value)
         for index in np.ndindex(x.shape[1:]):
-            if x.shape[1:] == (len(log.joint_names),) and not array.startswith("base"):
+            if array in _OF_JOINTS:
                 label = f"{array} of {log.joint_names[index[0]]!r}"
             elif array == "contact_wrench":
                 label = f"{array}[{index[1]}] of {log.contact_bodies[index[0]]!r}"
+            elif array in ("contact_force", "contact_flag"):
+                label = f"{array} of {log.contact_bodies[index[0]]!r}"
             else:
                 label = f"{array}[{index[0]}]"
             yield label, x[:, *index]

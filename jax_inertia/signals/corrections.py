@@ -13,6 +13,7 @@ from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.log import Log, LogError, TorqueUnit
 from jax_inertia.maths.spatial import quat_to_matrix
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.base_motion import unmoved
 from jax_inertia.signals.generalised_motion import generalised
 
 _MOST_SHIFT = 1.0
@@ -27,7 +28,7 @@ def with_model_gravity(log: Log, robot: Robot) -> Log:
         raise LogError(
             f"tau is in {log.tau_unit_text[:60]!r}, and the model's gravity is in N m; give gains first"
         )
-    q = generalised(log, robot).q
+    q = generalised(unmoved(log), robot).q
     rows = [robot.joint_dofadr[robot.joint_index(name)] for name in log.joint_names]
     torque = np.asarray(_gravity(robot, jnp.asarray(q)))[:, rows]
     return dataclasses.replace(

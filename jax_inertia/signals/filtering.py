@@ -223,6 +223,7 @@ def _motion_channels(log: Log) -> dict[str, np.ndarray]:
         "base_quat",
         "base_linvel",
         "base_angvel",
+        "base_linacc",
         "contact_wrench",
     )
     values = {name: getattr(log, name) for name in names}

@@ -137,7 +137,9 @@ def _base_joint(log: Log, robot: Joints, fixed: Mapping) -> str | None:
     if len(free) > 1:
         raise LogError(f"the model floats at {free}, a log has one base; fix all but one")
     if free and (log.base_pos is None or log.base_quat is None):
-        raise LogError(f"the model floats at {free[0]!r}; the log needs base_pos and base_quat")
+        raise LogError(
+            f"the model floats at {free[0]!r}; the log needs base_quat, and base_pos or an IMU's base_linacc"
+        )
     return free[0] if free else None
 
 

@@ -30,6 +30,8 @@ NEAR, OFTEN = 0.02, 0.05
 CARRIED = 0.3
 # A sole that is smaller than this [m] presses at one point.
 SOLE = 0.04
+PIVOTS = 0.1
+"""Moments of feet that turn on the ground change within this time [s], as a step does."""
 # Trust in what the base needs against what the legs' motors give, each in units of its own size.
 TRUST = 1e-2
 
@@ -43,6 +45,8 @@ class Foot:
     """Of a ball, its centre in the body's frame [m]."""
     radius: float
     flat: bool
+    pivot: tuple[float, float] = (0.0, 0.0)
+    """Moment that it may bear about the ground's normal, and along the ground, per force on it [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +62,44 @@ class Support:
     """The part of a torque on all rows that no force at the feet explains."""
     used_up: Bool[np.ndarray, " nv"]
     """Rows of the legs."""
+    feet: tuple[Foot, ...]
+    turned: int | None
+    """The row of the base about whose axis balls turn on the spot, and bear who knows what moment; None for none."""
+
+    def pivoting(
+        self, robot: Robot, q: Float[np.ndarray, "T nq"], rate: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T nv"]:
+        """Moments by which balls resist to roll, by chance, on all rows [N m]; of soles they are in `torque`.
+
+        All that the model's friction allows, one way or the other, and another one every `PIVOTS` seconds.
+        """
+        reach = np.array([0.0 if f.flat else f.pivot[1] for f in self.feet])
+        if not reach.any():
+            return np.zeros((len(q), robot.nv))
+        at = np.arange(len(q)) / rate
+        nodes = np.arange(0.0, at[-1] + 2 * PIVOTS, PIVOTS)
+        drawn = rng.choice([-1.0, 1.0], (len(nodes), len(self.feet), 2)) * reach[:, None]
+        share = np.stack(
+            [np.interp(at, nodes, column) for column in drawn.reshape(len(nodes), -1).T], axis=1
+        ).reshape(len(q), len(self.feet), 2)
+        moment = np.zeros_like(self.wrench)
+        moment[:, :, 3:5] = share * np.maximum(self.wrench[:, :, 2:3], 0.0)
+        bodies = tuple(f.body for f in self.feet)
+        return _torques((robot, bodies), (q, moment[:, None]))[:, 0]
+
+    def left_of(
+        self, x: Float[np.ndarray, "T *c"], row: int | None
+    ) -> Float[np.ndarray, "T nv *c"]:
+        """What no force at the feet explains of torques on all rows (T, nv, ...), or of those on one row (T, ...)."""
+        alive = np.flatnonzero(~self.used_up)
+        seen = self.seen[:, alive]
+        if row is not None:
+            part = seen[:, :, row].reshape(*seen.shape[:2], *(1 for _ in x.shape[1:])) * x[:, None]
+        else:
+            part = (seen @ x.reshape(*x.shape[:2], -1)).reshape(len(x), len(alive), *x.shape[2:])
+        out = np.zeros((len(x), len(self.used_up), *part.shape[2:]))
+        out[:, alive] = part
+        return out
 
 
 def feet_of(
@@ -95,7 +137,8 @@ def feet_of(
         if len(at):
             extent = np.ptp(points[at], axis=0).max()
             centre = tuple(points[at].mean(axis=0).tolist())
-            feet.append(Foot(body, centre, float(radius[at].mean()), bool(extent > SOLE)))
+            pivot = tuple(np.asarray(surface.pivot)[at].mean(axis=0).tolist())
+            feet.append(Foot(body, centre, float(radius[at].mean()), bool(extent > SOLE), pivot))
     return feet
 
 
@@ -142,7 +185,11 @@ def supported(
     seen[:, used_up] = 0.0
     force = np.einsum("tmj,tj->tm", solved, residual)
     wrench = np.einsum("tm,tmcw->tcw", force, ways)
-    return Support(names, wrench, np.einsum("tmj,tm->tj", rows, force), seen, used_up)
+    torque = np.einsum("tmj,tm->tj", rows, force)
+    turns = any(f.pivot[0] > 0 and not f.flat for f in feet)
+    upright = int(np.argmax(np.abs(rotation[:, 0, 2]).mean(axis=0)))
+    turned = BASE - 3 + upright if turns else None
+    return Support(names, wrench, torque, seen, used_up, tuple(feet), turned)
 
 
 def _ways(

@@ -15,13 +15,15 @@ that settles within it leaves more. The loop itself holds its torque for some δ
 kp V d more, and the jolts are those of kd − kp d and M − kd d.
 """
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 from scipy import interpolate
 
-from jax_inertia.logs.log import AnyArray, Log
+from jax_inertia.logs.log import AnyArray, Log, LogError, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
 
 FASTER = 100.0
@@ -50,6 +52,46 @@ def later(x: AnyArray, share: float) -> Float[np.ndarray, "T *c"]:
     before, long_before = -(s + 1) * s * (s - 2) / 2, (s + 1) * s * (s - 1) / 6
     far = np.concatenate([x[:1], x[:1], x, x[-1:]])
     return after * far[3:] + own * far[2:-1] + before * far[1:-2] + long_before * far[:-3]
+
+
+def with_loop_torque(
+    log: Log,
+    kp: AnyArray | None,
+    kd: AnyArray | None = None,
+    limit: AnyArray | float = np.inf,
+    source: str = "log",
+) -> Log:
+    """The log with the torque [N m] that its position loop gives, τ = kp (q* − q) − kd q̇ within ± `limit`.
+
+    The gains [N m/rad, N m s/rad] are of each joint, and said in the log's notes with their `source`. Raises LogError
+    where nobody says kp, or the log has no targets.
+    """
+    if log.qpos_target is None or kp is None:
+        lacks = "position targets (qpos_target)" if log.qpos_target is None else "gain (kp)"
+        raise LogError(
+            f"the log has no torque (tau), and what its position loop gives is not known without its {lacks}; log it, "
+            "or give --kp and --kd"
+        )
+    q = np.asarray(log.qpos, float)
+    v = derivative(np.asarray(log.time, float), q) if log.qvel is None else np.asarray(log.qvel)
+    damping = np.zeros(q.shape[1]) if kd is None else np.asarray(kd, float)
+    pull = np.asarray(kp, float) * (np.asarray(log.qpos_target, float) - q)
+    said = [
+        f"{name} {' to '.join(f'{x:.4g}' for x in sorted({float(gains.min()), float(gains.max())}))}"
+        for name, gains in (("kp", np.asarray(kp, float)), ("kd", damping))
+    ]
+    note = (
+        "no torque in the log: it is taken for what the position loop gives, kp (q* − q) − kd q̇, with "
+        f"{said[0]} N m/rad and {said[1]} N m s/rad of the {source}; where kp is off by 1 %, so is "
+        "all that legs are found to carry"
+    )
+    # A loop is many times as fast as its log: its torque is that of the moment, and hardly late.
+    return dataclasses.replace(
+        log,
+        tau=np.clip(pull - damping * v, -limit, limit),
+        tau_kind=TorqueKind.SENSOR,
+        notes=(*log.notes, note),
+    )
 
 
 def position_loop(log: Log) -> PositionLoop | None:

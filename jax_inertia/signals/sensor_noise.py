@@ -97,7 +97,7 @@ def perturbed(log: Log, rng: np.random.Generator) -> Log:
         "qpos": more(log.qpos, partial(sensor_noise, stated=log.sigma_qpos, order=order)),
         "tau": more(log.tau, partial(sensor_noise, stated=log.sigma_tau, order=order)),
     }
-    for name in ("base_pos", "base_quat", "base_linvel", "base_angvel"):
+    for name in ("base_pos", "base_quat", "base_linvel", "base_angvel", "base_linacc"):
         if (value := getattr(log, name)) is not None:
             changes[name] = more(value)
     if log.contact_wrench is not None:

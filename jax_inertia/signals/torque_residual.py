@@ -14,6 +14,7 @@ with corners (sign, clip, |τ|) are formed on the fast grid and no side is ever 
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -27,6 +28,7 @@ from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
+from jax_inertia.signals.base_motion import motion_of, unmoved
 from jax_inertia.signals.creep import softness
 from jax_inertia.signals.differences import Observation, central_differences
 from jax_inertia.signals.dry_friction import at_rest, direction
@@ -59,6 +61,10 @@ class Prepared(eqx.Module):
     rate: float = eqx.field(static=True)
     support: Support | None = None
     """Forces of the ground that are not measured."""
+    knows_velocity: bool = eqx.field(static=True, default=True)
+    """Whether that of the base is measured, and not only its changes."""
+    by_feet: bool = eqx.field(static=True, default=False)
+    """Whether how the base accelerates is told by its feet alone."""
     loop: PositionLoop | None = None
     """Of the log's joints, in their order, where their torque was taken for that of one."""
 
@@ -90,10 +96,7 @@ class Prepared(eqx.Module):
         and what forces of the ground that are not measured might explain. A row that those reach comes back on all.
         """
         if self.support is not None and (row is None or self.spreads(row)):
-            if row is not None:
-                x, alone = np.zeros((len(x), self.robot.nv, *x.shape[1:])), x
-                x[:, row] = alone
-            x, row = np.einsum("tij,tj...->ti...", self.support.seen, x), None
+            x, row = self.support.left_of(x, row), None
         if self.measured.all():
             return self.finish(x)
         weight = self.measured if row is None else self.measured[:, row]
@@ -116,30 +119,97 @@ class Prepared(eqx.Module):
         return self.finish(self.measured) > 0.7
 
 
-def observed(log: Log | Masked, robot: Robot, bands: Bands) -> Observation:
+def observed(
+    log: Log | Masked, robot: Robot, bands: Bands, rng: np.random.Generator | None = None
+) -> Observation:
     """A log on the grid of `bands`: every channel low-passed alike, then accelerations by differences.
 
-    Where velocities come from positions, gaps are bridged by cubics (`filtering.bridged_smoothly`).
+    Where velocities come from positions, gaps are bridged by cubics (`filtering.bridged_smoothly`). `rng` draws errors
+    of what feet say of a base whose position is not measured (`base_motion`).
     """
     source = resample(log, bands.grid)
     if source.log.qvel is None:
         source = bridged_smoothly(source)
-    return central_differences(generalised(low_pass(source, bands.before), robot))
+    return central_differences(motion_of(low_pass(source, bands.before), robot, rng))
 
 
-def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
+def on_the_ground(robot: Robot, observation: Observation, bodies: Sequence[str]) -> Observation:
+    """Observations of a floating base with the wrenches of the ground that its legs' torques show (`ground_support`).
+
+    The rows of those legs are then not measured. As they are where nothing carries the robot; torques in N m.
+    """
+    motion = observation.motion
+    tau = np.asarray(motion.tau)
+    residual = _needed_torques(robot, observation) - tau
+    found = supported(robot, np.asarray(motion.q), tau, residual, bodies)
+    if found is None:
+        return observation
+    valid = np.asarray(motion.valid) & ~found.used_up
+    if found.turned is not None:
+        valid[:, found.turned] = False
+    return eqx.tree_at(lambda o: o.motion.valid, _carried(observation, found), valid)
+
+
+def prepare(
+    robot: Robot, log: Log, bands: Bands | None = None, rng: np.random.Generator | None = None
+) -> Prepared:
     """Put a log through the chain up to the diagnosis's fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
     equation must agree. A commanded torque or a current is held over its period and so acts half a period late; a
     sensor's sample may be of the moment or of the period after it, so it is put in the middle between the two
     (`nuisance` holds the rest). Single samples of torque that no motor makes (`preflight` names them) are taken for
-    missing, those of an encoder for what they should be.
+    missing, those of an encoder for what they should be. `rng` draws errors of what is taken from feet: the base's
+    velocity (`base_motion`) and moments at a ball (`ground_support`).
     Raises LogError for what `generalised` refuses.
     """
     if bands is None:
         touches = log.contact_wrench is not None or robot.has_free_base
         bands = (DIAGNOSIS_IN_CONTACT if touches else DIAGNOSIS).at(log.rate)
+    source, loop = _in_time(robot, log)
+    rate = bands.grid
+    observation = observed(source, robot, bands, rng)
+    v = np.asarray(observation.motion.v)
+    # As slow as the chain ends: noise of the encoders does not move a joint.
+    slow = below(bands.cutoff, v, rate)
+    creeping = np.asarray(robot.frictionloss) * softness(robot)
+    rest = at_rest(slow, rate, creeping) & robot.topology.dof_scalar
+    dry = np.asarray(robot.frictionloss) * direction(v, rest)
+    inverse = needed_torques(without_friction(robot), observation) + dry
+    tau = np.asarray(observation.motion.tau)
+    # The first low-pass carries what was bridged about a period of its cut-off outwards.
+    reach = 2 * round(rate / bands.before) + 1
+    ok = np.asarray(observation.motion.valid)
+    measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
+    support = None
+    if robot.has_free_base and log.contact_wrench is None:
+        q = np.asarray(observation.motion.q)
+        support = supported(robot, q, tau, inverse - tau, log.contact_bodies)
+        if support is not None:
+            observation = _carried(observation, support)
+            inverse = inverse - support.torque
+            measured = _standing(measured, support)
+            if rng is not None:
+                inverse = inverse - support.pivoting(robot, q, rate, rng)
+    return Prepared(
+        robot,
+        observation,
+        tau,
+        inverse,
+        rest,
+        dry,
+        measured,
+        bands,
+        rate,
+        support,
+        knows_velocity=not robot.has_free_base or log.base_pos is not None,
+        by_feet=robot.has_free_base and log.base_pos is None and log.base_linacc is None,
+        loop=loop,
+    )
+
+
+def _in_time(robot: Robot, log: Log) -> tuple[Masked, PositionLoop | None]:
+    """A log whose torques and wrenches are those about their stamps, without spikes, and the loop behind them."""
     tau = np.where(torque_spikes(log), np.nan, np.asarray(log.tau))
     log = dataclasses.replace(log, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
     source = mask(log)
@@ -155,36 +225,15 @@ def prepare(robot: Robot, log: Log, bands: Bands | None = None) -> Prepared:
     data = dataclasses.replace(data, tau=tau, qvel=None)
     if data.contact_wrench is not None:
         data = dataclasses.replace(data, contact_wrench=later(data.contact_wrench, 0.5))
-    source = dataclasses.replace(source, log=data)
-    rate = bands.grid
-    observation = observed(source, robot, bands)
-    v = np.asarray(observation.motion.v)
-    # As slow as the chain ends: noise of the encoders does not move a joint.
-    slow = below(bands.cutoff, v, rate)
-    creeping = np.asarray(robot.frictionloss) * softness(robot)
-    rest = at_rest(slow, rate, creeping) & robot.topology.dof_scalar
-    dry = np.asarray(robot.frictionloss) * direction(v, rest)
-    inverse = needed_torques(without_friction(robot), observation) + dry
-    tau = np.asarray(observation.motion.tau)
-    support = None
-    if robot.has_free_base and data.contact_wrench is None:
-        q = np.asarray(observation.motion.q)
-        support = supported(robot, q, tau, inverse - tau, data.contact_bodies)
-    if support is not None:
-        motion = dataclasses.replace(
-            observation.motion, wrench=support.wrench, contact_bodies=support.bodies
-        )
-        observation = dataclasses.replace(observation, motion=motion)
-        inverse = inverse - support.torque
-    # The first low-pass carries what was bridged about a period of its cut-off outwards.
-    reach = 2 * round(rate / bands.before) + 1
-    ok = np.asarray(observation.motion.valid)
-    measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
-    if support is not None:
-        measured = _standing(measured, support.used_up)
-    return Prepared(
-        robot, observation, tau, inverse, rest, dry, measured, bands, rate, support, loop
+    return dataclasses.replace(source, log=data), loop
+
+
+def _carried(observation: Observation, support: Support) -> Observation:
+    """With the ground's wrenches."""
+    motion = dataclasses.replace(
+        observation.motion, wrench=support.wrench, contact_bodies=support.bodies
     )
+    return dataclasses.replace(observation, motion=motion)
 
 
 # Postures of a log in which inertia is looked at.
@@ -193,7 +242,7 @@ _POSTURES = 64
 
 def _inertia(robot: Robot, log: Log) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n n"]]:
     """Of a log's joints, at moments throughout the log."""
-    motion = generalised(log, robot)
+    motion = generalised(unmoved(log), robot)
     picked = np.linspace(0, len(log.time) - 1, _POSTURES).astype(int)
     every = jax.vmap(rigid_body.mass_matrix, (None, 0))(robot, jnp.asarray(motion.q)[picked])
     dofs = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
@@ -201,12 +250,12 @@ def _inertia(robot: Robot, log: Log) -> tuple[Float[np.ndarray, " m"], Float[np.
     return np.asarray(log.time)[picked], np.asarray(every)[:, rows][:, :, rows]
 
 
-def _standing(
-    measured: Float[np.ndarray, "T nv"], used_up: Bool[np.ndarray, " nv"]
-) -> Float[np.ndarray, "T nv"]:
+def _standing(measured: Float[np.ndarray, "T nv"], support: Support) -> Float[np.ndarray, "T nv"]:
     """The base's rows stand on the legs' measurements too, once the legs carry it."""
-    out = np.where(used_up, 0.0, measured)
-    out[:, :BASE] *= measured[:, used_up].min(axis=1, initial=1.0)[:, None]
+    out = np.where(support.used_up, 0.0, measured)
+    out[:, :BASE] *= measured[:, support.used_up].min(axis=1, initial=1.0)[:, None]
+    if support.turned is not None:
+        out[:, support.turned] = 0.0
     return out
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jax_inertia.dynamics.rigid_body import body_poses
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.base_motion import unmoved
 from jax_inertia.signals.generalised_motion import generalised
 
 
@@ -23,7 +24,7 @@ def wrenches_in_world(log: Log, robot: Robot) -> Log:
     bodies = np.array([robot.body_index(name) for name in log.contact_bodies])
     # Where the bodies are does not hang on torques, which the log may lack.
     placed = log if log.tau is not None else dataclasses.replace(log, tau=np.zeros(log.qpos.shape))
-    q = jnp.asarray(generalised(placed, robot).q)
+    q = jnp.asarray(generalised(unmoved(placed), robot).q)
     turns = jax.jit(jax.vmap(lambda robot, q: body_poses(robot, q)[0][bodies], (None, 0)))
     halves = np.asarray(log.contact_wrench).reshape(len(q), len(bodies), 2, 3)
     world = np.einsum("tbij,tbhj->tbhi", np.asarray(turns(robot, q)), halves)

@@ -149,6 +149,10 @@ class Drag(Family):
     effect = external_force.Drag()
     form_error = 0.05
 
+    def places(self, context):
+        # Where only changes of the base's velocity are known, a drag is anything that changes as slowly.
+        return super().places(context) if context.prepared.knows_velocity else []
+
     def physical(self, context, place, shape, theta):
         return bool(0 < theta[0] < DENSEST * context.scale**2)
 

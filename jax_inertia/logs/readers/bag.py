@@ -13,6 +13,7 @@ import numpy as np
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.bag_collect import (
     FIELDS,
+    IMU,
     JOINTS,
     ODOMETRY,
     WRENCH,
@@ -39,7 +40,14 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     Time counts from the first joint state. Raises `LogError` for a damaged file, topics that are not there, joint
     states without effort, and wrenches in other axes than the options say.
     """
-    topics = ("topic_joints", "topic_base", "topic_wrenches", "wrench_axes", "flip_wrenches")
+    topics = (
+        "topic_joints",
+        "topic_base",
+        "topic_imu",
+        "topic_wrenches",
+        "wrench_axes",
+        "flip_wrenches",
+    )
     options.check("a bag", topics)
     collected = Collected(options, max_bytes)
     for part in bag_parts(path) if path.is_dir() else [path]:
@@ -52,6 +60,8 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
     if options.topic_base is not None:
         notes += _add_base(out, collected, options.topic_base, stream)
+    if options.topic_imu is not None:
+        notes += _add_imu(out, collected, options.topic_imu, stream)
     if options.topic_wrenches:
         notes += _add_wrenches(out, collected, options, stream)
     if collected.unstamped:
@@ -67,7 +77,7 @@ def _check_topics(collected: Collected, options: Options) -> None:
         return [topic for topic, its in collected.seen if its == kind]
 
     asked: list[tuple[str | None, str]] = [(topic, JOINTS) for topic in options.joint_topics]
-    asked.append((options.topic_base, ODOMETRY))
+    asked += [(options.topic_base, ODOMETRY), (options.topic_imu, IMU)]
     asked += [(topic, WRENCH) for topic in options.topic_wrenches.values()]
     for topic, kind in asked:
         if topic is not None and topic not in (own := topics(kind)):
@@ -161,11 +171,7 @@ def _add_base(
     """Pose and twist of the base: the quaternion as wxyz, the linear velocity in the world's axes."""
     name = f"odometry on {topic}"
     stream = collected.base.stream(name)
-    quat = stream.values[:, 3:7]
-    # From one quaternion to the next the sign must not jump; both signs are the same attitude.
-    with np.errstate(invalid="ignore", over="ignore"):
-        turns = np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)
-    quat[1:] *= np.cumprod(turns)[:, None]
+    stream.values[:, 3:7] = _one_sign(stream.values[:, 3:7])
     moved, note = onto(joints.time_ns, stream, name)
     # What is infinite or zero in the messages is NaN here, and masked later.
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -176,6 +182,35 @@ def _add_base(
     out |= {"base_linvel": world, "base_angvel": moved.values[:, 10:]}
     ((parent, child),) = collected.base_frames
     return [f"the base is {child[:80]!r} in {parent[:80]!r}", note]
+
+
+def _add_imu(
+    out: dict[str, np.ndarray], collected: Collected, topic: str, joints: Stream
+) -> list[str]:
+    """Attitude, rate and specific force of an IMU that is mounted along the base's axes; what odometry gave stays."""
+    name = f"IMU on {topic}"
+    stream = collected.imu.stream(name)
+    stream.values[:, :4] = _one_sign(stream.values[:, :4])
+    moved, note = onto(joints.time_ns, stream, name)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        quat = moved.values[:, :4] / np.linalg.norm(moved.values[:, :4], axis=1, keepdims=True)
+    found = {
+        "base_quat": quat,
+        "base_angvel": moved.values[:, 4:7],
+        "base_linacc": moved.values[:, 7:],
+    }
+    for array, values in found.items():
+        if not np.isnan(values).all():
+            out.setdefault(array, values)
+    frames = listed(sorted(frame[:80] for frame in collected.imu_frames))
+    return [f"the IMU ({frames}) is taken to lie along the base's axes", note]
+
+
+def _one_sign(quat: np.ndarray) -> np.ndarray:
+    """From one quaternion to the next the sign must not jump; both signs are the same attitude."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        turns = np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)
+    return quat * np.concatenate([[1.0], np.cumprod(turns)])[:, None]
 
 
 def _add_wrenches(

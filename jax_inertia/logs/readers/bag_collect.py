@@ -18,6 +18,7 @@ from jax_inertia.text.closest_names import listed
 JOINTS = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
 FIELDS = ("position", "velocity", "effort")
 """Of a joint state, in the order in which every joint's three columns lie in a row."""
 
@@ -72,6 +73,8 @@ class Collected:
         self.publishers: dict[tuple[str, frozenset[str]], Publisher] = {}
         self.base = Rows()
         self.base_frames: set[tuple[str, str]] = set()
+        self.imu = Rows()
+        self.imu_frames: set[str] = set()
         self.wrenches: dict[str, Rows] = {body: Rows() for body in options.topic_wrenches}
         self.unstamped = 0
 
@@ -85,6 +88,8 @@ class Collected:
             read = self._joint_state
         elif kind == ODOMETRY and topic == self._options.topic_base:
             read = self._odometry
+        elif kind == IMU and topic == self._options.topic_imu:
+            read = self._imu
         elif kind == WRENCH and topic in self._bodies:
             read = self._wrench
         else:
@@ -100,15 +105,17 @@ class Collected:
     def _kind(self, message: Message) -> str:
         """The ROS type of a message; what is not ROS's and is asked for by topic may have any name."""
         topic = message.topic
-        if message.encoding in PLAIN and message.kind not in (JOINTS, ODOMETRY, WRENCH):
+        if message.encoding in PLAIN and message.kind not in (JOINTS, ODOMETRY, IMU, WRENCH):
             asked = dict.fromkeys(self._topics, JOINTS) | dict.fromkeys(self._bodies, WRENCH)
-            return asked.get(topic, ODOMETRY if topic == self._options.topic_base else message.kind)
+            asked |= {self._options.topic_base: ODOMETRY, self._options.topic_imu: IMU}
+            return asked.get(topic, message.kind)
         return message.kind
 
     def uses(self, topic: str) -> bool:
         """Whether anything of this topic was wanted."""
         joints = any(one.topic == topic for one in self.publishers.values())
-        return joints or topic in self._bodies or topic == self._options.topic_base
+        based = topic in (self._options.topic_base, self._options.topic_imu)
+        return joints or topic in self._bodies or based
 
     def _decoded(self, message: Message, kind: str) -> Any:
         try:
@@ -176,6 +183,21 @@ class Collected:
         v, w = odometry.twist.twist.linear, odometry.twist.twist.angular
         values = [p.x, p.y, p.z, o.w, o.x, o.y, o.z, v.x, v.y, v.z, w.x, w.y, w.z]
         self._add(self.base, message, odometry.header, values)
+
+    def _imu(self, message: Message, imu: Any) -> None:
+        self.imu_frames.add(imu.header.frame_id)
+        o, w, f = imu.orientation, imu.angular_velocity, imu.linear_acceleration
+        values = np.array([o.w, o.x, o.y, o.z, w.x, w.y, w.z, f.x, f.y, f.z], dtype=float)
+        # A covariance that begins with -1 says that there is no such reading.
+        for name, part in (
+            ("orientation", slice(0, 4)),
+            ("angular_velocity", slice(4, 7)),
+            ("linear_acceleration", slice(7, 10)),
+        ):
+            covariance = getattr(imu, f"{name}_covariance", ())
+            if len(covariance) and covariance[0] == -1.0:
+                values[part] = np.nan
+        self._add(self.imu, message, imu.header, values)
 
     def _wrench(self, message: Message, wrench: Any) -> None:
         body, axes = self._bodies[message.topic], self._options.wrench_axes

@@ -15,9 +15,12 @@ BASE = {
     "base_quat": "wxyz",
     "base_linvel": "xyz",
     "base_angvel": "xyz",
+    "base_linacc": "xyz",
+    "imu_pos": "xyz",
 }
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-UNIT_TEXTS = ("tau_unit", "tau_kind")
+OF_FOOT = ("contact_force", "contact_flag")
+UNIT_TEXTS = ("imu_body", "tau_unit", "tau_kind")
 _MOST_COLUMNS = 10_000
 
 # What others call the arrays, to guess what a column may be when the contract's name is missing.
@@ -93,6 +96,8 @@ def _parsed(name: str, unit: str) -> Column | None:
     if array == "contact_wrench":
         body, _, part = rest.rpartition(".")
         return Column(array, body, part, unit) if body and part in WRENCH else None
+    if array in OF_FOOT:
+        return Column(array, rest, "", unit) if rest else None
     if array in PER_JOINT:
         return Column(array, rest, "", unit) if rest or "." not in name else None
     return Column(name, "", "", unit) if name in ("time", *UNIT_TEXTS) else None

@@ -8,8 +8,10 @@ A column is named after the array and what it belongs to:
     sigma_qpos.<joint>  sigma_tau.<joint>      one value, repeated
     kp.<joint>  kd.<joint>                     of the position loop, one value, repeated
     base_pos.{x,y,z}  base_quat.{w,x,y,z}  base_linvel.{x,y,z}  base_angvel.{x,y,z}
+    base_linacc.{x,y,z}  imu_pos.{x,y,z}       of an IMU, m/s² and (one value, repeated) m
     contact_wrench.<body>.{fx,fy,fz,mx,my,mz}
-    tau_unit  tau_kind                         text, repeated
+    contact_force.<body>  contact_flag.<body>
+    imu_body  tau_unit  tau_kind               text, repeated
 
 A heading may end in a unit, `qpos.elbow [deg]`, which is then converted. A column of lists holds a whole array:
 `qpos` with one entry a joint.
@@ -23,6 +25,7 @@ from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers import stamps
 from jax_inertia.logs.readers.column_plan import (
     BASE,
+    OF_FOOT,
     PER_JOINT,
     UNIT_TEXTS,
     WRENCH,
@@ -50,6 +53,8 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "base_quat": {"1": 1.0, "-": 1.0},
     "base_linvel": {f"{unit}/s": factor for unit, factor in _LENGTH.items()},
     "base_angvel": {k: v for k, v in _RATE.items() if k not in ("m/s", "mm/s")},
+    "base_linacc": dict.fromkeys(("m/s²", "m/s^2", "m/s2", "m s⁻²"), 1.0) | {"g": 9.80665},
+    "imu_pos": _LENGTH,
     "contact_wrench": dict.fromkeys(("N", "N m", "Nm", "N·m", "N*m"), 1.0),
 }
 
@@ -75,11 +80,10 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
             else:
                 out[array] = _by_joint(array, scaled, joints)
         elif array in BASE:
-            out[array] = _components(array, "", BASE[array], scaled)
-        elif array == "contact_wrench":
-            bodies = list(dict.fromkeys(body for body, _ in parts))
-            wrenches = [_components(array, body, WRENCH, scaled) for body in bodies]
-            out |= {array: np.stack(wrenches, axis=1), "contact_bodies": np.array(bodies)}
+            whole = _components(array, "", BASE[array], scaled)
+            out[array] = _constant(array, whole) if array in _CONSTANT else whole
+        elif array == "contact_wrench" or array in OF_FOOT:
+            out |= _at_contacts(array, scaled, out.get("contact_bodies"))
         else:
             out[array] = scaled["", ""]
     out["joint_names"] = np.array(joints, dtype=np.str_)
@@ -87,6 +91,21 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
     stated = any(plan.columns[h].unit for h in found["qpos"].values())
     timed = bool(plan.columns[found["time"]["", ""]].unit)
     return Contents(out | meaning, plan.others, notes + note, stated, timed)
+
+
+def _at_contacts(
+    array: str, values: Mapping[tuple[str, str], np.ndarray], before: np.ndarray | None
+) -> dict[str, np.ndarray]:
+    """(T, C, 6) or (T, C) of what is measured where the robot touches something, and the bodies it is measured at."""
+    own = list(dict.fromkeys(body for body, _ in values))
+    bodies = own if before is None else before.tolist()
+    if set(own) != set(bodies):
+        raise LogError(f"{array} is of {listed(own)}, other contacts are of {listed(bodies)}")
+    if array == "contact_wrench":
+        parts = [_components(array, body, WRENCH, values) for body in bodies]
+    else:
+        parts = [values[body, ""] for body in bodies]
+    return {array: np.stack(parts, axis=1), "contact_bodies": np.array(bodies)}
 
 
 def spread(
@@ -132,7 +151,9 @@ def headings_of(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         if name in PER_JOINT:
             out |= {f"{name}.{joint}": value[..., k] for k, joint in enumerate(joints)}
         elif name in BASE:
-            out |= {f"{name}.{part}": value[:, k] for k, part in enumerate(BASE[name])}
+            out |= {f"{name}.{part}": value[..., k] for k, part in enumerate(BASE[name])}
+        elif name in OF_FOOT:
+            out |= {f"{name}.{body}": value[:, c] for c, body in enumerate(bodies)}
         else:
             out |= {
                 f"{name}.{body}.{part}": value[:, c, k]

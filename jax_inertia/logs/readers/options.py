@@ -28,10 +28,11 @@ class Options:
     sides: `{"qpos.*": "q_*"}`; parts of one array in several columns of lists are given together:
     `{"tau": ("torque.left", "torque.right")}`. `joints` names the entries of list columns. `episode` picks one of a
     dataset, whose positions normalised to ±100 need the JSON file of the motors' ranges as `calibration`.
-    `topic_joints` (one or several), `topic_base` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says
-    in which axes the wrenches are, and `flip_wrenches` that they are the robot's on its surroundings. `rename` maps
-    joints as the file calls them to the model's names; `degrees` says that positions and velocities are in degrees;
-    `time_unit` is that of the stamps: s, ms, us, ns (without it s, or what is unmistakable, see `stamps.guess`);
+    `topic_joints` (one or several), `topic_base`, `topic_imu` and `topic_wrenches` (body → topic) are for bags;
+    `wrench_axes` says in which axes the wrenches are, and `flip_wrenches` that they are the robot's on its
+    surroundings. `rename` maps joints as the file calls them to the model's names; `degrees` says that positions and
+    velocities are in degrees; `time_unit` is that of the stamps: s, ms, us, ns (without it s, or what is unmistakable,
+    see `stamps.guess`);
     `tau_unit` and `tau_kind` are as in the log contract and win over what the file says.
     """
 
@@ -41,6 +42,7 @@ class Options:
     calibration: str | os.PathLike[str] | None = None
     topic_joints: str | Sequence[str] | None = None
     topic_base: str | None = None
+    topic_imu: str | None = None
     topic_wrenches: Mapping[str, str] = dataclasses.field(default_factory=dict)
     wrench_axes: WrenchAxes = WrenchAxes.WORLD
     flip_wrenches: bool = False

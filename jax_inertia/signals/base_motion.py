@@ -1,0 +1,265 @@
+"""Velocity of a floating base that logs an IMU, or attitude alone, and no position.
+
+The equations of motion stay as they are where the whole robot is elsewhere, or moves faster at a constant velocity: of
+the base they need attitude, angular velocity and acceleration. A log without `base_pos` gets a velocity that has this
+acceleration, and a position that says no more than how high the base stands. There are two sources, each good where the
+other is not:
+
+* the accelerometer: v̇ = R f + g, f the specific force at the IMU. Its bias makes v drift;
+* feet that bear load do not slip: v = ω_f × (r n) − d/dt (R p_f), ω_f a foot's angular velocity, p_f its centre as seen
+  from the base, which is a ball of radius r on ground of normal n, or a sole (r = 0). What gives, or is set down, errs.
+
+With both, v follows the accelerometer above `CROSSOVER` and the feet below it (least squares, both with white errors),
+so that a bias of the accelerometer is gone. Without an accelerometer the feet alone close the three linear rows. Where
+none stands, v goes straight from what it was to what it will be, as in free fall: left out, such moments would bias
+what the robot is found to weigh, for errors of v cancel over a whole log, and not over parts of it.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import linalg, ndimage
+
+from jax_inertia.dynamics import rigid_body
+from jax_inertia.logs.findings import run_bounds
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.maths.over_samples import over_samples
+from jax_inertia.model.robot import Robot
+from jax_inertia.signals.filtering import Masked
+from jax_inertia.signals.generalised_motion import Motion, body_rates, generalised
+from jax_inertia.signals.ground_support import Foot, feet_of, supported
+
+CROSSOVER = 0.5
+"""Below this [Hz] the feet say how fast the base is, above it the accelerometer: slower than any step."""
+TOUCHES = 0.15
+"""Share of the weight that no foot bears of a robot in the air."""
+STANDS = 0.4, 0.8
+"""Share of the load of the foot that bears most from which another one may stand, and from which it does."""
+USUAL = 95.0
+"""Percentile of a foot's own force that counts as its largest: such sensors have no unit, and ring."""
+STANDARD_GRAVITY = 9.81
+"""How fast feet that let go make a base fall [m/s²]."""
+SETTLES = 0.03
+"""A foot stands that has borne load for this long, and will for as long [s]: what sets it down rings."""
+
+
+def motion_of(source: Masked, robot: Robot, rng: np.random.Generator | None = None) -> Motion:
+    """Generalised coordinates of a log on a uniform grid, of a base that logs an IMU too.
+
+    With `rng` the feet's velocity is off once more, by as much as they contradict each other. Raises LogError as
+    `generalised`, and where nothing tells how the base accelerates.
+    """
+    return generalised(with_base(source, robot, rng), robot)
+
+
+def unmoved(log: Log) -> Log:
+    """A log of an IMU as if its base stayed where it is and only turned: enough for what depends on posture alone."""
+    if log.base_pos is not None or log.base_quat is None:
+        return log
+    none = np.zeros((len(log.time), 3))
+    turned = log.base_angvel
+    if turned is None:
+        turned = body_rates(np.asarray(log.time, float), np.asarray(log.base_quat))
+    return dataclasses.replace(log, base_pos=none, base_linvel=none, base_angvel=turned)
+
+
+def with_base(source: Masked, robot: Robot, rng: np.random.Generator | None = None) -> Masked:
+    """A log on a uniform grid with `base_pos` [m], `base_linvel` [m/s] and `base_angvel` [rad/s] of the base it lacks.
+
+    As it is where the robot does not float, or the log knows where it is. Raises LogError where nothing tells how the
+    base accelerates.
+    """
+    log = source.log
+    if not robot.has_free_base or log.base_pos is not None or log.base_quat is None:
+        return source
+    time = np.asarray(log.time, float)
+    still = unmoved(log)
+    motion = generalised(dataclasses.replace(source, log=still), robot)
+    rotation, position = _poses(robot, np.asarray(motion.q))
+    felt = None
+    if log.base_linacc is not None:
+        felt = _accelerations(robot, still, motion, rotation)
+    legs = standing(robot, motion, rotation, position, log, felt)
+    known = np.zeros(len(time)) if legs is None else legs.stands.max(axis=1)
+    walked = None if legs is None else _odometry(robot, motion, rotation, legs, rng)
+    if felt is None:
+        if walked is None:
+            raise LogError(
+                "the log has neither base_pos nor base_linacc (an accelerometer), and no foot of the model stands on "
+                "the ground: nothing tells how the base accelerates; log one of them"
+            )
+        velocity = _bridged(walked, known > 0)
+        if rng is not None:
+            velocity = velocity + _unknown(time, known > 0, rng)
+    else:
+        velocity = _fused(time, felt, walked, known)
+    low = np.zeros(len(time))
+    if legs is not None:
+        soles = [_centre(rotation, position, f)[:, 2] - f.radius for f in legs.feet]
+        low = np.min(soles, axis=0)
+    at = np.column_stack([np.zeros((len(time), 2)), -low])
+    moved = dataclasses.replace(still, base_pos=at, base_linvel=velocity)
+    return dataclasses.replace(source, log=moved)
+
+
+@dataclasses.dataclass(frozen=True)
+class Legs:
+    """The feet, and how firmly each stands: 0 in the air, 1 under load."""
+
+    feet: Sequence[Foot]
+    stands: Float[np.ndarray, "T C"]
+
+
+def standing(
+    robot: Robot,
+    motion: Motion,
+    rotation: Float[np.ndarray, "T nb 3 3"],
+    position: Float[np.ndarray, "T nb 3"],
+    log: Log,
+    acceleration: Float[np.ndarray, "T 3"] | None = None,
+) -> Legs | None:
+    """Which feet stand when: as `contact_flag` or `contact_force` say, else by the loads that the legs' torques show.
+
+    `acceleration` [m/s²] is the base's, where it is known. None for a robot that touches nothing.
+    """
+    q, v = np.asarray(motion.q), np.asarray(motion.v)
+    a = derivative(np.asarray(motion.time), v)
+    if acceleration is not None:
+        a[:, :3] = acceleration
+    missing = _needed(robot, (q, v, a)) - np.asarray(motion.tau)
+    support = supported(robot, q, np.asarray(motion.tau), missing, log.contact_bodies)
+    if support is None:
+        return None
+    feet = feet_of(robot, rotation, position, log.contact_bodies)
+    load = _told(log)
+    if load is None:
+        gravity = np.asarray(robot.gravity)
+        weight = -float(jnp.sum(robot.pi[:, 0])) * gravity
+        load = support.wrench[:, :, :3] @ weight / (weight @ weight)
+    # Of the foot that bears most, where the robot is not in the air.
+    share = load / np.maximum(load.max(axis=1, keepdims=True), TOUCHES)
+    firm = np.clip((share - STANDS[0]) / (STANDS[1] - STANDS[0]), 0.0, 1.0)
+    reach = 2 * round(SETTLES / float(np.median(np.diff(motion.time)))) + 1
+    return Legs(feet, ndimage.minimum_filter1d(firm, reach, axis=0, mode="nearest"))
+
+
+def _told(log: Log) -> Float[np.ndarray, "T C"] | None:
+    """Loads of the feet by their own sensors, each of its own largest; None where there are none."""
+    if log.contact_flag is not None:
+        return np.asarray(log.contact_flag)
+    if log.contact_force is None:
+        return None
+    force = np.asarray(log.contact_force)
+    return force / np.maximum(np.percentile(force, USUAL, axis=0), 1e-9)
+
+
+def _odometry(
+    robot: Robot,
+    motion: Motion,
+    rotation: Float[np.ndarray, "T nb 3 3"],
+    legs: Legs,
+    rng: np.random.Generator | None,
+) -> Float[np.ndarray, "T 3"]:
+    """Velocity of the base [m/s] by which the standing feet roll on the ground; their mean by load.
+
+    With `rng` it has an error as large as its own: how far each foot is off that mean, at another moment and with a
+    sign by chance.
+    """
+    bodies = tuple(f.body for f in legs.feet)
+    moves = _moves((robot, bodies), (np.asarray(motion.q), np.asarray(motion.v)))
+    each = np.zeros((len(rotation), len(bodies), 3))
+    for k, foot in enumerate(legs.feet):
+        arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
+        each[:, k] = -moves[:, k, :3] - np.cross(moves[:, k, 3:], arm)
+    share = legs.stands / np.maximum(legs.stands.sum(axis=1, keepdims=True), 1e-9)
+    velocity = np.einsum("tk,tkc->tc", share, each)
+    if rng is None:
+        return velocity
+    # Of n feet each is off their mean by (n - 1) / n of its own error, in variance; a foot alone shows nothing.
+    alone = np.clip(1.0 - np.sum(share**2, axis=1), 0.25, 1.0)
+    off = share[:, :, None] * (each - velocity[:, None]) / np.sqrt(alone)[:, None, None]
+    error = np.einsum("k,tkc->tc", rng.choice([-1.0, 1.0], len(bodies)), off)
+    return velocity + np.roll(error, rng.integers(len(error)), axis=0)
+
+
+def _accelerations(
+    robot: Robot, log: Log, motion: Motion, rotation: Float[np.ndarray, "T nb 3 3"]
+) -> Float[np.ndarray, "T 3"]:
+    """Acceleration of the base's origin [m/s²], world axes, by the specific force at the IMU."""
+    body = robot.body_index(log.imu_body or robot.body_names[0])
+    at = np.zeros(3) if log.imu_pos is None else np.asarray(log.imu_pos)
+    moves = _moves((robot, (body,)), (np.asarray(motion.q), np.asarray(motion.v)))[:, 0]
+    # Of the IMU, as seen from the base's origin.
+    around = moves[:, :3] + np.cross(moves[:, 3:], rotation[:, body] @ at)
+    felt = np.einsum("tij,tj->ti", rotation[:, body], np.asarray(log.base_linacc))
+    return felt + np.asarray(robot.gravity) - derivative(np.asarray(motion.time), around)
+
+
+def _fused(
+    time: Float[np.ndarray, " T"],
+    acceleration: Float[np.ndarray, "T 3"],
+    walked: Float[np.ndarray, "T 3"] | None,
+    known: Float[np.ndarray, " T"],
+) -> Float[np.ndarray, "T 3"]:
+    """The velocity v that least squares take for the right one,
+
+        min Σ h (Δv/h − a)² + Σ h ω² k (v − w)²,    ω = 2π `CROSSOVER`,
+
+    a the accelerometer's, w the feet's where they are known (k), h the grid's period.
+    """
+    h = float(np.median(np.diff(time)))
+    feet = np.zeros_like(acceleration) if walked is None else walked
+    trust = h * (2.0 * np.pi * CROSSOVER) ** 2 * known
+    # A robot that nothing touches is as fast as one likes, in the mean.
+    trust = trust + 1e-9 * h
+    band = np.zeros((2, len(time)))
+    band[0, 1:] = -1.0 / h
+    band[1] = trust
+    band[1, :-1] += 1.0 / h
+    band[1, 1:] += 1.0 / h
+    mean = 0.5 * (acceleration[1:] + acceleration[:-1])
+    right = trust[:, None] * feet
+    right[:-1] -= mean
+    right[1:] += mean
+    return linalg.solveh_banded(band, right)
+
+
+def _bridged(x: Float[np.ndarray, "T 3"], known: np.ndarray) -> Float[np.ndarray, "T 3"]:
+    at = np.arange(len(x))
+    return np.stack([np.interp(at, at[known], column[known]) for column in x.T], axis=1)
+
+
+def _unknown(
+    time: Float[np.ndarray, " T"], known: np.ndarray, rng: np.random.Generator
+) -> Float[np.ndarray, "T 3"]:
+    """By how much a bridged velocity may be off [m/s]: its acceleration by gravity's, one way and then the other."""
+    out = np.zeros((len(time), 3))
+    for start, stop in run_bounds(~known):
+        span = np.linspace(0.0, 1.0, stop - start + 2)[1:-1, None]
+        most = 0.25 * STANDARD_GRAVITY * float(time[stop - 1] - time[start])
+        out[start:stop] = most * rng.choice([-1.0, 1.0], 3) * (1.0 - np.abs(2.0 * span - 1.0))
+    return out
+
+
+def _centre(rotation, position, foot: Foot) -> Float[np.ndarray, "T 3"]:
+    return position[:, foot.body] + rotation[:, foot.body] @ np.array(foot.point)
+
+
+_poses = over_samples(rigid_body.body_poses)
+
+
+@over_samples
+def _needed(robot: Robot, x):
+    q, v, a = x
+    return rigid_body.inverse_dynamics(robot, q, v, a) - rigid_body.passive_torque(robot, q, v)
+
+
+@over_samples
+def _moves(shared, x):
+    robot, bodies = shared
+    q, v = x
+    return jnp.stack([rigid_body.body_jacobian(robot, q, b) @ v for b in bodies])
