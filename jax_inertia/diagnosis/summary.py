@@ -7,6 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
+from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis

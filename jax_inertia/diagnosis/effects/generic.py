@@ -106,9 +106,8 @@ class Swinging(Effect):
         step, omega = float(context.time[1] - context.time[0]), 2 * np.pi * shape[0]
         a = context.acceleration[:, place.index]
         # φ − q swings as −q̈ drives it: its position and speed are the torques of spring and damper.
-        oscillator = ([1.0], [1.0, 2 * SWING_DAMPING * omega, omega**2])
-        b, c, _ = signal.cont2discrete(oscillator, step, "bilinear")
-        angle = -signal.lfilter(b.ravel(), c, a)
+        b, c = signal.bilinear([1.0], [1.0, 2 * SWING_DAMPING * omega, omega**2], 1.0 / step)
+        angle = -np.asarray(signal.lfilter(b, c, a))
         return of_row(np.stack([omega**2 * angle, omega * np.gradient(angle, step)], 1), place)
 
     def scale(self, context, place, shape):
