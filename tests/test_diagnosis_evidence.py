@@ -10,9 +10,11 @@ from jax_inertia.diagnosis.checks import Check
 from jax_inertia.diagnosis.detectability import information, smallest
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
+from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.diagnosis.search.evidence import Evidence
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import verdict
 
@@ -88,6 +90,24 @@ def test_a_row_that_weighs_nothing_tells_nothing(problem):
     before = evidence.posterior(chosen).mean
     evidence.y[:10] = 1e6
     np.testing.assert_allclose(evidence.posterior(chosen).mean, before)
+
+
+def rescaled(errors):
+    """Scale of the centres of mass of five bodies, whose errors are given in units of the stated tolerance."""
+    count = 10 * 5 + 1
+    numbers = np.zeros(count)
+    numbers[[10 * body + 1 + axis for body in range(5) for axis in range(3)]] = errors
+    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, 20.0)
+    columns = np.zeros((ROWS, JOINTS, count))
+    h = Hypothesis(InertialTolerances(), place, shape, columns, None, np.ones(count), 0.0)
+    known = np.zeros((count, count))
+    now = Posterior((h,), (slice(0, count),), numbers, known, np.zeros((ROWS, JOINTS)))
+    return _rescaled(now)[0].scale[1]
+
+
+def test_tolerances_are_as_large_as_most_numbers_say_and_not_as_one_does():
+    assert rescaled(np.r_[8.0, np.zeros(14)]) < 1.0
+    assert rescaled(np.full(15, 1.9)) > 1.3
 
 
 def check(before, after, noise, expected=1.0, joints=2):

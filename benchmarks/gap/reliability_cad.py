@@ -70,14 +70,16 @@ def figure(kinds: dict[str, Said], path: Path) -> None:
     fig, axes = plt.subplots(1, len(kinds), figsize=(8.0, 4.0), sharey=True, layout="constrained")
     for ax, (name, said) in zip(axes, kinds.items(), strict=True):
         ax.plot([0, 1], [0, 1], color="0.7", linewidth=1.0)
-        for _, stated, so, count in tenths(said):
+        for k, (_, stated, so, count) in enumerate(tenths(said)):
             low, high = interval(so, count)
             ax.plot([stated, stated], [low, high], color="#1f5a94", linewidth=2.0)
             ax.plot(stated, so / count, "o", color="#1f5a94")
+            # Neighbours' labels stand at different ends.
+            end, away = (low, -11) if k % 2 == 0 else (high, 4)
             ax.annotate(
-                f"{so}/{count}", (stated, low), (0, -11), textcoords="offset points", ha="center"
+                f"{so}/{count}", (stated, end), (0, away), textcoords="offset points", ha="center"
             )
-        ax.set(xlabel="stated", title=name, xlim=(0, 1.03), ylim=(-0.08, 1.03))
+        ax.set(xlabel="stated", title=name, xlim=(0, 1.03), ylim=(-0.08, 1.1))
     axes[0].set_ylabel("observed")
     fig.savefig(path, dpi=110)
 
