@@ -208,7 +208,7 @@ class Late(Effect):
 class TimeDelay(Late):
     name, equation = "time_delay", "τ(t) = τ_logged(t − d)"
     source, units = "a bus, a driver's cycle", {"delay": "s"}
-    prior = "0.01 s, of either sign, below 0.3 s"
+    prior = "0.01 s or the delay searched, of either sign, below 0.3 s"
     mjcf = "delay and nsample of the joints' actuators; torques in qfrc_applied by step law"
 
     def shapes(self, context, place):

@@ -89,7 +89,7 @@ class Payload(_Inertial):
     name, equation, form_error = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
-    prior = "0.8 kg or 0.3 of the body's mass, 6 cm from its frame; more than nothing, within a link's length"
+    prior = "0.08 of the robot's mass or 0.3 of the body's, 6 cm off; more than nothing, within a link's length"
 
     def columns(self, context, place, shape):
         return Columns(-self.regressor(context, place))
