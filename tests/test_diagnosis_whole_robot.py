@@ -19,7 +19,7 @@ from diagnosis_robot import (
 )
 
 from jax_inertia.diagnosis.effects.registry import EFFECTS
-from jax_inertia.diagnosis.pipeline import diagnose, ordinary_is_missing
+from jax_inertia.diagnosis.pipeline import diagnose
 from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
@@ -73,8 +73,16 @@ def test_nothing_odd_is_invented_and_the_gap_goes(plain):
 
 
 def test_a_model_that_lacks_ordinary_physics_is_told_from_a_good_one(robot, plain):
-    assert ordinary_is_missing(plain, robot)
-    assert not ordinary_is_missing(found(robot, level=0.0), robot)
+    assert plain.as_bought > 0
+    assert found(robot, level=0.0).as_bought < 0
+
+
+@pytest.mark.slow
+def test_one_dry_friction_on_a_good_model_is_no_robot_as_bought(robot):
+    def rubbing(model, t, q, v, a, tau):
+        return tau + np.array([0.0, 0.7, 0.0]) * np.tanh(v / 0.002)
+
+    assert found(robot, rubbing, level=0.0).as_bought < 0
 
 
 def test_a_sound_robot_has_no_gap(robot):
@@ -210,6 +218,9 @@ def test_a_report_is_json_of_the_contract(plain):
     assert all(e["ordinary"] for e in report["effects"])
     assert report["shrink"]["test_log"]["after"] < report["shrink"]["test_log"]["before"]
     assert set(report["remainder"]["where"]) == set(report["joints"])
+    assert report["remainder"]["after"] < report["shrink"]["test_log"]["before"]
+    # Friction of tanh turns round at once: the smallest displacement there is.
+    assert report["joints"]["elbow"]["coulomb_friction"]["presliding"]["value"] < 2e-4
 
 
 def test_a_report_says_what_the_log_could_not_show_and_what_to_record(plain):

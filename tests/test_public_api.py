@@ -206,7 +206,7 @@ def test_whole_logs_are_computed_in_double_precision(found):
 # --- diagnose ----------------------------------------------------------------------------------------------------
 
 
-def whole() -> Diagnosis:
+def whole(missing: bool = True) -> Diagnosis:
     """A diagnosis of the whole robot that found nothing."""
     shrink = Shrink(1.0, 0.5, 0.1, 0.1, {"elbow": (1.0, 0.1)})
     rows = np.zeros((2, 1))
@@ -217,9 +217,10 @@ def whole() -> Diagnosis:
         found=(),
         joints={},
         presliding={},
+        as_bought=1.0 if missing else -1.0,
         heldout=shrink,
         test=None,
-        remainder=Remainder(0.1, {"elbow": 1.0}, ()),
+        remainder=Remainder(0.1, {"elbow": 1.0}, (), 0.1),
         chi2=2.0,
         noise_floor=0.1,
         per_joint_rms={"elbow": 1.0},
@@ -232,7 +233,7 @@ def whole() -> Diagnosis:
 
 
 @pytest.fixture
-def both(monkeypatch):
+def both(monkeypatch, request):
     """Which of the two ways was taken, without the minutes that they take."""
     taken = []
 
@@ -242,16 +243,15 @@ def both(monkeypatch):
 
     def every_joint(robot, log, **options):
         taken.append(("every joint", log, options))
-        return whole()
+        return whole(getattr(request, "param", True))
 
     monkeypatch.setattr(either.single, "diagnose", one_effect)
     monkeypatch.setattr(either.pipeline, "diagnose", every_joint)
     return taken
 
 
-@pytest.mark.parametrize("missing", [True, False])
-def test_diagnose_takes_the_way_that_serves_the_model(both, monkeypatch, missing):
-    monkeypatch.setattr(either.pipeline, "ordinary_is_missing", lambda *found: missing)
+@pytest.mark.parametrize(("both", "missing"), [(True, True), (False, False)], indirect=["both"])
+def test_diagnose_takes_the_way_that_serves_the_model(both, missing):
     robot, log = ji.load_model(double_pendulum()), swing(load=0.5)
     found = ji.diagnose(robot, log, test_log=log, exclude=["backlash"], max_effects=2)
     assert [way for way, *_ in both] == ["every joint"] + ["one effect"] * (not missing)

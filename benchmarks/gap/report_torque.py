@@ -186,22 +186,25 @@ class ReportTorque:
         extra = np.zeros_like(v)
         for e in self.odd:
             f = e["family"]
-            if f == "stribeck_friction":
+            if f in ("stribeck_friction", "load_friction"):
+                # Each states the level of the joint's whole law.
                 j = self._joint(e)
+                level[:, j] += number(e, "coulomb", default=float(self.dry[j])) - self.dry[j]
+                self.dry[j] = number(e, "coulomb", default=float(self.dry[j]))
+            if f == "stribeck_friction":
                 x = np.abs(v[:, j]) / number(e, "stribeck_velocity")
                 fall = np.exp(-(x ** number(e, "exponent", default=2.0)))
-                base = number(e, "coulomb", default=float(self.dry[j]))
                 peak = number(e, "stiction", default=np.nan)
-                more = number(e, "excess", default=0.0) if np.isnan(peak) else peak - base
-                level[:, j] = base + more * fall
+                own = number(e, "excess", default=0.0) if np.isnan(peak) else peak - self.dry[j]
+                level[:, j] += own * fall
             elif f == "load_friction":
-                j = self._joint(e)
-                base = number(e, "coulomb", default=float(self.dry[j]))
-                level[:, j] = base + number(e, "load_coefficient") * np.abs(load[:, j])
+                level[:, j] += number(e, "load_coefficient") * np.abs(load[:, j])
             elif f == "asymmetric_coulomb":
                 j = self._joint(e)
-                pair = number(e, "positive"), number(e, "negative")
-                level[:, j] = np.where(v[:, j] > 0, *pair)
+                half = 0.5 * (number(e, "positive") - number(e, "negative"))
+                mean = 0.5 * (number(e, "positive") + number(e, "negative"))
+                level[:, j] += mean - self.dry[j] + np.where(v[:, j] > 0, half, -half)
+                self.dry[j] = mean
             elif f in ("quadratic_friction", "quadratic_viscous"):
                 j = self._joint(e)
                 extra[:, j] += number(e, "coefficient") * np.abs(v[:, j]) * v[:, j]

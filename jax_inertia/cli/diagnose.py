@@ -1,6 +1,7 @@
 """`jax-inertia diagnose`: which effects the model lacks, where, how large, and how far the gap shrinks with them."""
 
 import argparse
+import dataclasses
 import textwrap
 from pathlib import Path
 
@@ -51,6 +52,17 @@ def add_parser(subparsers) -> None:
     add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
     effects_help = "look for so many effects at most (default 3)"
     add("--max-effects", type=_count, default=3, metavar="N", help=effects_help)
+    uncertain_help = (
+        "standard deviations of the model's masses (relative), centres of mass [m] and inertias (relative); "
+        "default: what drawings of built arms are off by"
+    )
+    add(
+        "--nominal-uncertainty",
+        nargs=3,
+        type=_positive,
+        metavar=("MASS", "COM", "INERTIA"),
+        help=uncertain_help,
+    )
     add_gains(add)
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
     add("--json", action="store_true", help="print report.json instead of the table")
@@ -67,10 +79,22 @@ def run(args: argparse.Namespace) -> int:
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
         inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args, gains)
+        if args.nominal_uncertainty is not None:
+            inputs = dataclasses.replace(inputs, uncertainty=tuple(args.nominal_uncertainty))
         with output_folder(out) as folder:
             show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage, gains)
     show(out, as_json=args.json)
     return 0
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 10.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 10")
+    return value
 
 
 def _count(text: str) -> int:

@@ -22,7 +22,7 @@ from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap.diagnosis import diagnose
-from jax_inertia.gap.either import unknown_families, usable, whole_robot
+from jax_inertia.gap.either import tolerance, unknown_families, usable, whole_robot
 from jax_inertia.gap.finding import Diagnosis, effects_of, known_of
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
@@ -58,6 +58,8 @@ class Inputs:
     quality: tuple[Quality, ...]
     of_loop: bool = False
     """Whether torques are not of the log, but what a position loop gives."""
+    uncertainty: tuple[float, float, float] | None = None
+    """Standard deviations of the model's masses (relative), centres [m] and inertias (relative), where stated."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,7 +150,8 @@ def by_torque(
     stage: Callable[[str], None],
 ) -> Callable[..., None]:
     """Diagnose torque → motion, and write everything into a folder; what prints it."""
-    whole = whole_robot(inputs.robot, inputs.log, inputs.test_log, exclude, stage)
+    of = inputs.robot, inputs.log, inputs.test_log
+    whole = whole_robot(*of, exclude, stage, (), inputs.uncertainty)
     if whole is None:
         result = diagnosis(inputs, exclude, max_effects, stage)
         stage("writing")
@@ -170,6 +173,7 @@ def diagnosis(
         test_log=inputs.test_log,
         exclude=exclude,
         max_effects=max_effects,
+        nominal_uncertainty=tolerance(inputs.uncertainty),
         progress=stage,
     )
     stage("rolling models out in MuJoCo")

@@ -6,10 +6,11 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.search import Selection, relinearised
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
+from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
 
 PASSING = frozenset({"push"})
@@ -72,7 +73,7 @@ class _Run(abc.ABC):
             rows(y, weight),
             rows(left, weight),
             left,
-            expected(self.residual, self.evidence),
+            expected(self.residual, self.evidence, whole),
         )
 
 
@@ -120,11 +121,9 @@ class HeldOut(_Run):
         return out
 
 
-def expected(residual: Residual, evidence: Evidence) -> Float[np.ndarray, " n"]:
-    """Rms of each row that noise of this run's sensors and errors of the effects' equations leave [N m]."""
-    count = np.maximum(evidence.weight.sum(axis=0), 1e-9)
-    form = (evidence.weight * evidence.form).sum(axis=0) / count
-    return np.sqrt(residual.sensors**2 + form)
+def expected(residual: Residual, evidence: Evidence, now: Posterior) -> Float[np.ndarray, " n"]:
+    """Rms of each row that noise of this run's sensors and errors of the chosen effects' equations leave [N m]."""
+    return np.hypot(residual.sensors, rows(np.sqrt(form_variance(now)), evidence.weight))
 
 
 def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:
@@ -135,6 +134,21 @@ def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:
 def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
     """Of each row by weight."""
     return np.sqrt((weight * e**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9))
+
+
+def borne_out(selection: Selection) -> Selection:
+    """The selection without odd effects of which the log's parts tell different things: they stand in for something.
+
+    The least sure first, one at a time, everything else refitted. Effects that happen once are not asked.
+    """
+    while True:
+        odd = [h for h in selection.odd if h.family not in PASSING]
+        worths = [selection.robust_worth(h) - h.odds for h in odd]
+        if min(worths, default=0.0) >= 0.0:
+            return selection
+        worst = odd[int(np.argmin(worths))]
+        rest = tuple(c for c in selection.posterior.chosen if c is not worst)
+        selection = dataclasses.replace(selection, posterior=selection.evidence.posterior(rest))
 
 
 def gated(

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Parameter, Place
-from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.search import Selection
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.selection import Selection
 
 
 def undetectable(selection: Selection) -> tuple[tuple[str, Place, Parameter], ...]:

@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jax_inertia.diagnosis import summary
-from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
+from jax_inertia.diagnosis.checks import HeldOut, OtherRun, borne_out, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import DRY_FORMS, EFFECTS, NAMES
+from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.diagnosis.search import Selection, ordinary_of, select
+from jax_inertia.diagnosis.search.ordinary import ordinary_of
+from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.search.stepwise import select
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
@@ -43,8 +45,9 @@ def diagnose(
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
-    selection, dropped = gated(selection, heldout if other is None else other, settings)
-    found = summary.summarised(selection, heldout, other, dropped, settings)
+    everything, dropped = gated(selection, heldout if other is None else other, settings)
+    selection = borne_out(everything)
+    found = summary.summarised(selection, everything.posterior, heldout, other, dropped, settings)
     progress("what this log would have shown")
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
     return dataclasses.replace(
@@ -71,23 +74,3 @@ def _require_rows(residual: Residual, log: Log) -> None:
             f"{log.duration:.3g} s of log leave {count.max(initial=0.0):.0f} moving rows at most; at least "
             f"{LEAST_ROWS} are needed, about {LEAST_ROWS / rate:.0f} s of motion"
         )
-
-
-WHOLE_ROBOT = 4
-"""Ordinary numbers that a model lacks from which it is the whole robot's: a search for single effects lists three."""
-LACKING = 0.5
-"""A model lacks a number of which it has less than this share: masses and frictions of a good model are within 10 %."""
-
-
-def ordinary_is_missing(found: Diagnosis, robot: Robot) -> bool:
-    """Whether the model lacks ordinary physics all over: a robot as it is bought."""
-    own = {"viscous_friction": robot.damping, "armature": robot.armature}
-    lacking = 0
-    for f in found.found:
-        if f.family == "torque_bias" or not (f.ordinary or f.family in DRY_FORMS):
-            continue
-        dof = robot.joint_dofadr[robot.joint_index(f.place.name)]
-        family = f.family if f.ordinary else "coulomb_friction"
-        nominal = float(own.get(family, robot.frictionloss)[dof])
-        lacking += nominal < LACKING * found.joints[f.place.name][family].value
-    return lacking >= WHOLE_ROBOT

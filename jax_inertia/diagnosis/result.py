@@ -81,7 +81,9 @@ class Remainder:
     where: dict[str, float]
     """Each joint's part of it, summing to one."""
     resembles: tuple[str, ...]
-    """Generic alternatives that fit it."""
+    """Shapes that name no cause, and effects that only stand in for one, that fit it."""
+    after: float
+    """Residual that the causes leave on that run, rms of moving rows [N m]; with such shapes it is `Shrink.after`."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,6 +110,8 @@ class Diagnosis:
     """By joint and family: the joint's whole number, the model's own included; found or not."""
     presliding: dict[str, float]
     """Displacement over which each joint's dry friction turns round [rad]."""
+    as_bought: float
+    """Log odds that the model lacks its joints' ordinary physics, against one that is calibrated [nats]."""
     heldout: Shrink
     test: Shrink | None
     remainder: Remainder

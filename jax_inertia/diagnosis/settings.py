@@ -18,7 +18,7 @@ class Settings:
     on a log that begins in motion (Panda), half a second of 10 Hz."""
     ordinary_odds: float = 2.0
     """Prior log odds against each ordinary effect, nats. Prior: every robot has friction."""
-    refinement_odds: float = 3.0
+    refinement_odds: float = 5.0
     """The same against another form of an ordinary effect (Stribeck, asymmetric, load-dependent friction), nats."""
     odd_odds: float = 8.0
     """The same against each odd effect, nats: e⁻⁸, about one in 3000 places has one. Prior."""
@@ -26,12 +26,17 @@ class Settings:
     """The same against a generic alternative, which names no cause, nats. Prior."""
     least_variance: float = 0.01
     """Least residual standard deviation of a row, share of its gap's rms: filters and differences are no better."""
-    mass_tolerance: float = 0.03
+    mass_tolerance: float = 0.02
     """Standard deviation of a nominal body's mass, relative. CAD masses of built arms: 2 to 5 %."""
-    com_tolerance: float = 0.002
+    com_tolerance: float = 0.001
     """Of a nominal centre of mass [m], on links of 0.15 to 1 m."""
-    inertia_tolerance: float = 0.10
+    com_stated: float | None = None
+    """The same where it is stated for this robot, whatever its size [m]."""
+    inertia_tolerance: float = 0.05
     """Of a nominal rotational inertia, relative."""
+    tolerance_numbers: float = 20.0
+    """How many measured numbers the stated tolerance of a kind counts for, where the log says how large it is: a robot
+    with many numbers further off has larger tolerances, one with a single such number has something odd."""
     ordinary_tolerance: float = 0.2
     """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""
@@ -62,7 +67,10 @@ class Settings:
     """Probability that an effect of overwhelming evidence is what it is called and no stand-in for what is not in the
     library, where nothing remains and where something does. Measured: 42 of 45 and 8 of 13 on the development data of
     seeds 1 and 2."""
-    most_steps: int = 80
-    """Bound of the search's moves, a safeguard: none of 120 development logs took 60."""
+    likely: float = 0.5
+    """Probability from which an odd effect is told as a cause: less is a stand-in. Decision: more likely than not."""
+    most_steps: int = 30
+    """Bound of the search's moves, a safeguard where equations are wrong everywhere (LWR4+): what comes later predicts
+    nothing. None of 60 development logs keeps more than four odd effects."""
     folds: int = 5
     """Blocks of a log that are predicted from the others."""

@@ -7,8 +7,8 @@
 | else | below `partly` | | partly |
 | else | | | unknown |
 
-`explained` becomes `partly` where one joint keeps more than `excess` times what its sensors and the effects' own
-equations leave, or where a generic alternative carries more than `explained` of the gap.
+All of what the named effects leave: a generic alternative explains nothing. `explained` becomes `partly` where one
+joint keeps more than `excess` times what its sensors and the effects' own equations leave.
 """
 
 import numpy as np
@@ -18,19 +18,15 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 
 
-def verdict(
-    check: Check, tolerated: float, listed: bool, generic_share: float, settings: Settings
-) -> Verdict:
-    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is;
-    `generic_share`: of the gap's energy that generic alternatives carry."""
+def verdict(check: Check, tolerated: float, listed: bool, settings: Settings) -> Verdict:
+    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is."""
     limit = settings.noise_ratio * check.noise
     if not listed:
         quiet = tolerated <= limit or check.before <= limit
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     small = check.unexplained < settings.explained or check.after <= limit
     if small and check.after < check.before:
-        rest = np.any(check.excess > settings.excess) or generic_share > settings.explained
-        return Verdict.PARTLY if rest else Verdict.EXPLAINED
+        return Verdict.PARTLY if np.any(check.excess > settings.excess) else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
 
 

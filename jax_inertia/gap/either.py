@@ -13,11 +13,13 @@ from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.report import json_report as whole_report
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import diagnosis as single
 from jax_inertia.gap import report as single_report
 from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.units import drive_gains, in_newton_metres
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
@@ -35,15 +37,18 @@ def diagnose(
     exclude: Sequence[str] = (),
     extra: Sequence[Effect] = (),
     max_effects: int = 3,
+    nominal_uncertainty: tuple[float, float, float] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Diagnosis | WholeRobot:
     """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds.
 
     Both results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of either.
     `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
-    effects, `extra` adds effects of your own; `max_effects` holds where single effects are sought. Torques that are no
-    N m get one drive gain per joint from the log itself, and a note says so. Computed in double precision, whatever JAX
-    is set to. Raises ValueError for an unknown family, and LogError for a log that cannot be used.
+    effects, `extra` adds effects of your own; `max_effects` holds where single effects are sought.
+    `nominal_uncertainty`: one standard deviation of the model's masses (relative), centres of mass [m] and rotational
+    inertias (relative). Torques that are no N m get one drive gain per joint from the log itself, and a note says so.
+    Computed in double precision, whatever JAX is set to. Raises ValueError for an unknown family, and LogError for a
+    log that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -66,7 +71,7 @@ def diagnose(
             raise LogError(f"{name}: {error}") from None
         notes += [f"{name}: {f.message}" for f in findings if f.severity is Severity.WARNING]
     of = logs["log"], logs.get("test_log")
-    whole = whole_robot(robot, *of, exclude, progress, extra)
+    whole = whole_robot(robot, *of, exclude, progress, extra, nominal_uncertainty)
     found = (
         whole
         if whole is not None
@@ -77,6 +82,7 @@ def diagnose(
             exclude=exclude,
             extra=extra,
             max_effects=max_effects,
+            nominal_uncertainty=tolerance(nominal_uncertainty),
             progress=progress,
         )
     )
@@ -133,6 +139,7 @@ def whole_robot(
     exclude: Sequence[str],
     progress: Callable[[str], None],
     extra: Sequence[Effect] = (),
+    nominal_uncertainty: tuple[float, float, float] | None = None,
 ) -> WholeRobot | None:
     """The diagnosis of every joint at once, for a model that lacks ordinary physics all over.
 
@@ -141,10 +148,28 @@ def whole_robot(
     """
     if robot.has_free_base or not all(robot.topology.dof_scalar):
         return None
+    settings = Settings()
+    if nominal_uncertainty is not None:
+        mass, com, inertia = nominal_uncertainty
+        settings = Settings(mass_tolerance=mass, com_stated=com, inertia_tolerance=inertia)
     found = pipeline.diagnose(
-        robot, log, test_log=test_log, exclude=exclude, extra=extra, progress=progress
+        robot,
+        log,
+        test_log=test_log,
+        exclude=exclude,
+        extra=extra,
+        settings=settings,
+        progress=progress,
     )
-    return found if pipeline.ordinary_is_missing(found, robot) else None
+    return found if found.as_bought > 0.0 else None
+
+
+def tolerance(nominal_uncertainty: tuple[float, float, float] | None) -> Tolerance | None:
+    """What the search for single effects takes a nominal model to be off by, where it is stated."""
+    if nominal_uncertainty is None:
+        return None
+    mass, com, inertia = nominal_uncertainty
+    return Tolerance(mass=mass, com=com, inertia=inertia)
 
 
 def to_report(found: Diagnosis | WholeRobot | LogEstimate) -> dict[str, Any]:

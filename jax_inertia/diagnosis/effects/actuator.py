@@ -174,6 +174,10 @@ class TorqueSpeed(Effect):
         return applied._replace(torque=xp.where(at.rows, cut, tau))
 
 
+DELAYS = (1e-3, 5e-3, 0.012, 0.025, 0.05, 0.1, 0.2)
+"""From which secants start [s]: one that starts at a twentieth of a delay ends at another effect."""
+
+
 class Late(Effect):
     """A torque that comes later, at one joint or at all of them."""
 
@@ -182,9 +186,6 @@ class Late(Effect):
 
     def places(self, context):
         return everywhere_and_at_joints(context)
-
-    def shapes(self, context, place):
-        return [(1e-3,)]
 
     @abc.abstractmethod
     def later(self, tau: np.ndarray, step: float, by: float) -> np.ndarray:
@@ -205,8 +206,11 @@ class Late(Effect):
 class TimeDelay(Late):
     name, equation = "time_delay", "τ(t) = τ_logged(t − d)"
     source, units = "a bus, a driver's cycle", {"delay": "s"}
-    prior = "0.01 s, of either sign, below 0.3 s"
+    prior = "0.01 s or the delay searched, of either sign, below 0.3 s"
     mjcf = "delay and nsample of the joints' actuators; torques in qfrc_applied by step law"
+
+    def shapes(self, context, place):
+        return [(sign * x,) for x in DELAYS for sign in (1.0, -1.0)]
 
     def later(self, tau, step, by):
         # A shift of a band-limited signal: exact as a phase, of either sign; fractions of a step cost nothing.
@@ -216,7 +220,7 @@ class TimeDelay(Late):
         return np.fft.irfft(turned, len(padded), axis=0)[: len(tau)]
 
     def scale(self, context, place, shape):
-        return np.array([0.01])
+        return np.array([max(0.01, abs(shape[0]))])
 
     def numbers(self, context, place, shape, theta):
         return {"delay": Parameter(float(theta[0]), "s")}
@@ -251,6 +255,9 @@ class ActuatorLag(Late):
     source, units = "a current loop's bandwidth", {"time_constant": "s"}
     prior = "0.012 s, not below zero"
     mjcf = "none: step law"
+
+    def shapes(self, context, place):
+        return [(x,) for x in DELAYS if x < 0.1]
 
     def later(self, tau, step, by):
         by = max(by, 2e-4)

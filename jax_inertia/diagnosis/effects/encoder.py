@@ -130,6 +130,7 @@ class TwoMass(Effect):
     """
 
     calibrated, sized_by_shape, advice = True, True, advice.TORQUE_REVERSALS
+    law = "coupling"
 
     @abc.abstractmethod
     def coupling(self, shape: Shape) -> Coupling:

@@ -48,6 +48,10 @@ def inertia_change(pi: np.ndarray, share: float) -> np.ndarray:
     return np.array([0.0, 0.0, 0.0, 0.0, *(share * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
 
+LOAD = 0.08
+"""Standard deviation of a load's mass, of the robot's: arms carry 0.1 to 0.3 of their weight at most."""
+
+
 class _Inertial(Effect):
     kind, advice = "body", advice.BRISK
     mjcf: ClassVar[str] = "body inertial"
@@ -85,13 +89,15 @@ class Payload(_Inertial):
     name, equation, form_error = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
-    prior = "0.8 kg or 0.3 of the body's mass, 6 cm from its frame; more than nothing, within a link's length"
+    prior = "0.08 of the robot's mass or 0.3 of the body's, 6 cm off; more than nothing, within a link's length"
 
     def columns(self, context, place, shape):
         return Columns(-self.regressor(context, place))
 
     def scale(self, context, place, shape):
-        mass = max(0.8, 0.3 * self.mass(context, place))
+        # What a robot is made to carry goes with what it weighs.
+        whole = float(np.sum(context.pi[:, 0]))
+        mass = max(0.3 * self.mass(context, place), LOAD * whole)
         lever = REACH * context.scale
         return mass * np.array([1.0] + [lever] * 3 + [0.2 * lever] * 6)
 

@@ -51,6 +51,8 @@ EFFECTS: tuple[Effect, ...] = (
     generic.OfSpeed(),
     generic.OfTime(),
     generic.FrictionOfPosition(),
+    generic.MemoryOfPosition(),
+    generic.Swinging(),
     generic.PathOfTorque(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))

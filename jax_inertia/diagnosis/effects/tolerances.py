@@ -1,7 +1,7 @@
 """What a nominal model may be off by, marginalised: each number of each body's inertia, and when a torque acts."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.base import Columns, Effect
 from jax_inertia.diagnosis.effects.inertial import steiner
@@ -14,7 +14,8 @@ TIMING = 0.1
 class InertialTolerances(Effect):
     """y = Y Σ (one standard deviation of each number) z.
 
-    Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative); the log's period [s].
+    Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative); the log's period [s];
+    how many measured numbers these tolerances count for.
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
@@ -32,6 +33,10 @@ class InertialTolerances(Effect):
 
     def scale(self, context, place, shape):
         return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 1)
+
+    def kinds(self, count: int) -> Int[np.ndarray, " k"]:
+        """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timing."""
+        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 1) // 10), 3)
 
     def numbers(self, context, place, shape, theta):
         return {}
@@ -53,7 +58,7 @@ def inertial_changes(
             # The exact derivative: I about the origin moves with the centre of mass.
             turn = m * (2 * c @ axis * np.eye(3) - np.outer(c, axis) - np.outer(axis, c))
             moved = np.concatenate([[0.0], m * axis, turn[np.triu_indices(3)]])
-            change.append(shape[1] * context.scale * moved)
+            change.append(shape[1] * moved)
         size = shape[2] * max(float(central[[0, 3, 5]].max()), 1e-9)
         change += [np.concatenate([np.zeros(4), size * e]) for e in np.eye(6)]
         out.append((np.array(change).T, name, pi))

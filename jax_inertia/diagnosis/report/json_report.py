@@ -33,11 +33,7 @@ def to_report(
         "effects": [_effect(f) for f in found.found],
         "joints": {
             name: {family: _number(p) for family, p in own.items()}
-            | (
-                {"presliding": {"value": found.presliding[name], "unit": "rad"}}
-                if found.presliding.get(name, -1.0) >= 0
-                else {}
-            )
+            | {"coulomb_friction": _dry(own["coulomb_friction"], found.presliding.get(name))}
             for name, own in found.joints.items()
         },
         "shrink": {
@@ -48,6 +44,7 @@ def to_report(
         "explained_share": 1.0 - found.remainder.share,
         "remainder": {
             "share": found.remainder.share,
+            "after": found.remainder.after,
             "where": found.remainder.where,
             "resembles": "; ".join(found.remainder.resembles),
         },
@@ -80,6 +77,13 @@ def _effect(f: Found) -> dict[str, Any]:
             {"family": t.family, "location": located(t.place), "kind": t.kind} for t in f.equivalent
         ],
     }
+
+
+def _dry(level: Interval, presliding: float | None) -> dict[str, Any]:
+    """Beside its level the displacement over which it turns round after a reversal, where it has one."""
+    turns = presliding is not None and presliding >= 0
+    beside = {"presliding": {"value": presliding, "unit": "rad"}} if turns else {}
+    return _number(level) | beside
 
 
 def _number(p: Interval) -> dict[str, Any]:

@@ -27,9 +27,10 @@ def headline(
         )
     parts = [f"The model has no {lacking} at any joint; the robot has."] if lacking else []
     odd = [f for f in found if not f.ordinary]
+    by_cause = 1.0 - remainder.after / max(checked.before, 1e-300)
     shrunk = (
-        f"{percent(max(checked.share, 0.0))} of the torque error {where} goes "
-        f"({number(checked.before)} → {number(checked.after)} N m, sensors {number(checked.noise)})"
+        f"{percent(max(by_cause, 0.0))} of the torque error {where} goes "
+        f"({number(checked.before)} → {number(remainder.after)} N m, sensors {number(checked.noise)})"
     )
     ordinary = any(f.ordinary for f in found)
     names = [named(f) for f in odd[:MANY]]
@@ -39,7 +40,13 @@ def headline(
     listed = causes[0] if len(causes) == 1 else ", ".join(causes[:-1]) + " and " + causes[-1]
     parts.append(f"With {listed}{more}, {shrunk}.")
     if verdict is not Verdict.EXPLAINED and remainder.share > 0:
-        like = f", and resembles {remainder.resembles[0]}" if remainder.resembles else ""
+        like = ""
+        if remainder.resembles:
+            like = f", and resembles {remainder.resembles[0]}"
+            if checked.after < 0.9 * remainder.after:
+                like += (
+                    f"; such shapes, which name no cause, take it to {number(checked.after)} N m"
+                )
         parts.append(f"{percent(remainder.share)} of its energy remains, mostly at {top}{like}.")
     return " ".join(parts)
 

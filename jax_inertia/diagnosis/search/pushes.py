@@ -3,8 +3,8 @@
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Columns
-from jax_inertia.diagnosis.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 
 LENGTHS = (0.3, 0.7, 1.5)
 """Of pushes that are tried [s]: a knock, a hand's push, a lean."""

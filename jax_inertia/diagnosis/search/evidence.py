@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import linalg
 
-from jax_inertia.diagnosis.bank import Bank
 from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search.bank import Bank
 
 MOST_CORRELATED = 0.5
 """Lag-one correlation of a row's residual that counts as noise: friction's own misfit has less on sound logs, and what
@@ -44,6 +44,15 @@ class Posterior:
         return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
 
 
+def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
+    """Variance of each row that errors of the chosen effects' own equations leave [N² m²]."""
+    form = np.zeros_like(now.fitted)
+    for h in now.chosen:
+        if h.form_error:
+            form += (h.form_error * now.torque(h)) ** 2
+    return form
+
+
 class Evidence:
     """Residual rows with their weights; judges sets of hypotheses."""
 
@@ -60,8 +69,6 @@ class Evidence:
         """Root mean square of each row's torque residual [N m]."""
         self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
         self.correlation = np.ones(y.shape[1])
-        self.form = np.zeros_like(y)
-        """Part of `variance` that errors of the chosen effects' equations leave."""
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
@@ -104,14 +111,11 @@ class Evidence:
         left = self.y - now.fitted
         free = sum(h.count for h in now.chosen if h.named) / left.shape[1]
         count = np.maximum(self.count - free, 0.25 * self.count)
-        form = np.zeros_like(self.y)
-        for h in now.chosen:
-            if h.form_error:
-                form += (h.form_error * now.torque(h)) ** 2
+        form = form_variance(now)
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        self.variance, self.form = own + form, form
+        self.variance = own + form
         white = left * np.sqrt(self.weight / self.variance)
         lagged = (white[1:] * white[:-1]).sum(axis=0) / np.maximum((white**2).sum(axis=0), 1e-12)
         rho = np.clip(lagged, 0.0, MOST_CORRELATED)

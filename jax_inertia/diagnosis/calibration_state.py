@@ -1,0 +1,55 @@
+"""Log odds that a model lacks its joints' ordinary physics, as it is bought, against one that is calibrated: nats.
+
+Every joint has friction and a rotor. A calibrated model has them too, and a robot differs from it by single effects; a
+model as it is bought lacks them everywhere. So each joint votes on each ordinary number by what the log says of it,
+
+    v = ln P(x > t) / P(x < t),    |v| ≤ the prior odds of a single effect,
+
+x being what the joint has beyond the model and t what a good model may be off by. A number that the log does not
+determine has no vote, and no joint says more than what a single effect there would cost.
+"""
+
+import numpy as np
+from scipy.stats import norm
+
+from jax_inertia.diagnosis.checks import rms
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.intervals import reported
+from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import Settings
+
+NUMBERS = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+    "armature": "armature",
+}
+"""Ordinary numbers that a model can hold, by family."""
+
+
+def log_odds_as_bought(selection: Selection, settings: Settings) -> float:
+    """Votes of all joints on the number that most of them lack [nats]."""
+    chosen = {h.key: h for h in selection.posterior.chosen}
+    votes = dict.fromkeys(NUMBERS, 0.0)
+    for h in selection.tried:
+        if h.key in chosen and h.family in NUMBERS:
+            votes[h.family] += _vote(selection, chosen[h.key], settings)
+        elif h.family in NUMBERS:
+            # Its best value is below what any joint has.
+            votes[h.family] -= settings.odd_odds
+    return max(votes.values())
+
+
+def _vote(selection: Selection, h: Hypothesis, settings: Settings) -> float:
+    """v of one number."""
+    row = h.place.index
+    own = float(getattr(selection.residual.context, NUMBERS[h.family])[row])
+    per_unit = max(float(rms(h.columns, selection.residual.weight[:, [row]])), 1e-12)
+    good = max(
+        settings.ordinary_tolerance * own,
+        np.sqrt(settings.material) * selection.evidence.gap[row] / per_unit,
+    )
+    mean, covariance = reported(selection, h)
+    away = (mean[0] - good) / np.sqrt(covariance[0, 0])
+    return float(
+        np.clip(norm.logcdf(away) - norm.logsf(away), -settings.odd_odds, settings.odd_odds)
+    )

@@ -1,0 +1,100 @@
+"""Numbers of effects with 95 % intervals: of each that is listed, and of every joint's ordinary physics."""
+
+import numpy as np
+
+from jax_inertia.diagnosis.effects.base import Interval
+from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search.ordinary import FRICTION
+from jax_inertia.diagnosis.search.selection import Selection
+
+ORDINARY_NUMBERS = {
+    "viscous_friction": ("damping", "N m s/rad"),
+    "coulomb_friction": ("frictionloss", "N m"),
+    "armature": ("armature", "kg m²"),
+    "torque_bias": (None, "N m"),
+}
+"""Family, the robot's own number of it, and its unit."""
+
+
+def intervals(
+    selection: Selection, h: Hypothesis, mean: np.ndarray, covariance: np.ndarray
+) -> dict[str, Interval]:
+    """95 % intervals of what is reported, by the delta method."""
+    residual = selection.residual
+    base = h.numbers(residual, mean)
+    slopes = {name: np.zeros(len(mean)) for name in base}
+    for k in range(len(mean)):
+        step = np.zeros(len(mean))
+        step[k] = 1e-3 * max(float(np.sqrt(covariance[k, k])), 1e-12)
+        up, down = h.numbers(residual, mean + step), h.numbers(residual, mean - step)
+        for name in base:
+            slopes[name][k] = (up[name].value - down[name].value) / (2 * step[k])
+    out = {}
+    for name, p in base.items():
+        half = 1.96 * float(np.sqrt(max(slopes[name] @ covariance @ slopes[name], 0.0)))
+        low = max(p.value - half, min(p.least, p.value))
+        out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor)
+    return out
+
+
+def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """(mean (k,), covariance (k, k)) of a hypothesis' numbers as they are reported, in their own units.
+
+    Parts of the log and the equation's own error are in the covariance. Dry and viscous friction are the level and the
+    slope that come nearest to the joint's whole law, its mild forms included: what a model of two numbers should hold.
+    """
+    now = selection.posterior
+    numbers = np.zeros((h.count, len(now.mean)))
+    numbers[:, now.slices[now.chosen.index(h)]] = np.diag(h.scale)
+    if h.family in FRICTION:
+        forms = next(
+            (c for c in now.chosen if c.family == "friction_forms" and c.place == h.place), None
+        )
+        if forms is not None:
+            part = now.slices[now.chosen.index(forms)]
+            numbers[:, part] = _nearest(selection, h, forms) * forms.scale
+    mean = numbers @ now.mean
+    covariance = numbers @ (now.covariance + selection.spread) @ numbers.T
+    return mean, covariance + _systematic(h, mean)
+
+
+def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarray:
+    """Change of `h`'s number per unit of each mild form, level and slope fitted to the form together (1, k)."""
+    both = [c for c in selection.ordinary if c.family in FRICTION and c.place == h.place]
+    root = np.sqrt(selection.residual.weight[:, h.place.index])[:, None]
+    columns = np.concatenate([c.columns for c in both], axis=1)
+    solved = np.linalg.lstsq(columns * root, forms.columns * root, rcond=None)[0]
+    return solved[[both.index(h)]]
+
+
+def _systematic(h: Hypothesis, mean: np.ndarray) -> np.ndarray:
+    """Covariance of a friction's number by its own equation: a law of another form has no one level."""
+    known_to = FORM_TOLERANCE if h.family in FRICTION else 0.0
+    return np.diag((known_to * mean) ** 2)
+
+
+def added(p: Interval, level: Interval) -> Interval:
+    half = np.hypot(0.5 * (p.high - p.low), 0.5 * (level.high - level.low))
+    value = p.value + level.value
+    return Interval(value, value - half, value + half, p.unit, p.factor)
+
+
+def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
+    """The four ordinary numbers of every joint, the model's own included."""
+    now, context = selection.posterior, selection.residual.context
+    chosen = {h.key: h for h in now.chosen}
+    out = {}
+    for name, row in context.joint_dofs.items():
+        own = {}
+        for family, (attribute, unit) in ORDINARY_NUMBERS.items():
+            nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
+            h = chosen.get((family, "joint", name))
+            if h is None:
+                own[family] = Interval(0.0, 0.0, 0.0, unit)
+                continue
+            (p,) = intervals(selection, h, *reported(selection, h)).values()
+            low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
+            own[family] = Interval(p.value + nominal, low, p.high + nominal, p.unit)
+        out[name] = own
+    return out

@@ -1,0 +1,125 @@
+"""Effects that are listed: size, evidence, probability, and what each is tied with."""
+
+import dataclasses
+
+import numpy as np
+
+from jax_inertia.diagnosis.checks import rivals, rows
+from jax_inertia.diagnosis.effects.registry import DRY_FORMS
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.intervals import ORDINARY_NUMBERS, added, intervals, reported
+from jax_inertia.diagnosis.result import Found, Tie
+from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import Settings
+
+
+def effects(
+    selection: Selection, shares: dict[int, float], settings: Settings
+) -> tuple[list[tuple[Hypothesis, Found]], tuple[Hypothesis, ...]]:
+    """What is listed, and odd effects that are no likelier than others in their place; `shares` of the gap's energy."""
+    now = selection.posterior
+    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+    listed = [h for h in now.chosen if h.named and _is_listed(selection, h, worths, settings)]
+    every = [(h, _found(selection, h, shares, worths, settings)) for h in listed]
+    likely = [(h, f) for h, f in every if f.ordinary or f.probability >= settings.likely]
+    told = {id(h) for h, _ in likely}
+    return likely, tuple(h for h in listed if id(h) not in told)
+
+
+def as_listed(
+    selection: Selection, found: list[tuple[Hypothesis, Found]], trust: float
+) -> tuple[Found, ...]:
+    """With the numbers of a selection, the largest first; `trust`: probability that an odd one is no stand-in."""
+    out = []
+    for h, f in found:
+        numbers = intervals(selection, h, *reported(selection, h))
+        probability = f.probability if f.ordinary else trust * f.probability
+        out.append(dataclasses.replace(f, parameters=numbers, probability=probability))
+    return _one_dry_law(tuple(sorted(out, key=lambda f: -f.share)))
+
+
+def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
+    """Odd effects are, ordinary ones where they are distinct from zero and matter at their joint."""
+    if not h.ordinary:
+        return True
+    mean, covariance = selection.posterior.of(h)
+    distinct = abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0])
+    row = h.place.index
+    attribute = ORDINARY_NUMBERS[h.family][0]
+    own = 0.0 if attribute is None else float(getattr(selection.residual.context, attribute)[row])
+    if abs(mean[0]) < settings.ordinary_tolerance * own:
+        return False
+    torque = selection.posterior.torque(h)
+    size = rows(torque, selection.residual.weight)[row]
+    matters = size**2 > settings.material * selection.evidence.gap[row] ** 2
+    return bool(distinct and matters and worths[id(h)] > h.odds)
+
+
+def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Found:
+    others = () if h.ordinary else rivals(selection, h, settings)
+    own = worths[id(h)] - h.odds
+    reach = max(settings.tie, settings.tie_share * abs(own))
+    ties = tuple(
+        Tie(r.hypothesis.family, r.hypothesis.place, _kind(selection, h, r.hypothesis))
+        for r in others
+        if r.behind < reach
+    )
+    # Odds against rivals beyond the tie, and against nothing at all, tempered: equations are not exact.
+    beyond = [-(r.behind / settings.temper) for r in others if r.behind >= reach]
+    nothing = -own / settings.temper
+    probability = float(1.0 / (1.0 + np.exp(np.clip(np.array([*beyond, nothing]), -50, 50)).sum()))
+    return Found(
+        family=h.family,
+        place=h.place,
+        parameters={},
+        share=shares[id(h)],
+        evidence=float(own),
+        probability=probability,
+        equivalent=ties,
+        ordinary=h.ordinary,
+        equation=h.effect.equation,
+    )
+
+
+def share(selection: Selection, h: Hypothesis) -> float:
+    """Of the gap's energy, what returns when it alone is left out."""
+    now, residual = selection.posterior, selection.residual
+    left = residual.y - now.fitted
+    whole = float((residual.weight * residual.y**2).sum())
+    back = residual.weight * ((left + now.torque(h)) ** 2 - left**2)
+    return float(back.sum() / max(whole, 1e-300))
+
+
+def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
+    """'exact' where the two torques are one along this motion to a part in ten thousand of their energy."""
+    a = selection.posterior.torque(h).ravel()
+    columns = np.zeros((a.size, other.count))
+    if other.row is None:
+        columns = other.columns.reshape(a.size, -1)
+    else:
+        wide = np.zeros((*selection.residual.y.shape, other.count))
+        wide[:, other.row] = other.columns
+        columns = wide.reshape(a.size, -1)
+    theta = np.linalg.lstsq(columns, a, rcond=None)[0]
+    left = a - columns @ theta
+    return "exact" if left @ left < 1e-4 * (a @ a) else "motion_limited"
+
+
+def _one_dry_law(found: tuple[Found, ...]) -> tuple[Found, ...]:
+    """A joint's level of dry friction goes with its other forms, each of which states the whole law's level."""
+    levels = {f.place.name: f for f in found if f.family == "coulomb_friction"}
+    out, used = [], set()
+    for f in found:
+        level = levels.get(f.place.name)
+        if f.family in DRY_FORMS and level is not None:
+            used.add(f.place.name)
+            own = level.parameters["coulomb"]
+            grown = {
+                name: added(p, own)
+                if name in ("coulomb", "stiction", "positive", "negative")
+                else p
+                for name, p in f.parameters.items()
+            }
+            f = dataclasses.replace(f, parameters=grown)
+        out.append(f)
+    return tuple(f for f in out if not (f.family == "coulomb_friction" and f.place.name in used))

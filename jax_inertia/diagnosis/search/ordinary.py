@@ -1,0 +1,178 @@
+"""Ordinary physics of every joint at once, beside the tolerances of the model: posterior and calibrated model."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from jax_inertia.diagnosis.effects.base import Effect, Place
+from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction, FrictionForms
+from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
+from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.residual import Ordinary, Residual
+from jax_inertia.diagnosis.search.candidates import make
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.settings import Settings
+
+
+class OrdinaryPhysics(NamedTuple):
+    """Posterior of every joint's ordinary numbers, nothing odd in it."""
+
+    evidence: Evidence
+    posterior: Posterior
+    tried: tuple[Hypothesis, ...]
+    """Those included that no robot can have at their best values."""
+
+
+def ordinary_physics(
+    residual: Residual, library: tuple[Effect, ...], settings: Settings
+) -> OrdinaryPhysics:
+    """Fit every joint's friction, rotor inertia and offset at once, tolerances and mild forms of friction beside."""
+    gap = np.sqrt(
+        np.mean(residual.weight * residual.y**2, axis=0)
+        / np.maximum(residual.weight.mean(axis=0), 1e-9)
+    )
+    least = np.maximum(residual.sensors, settings.least_variance * gap) + 1e-9
+    evidence = Evidence(residual.y, residual.weight, least)
+    dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
+    chosen = [tolerances(residual, settings)]
+    for effect in library:
+        if effect.ordinary and effect is not dry:
+            chosen += [
+                make(residual, effect, place, (), settings)
+                for place in effect.places(residual.context)
+            ]
+    if dry is not None:
+        for place in dry.places(residual.context):
+            before = evidence.posterior(tuple(chosen))
+            best = _turning(residual, evidence, before, dry, place, settings)
+            chosen.append(best)
+    now = learned(evidence, tuple(chosen), 4)
+    now = bounded(residual, evidence, now)
+    forms = _forms(residual, now, presliding_of(chosen), settings)
+    now = learned(evidence, (*now.chosen, *forms), 2)
+    return OrdinaryPhysics(evidence, now, tuple(chosen[1:]))
+
+
+def presliding_of(chosen: Iterable[Hypothesis]) -> dict[int, float]:
+    """Displacement over which each row's dry friction turns round [rad]."""
+    return {h.place.index: h.shape[0] for h in chosen if isinstance(h.effect, CoulombFriction)}
+
+
+def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
+    """Errors of the nominal inertials, marginalised in every hypothesis."""
+    place = Place("global", "global", -1)
+    com = settings.com_tolerance * residual.context.scale
+    com = com if settings.com_stated is None else settings.com_stated
+    own = settings.mass_tolerance, com, settings.inertia_tolerance
+    shape = (*own, 1.0 / residual.log.rate, settings.tolerance_numbers)
+    return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
+
+
+def _turning(residual, evidence, now: Posterior, dry, place, settings) -> Hypothesis:
+    """The joint's dry friction with the presliding displacement of most evidence."""
+    tried = tuple(
+        make(residual, dry, place, shape, settings) for shape in dry.shapes(residual.context, place)
+    )
+    gains = evidence.gains(now, tried)
+    return tried[int(np.argmax(gains))]
+
+
+def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
+    """Without effects that would be less than nothing: a friction that drives, a load that lifts."""
+    while True:
+        wrong = [
+            h for h in now.chosen if not h.effect.possible(residual.context, h.place, now.of(h)[0])
+        ]
+        if not wrong:
+            return now
+        # One at a time: what drives at one joint may stand in for what does at another.
+        sure = [abs(float(now.of(h)[0][0] / np.sqrt(now.of(h)[1][0, 0]))) for h in wrong]
+        worst = wrong[int(np.argmax(sure))]
+        now = evidence.posterior(tuple(h for h in now.chosen if h is not worst))
+
+
+def learned(evidence: Evidence, chosen: tuple[Hypothesis, ...], rounds: int) -> Posterior:
+    """Posterior, noise of the rows and scale of the model's tolerances in turn."""
+    now = evidence.posterior(chosen)
+    for _ in range(rounds):
+        evidence.learn(now)
+        now = evidence.posterior(_rescaled(now))
+    return now
+
+
+FAR_OFF = 2.0
+"""Tolerances from which a number's error says nothing of the others': a drawing that is further off is another one."""
+
+
+def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
+    """The chosen, with the model's tolerances as large as its numbers are off, kind by kind: masses, centres, inertias.
+
+    λ² = (ν + Σ min(z², (c λ)²)) / (ν + Σ γ): MacKay's update (Neural Computation 4(3), 1992) with Huber's bound, so
+    that one number far off is an effect's and no tolerance. z: errors in units of the stated tolerance, γ: how much of
+    each the log determines, ν: `Settings.tolerance_numbers`.
+    """
+    out = []
+    for h, part in zip(now.chosen, now.slices, strict=True):
+        if isinstance(h.effect, InertialTolerances):
+            error = now.mean[part] * h.scale
+            told = 1.0 - np.diag(now.covariance)[part]
+            kinds, stated = h.effect.kinds(h.count), h.shape[4]
+            scale = h.scale.copy()
+            for kind in range(3):
+                of = kinds == kind
+                within = np.minimum(error[of] ** 2, (FAR_OFF * scale[of]) ** 2)
+                scale[of] = np.sqrt((stated + within.sum()) / (stated + told[of].sum()))
+            h = dataclasses.replace(h, scale=scale)
+        out.append(h)
+    return tuple(out)
+
+
+def reconsidered(
+    residual: Residual, evidence: Evidence, now: Posterior, tried: tuple[Hypothesis, ...], settings
+) -> Posterior:
+    """Beside what was found: ordinary effects that no robot could have had before, and each presliding again."""
+    missing = tuple(h for h in tried if h.key not in {c.key for c in now.chosen})
+    now = bounded(residual, evidence, evidence.posterior((*now.chosen, *missing)))
+    for h in now.chosen:
+        if not isinstance(h.effect, CoulombFriction):
+            continue
+        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        best = _turning(residual, evidence, rest, h.effect, h.place, settings)
+        if best.shape != h.shape and bool(np.diff(evidence.gains(rest, (h, best)))[0] > ANOTHER):
+            now = evidence.posterior((*rest.chosen, best))
+    return learned(evidence, now.chosen, 1)
+
+
+ANOTHER = 2.0
+"""Nats by which another presliding displacement must do better: less is a tie."""
+
+
+def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
+    """Ordinary numbers at the posterior mean, by row."""
+    values = {family: np.zeros(residual.robot.nv) for family in (*FRICTION, "armature")}
+    for h in now.chosen:
+        if h.family in values:
+            values[h.family][h.place.index] = now.of(h)[0][0]
+    return Ordinary(*(np.maximum(x, 0.0) for x in values.values()))
+
+
+FRICTION = ("viscous_friction", "coulomb_friction")
+
+
+def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> list[Hypothesis]:
+    """Mild forms of each joint's friction, in proportion to its ordinary friction."""
+    out = []
+    effect = FrictionForms()
+    for name, row in residual.context.joint_dofs.items():
+        own = [
+            now.torque(h)[:, row]
+            for h in now.chosen
+            if h.family in FRICTION and h.place.index == row and h.place.kind == "joint"
+        ]
+        if own:
+            level = float(np.sqrt(np.mean(sum(own) ** 2)))
+            place = Place("joint", name, row)
+            out.append(make(residual, effect, place, (presliding.get(row, 0.0), level), settings))
+    return out

@@ -1,0 +1,222 @@
+"""Stepwise search over hypotheses by log evidence: add, delete, re-estimate, exchange; it decides nothing."""
+
+import itertools
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.dry_friction import DryFriction
+from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.candidates import candidates, pushes
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.ordinary import (
+    bounded,
+    learned,
+    ordinary_of,
+    ordinary_physics,
+    presliding_of,
+    reconsidered,
+)
+from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import Settings
+
+
+def select(
+    residual: Residual,
+    library: tuple[Effect, ...],
+    settings: Settings,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Selection:
+    """Ordinary physics at every joint first, then whatever raises the evidence by more than its prior odds."""
+    progress("ordinary physics of every joint")
+    evidence, now, tried = ordinary_physics(residual, library, settings)
+    residual = residual.calibrated(ordinary_of(residual, now))
+    progress("columns of every other effect at every place")
+    every = tuple(candidates(residual, library, presliding_of(tried), settings))
+    dry_forms = tuple(e for e in library if isinstance(e, DryFriction))
+    progress("odd effects by their evidence")
+    push = next((e for e in library if e.name == "push"), None)
+    for _ in range(2):
+        # What happens once hides behind nothing at first, and may hide behind what is found.
+        if push is not None:
+            every = (*every, *pushes(residual, evidence, now, push, settings))
+        before = now.chosen
+        now = _stepwise(residual, evidence, now, Bank(every), settings.most_steps)
+        now = _refined(residual, evidence, now)
+        now = reconsidered(residual, evidence, now, tried, settings)
+        if len(now.chosen) == len(before):
+            break
+        every = (
+            *(h for h in every if not isinstance(h.effect, DryFriction)),
+            *candidates(residual, dry_forms, presliding_of(now.chosen), settings),
+        )
+    return Selection(residual, evidence, now, every, tried)
+
+
+def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
+    """Nonlinear numbers of each odd effect between its grid's points: a pattern search, all else marginalised."""
+    for h in now.chosen:
+        if not h.is_odd or h.effect.secant:
+            continue
+        steps = h.effect.steps(residual.context, h.place, h.shape)
+        if not steps:
+            continue
+        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        best, gain = h, float(evidence.gains(rest, (h,))[0])
+        for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
+            for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+                shape = list(best.shape)
+                shape[k] += float(sign * step[k])
+                if shape[k] * best.shape[k] <= 0:
+                    continue
+                trial = hypothesis(residual, h.effect, h.place, tuple(shape), h.odds)
+                got = float(evidence.gains(rest, (trial,))[0])
+                if np.isfinite(got) and got > gain:
+                    best, gain = trial, got
+        if best is not h:
+            now = evidence.posterior((*rest.chosen, best))
+    return learned(evidence, now.chosen, 1)
+
+
+def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
+    """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
+    barred: set[int] = set()
+    seen = {_odd_of(now)}
+    for _ in range(most):
+        moved = _added(residual, evidence, now, bank, barred)
+        if moved is None:
+            moved = _exchanged(residual, evidence, now, bank, barred)
+        if moved is None:
+            break
+        after, added = moved
+        if _odd_of(after) in seen:
+            # What drives out what it was driven out by is not tried again: no two take turns.
+            barred.add(id(added))
+            continue
+        seen.add(_odd_of(after))
+        now = after
+    now = learned(evidence, now.chosen, 2)
+    return _pruned(evidence, bounded(residual, evidence, now))
+
+
+def _odd_of(now: Posterior) -> frozenset[tuple]:
+    """Families and places of the odd effects, and which of a grid's numbers."""
+    return frozenset((h.key, () if h.effect.secant else h.shape) for h in now.chosen if h.is_odd)
+
+
+EXCHANGE = 2.0
+"""Nats by which another must do better than one that was chosen before: less is a tie."""
+
+
+def _best(
+    residual, evidence: Evidence, now: Posterior, bank: Bank, barred: set[int]
+) -> Iterator[tuple[Hypothesis, float]]:
+    """Candidates that are neither barred nor chosen, and their gains with prior odds taken off; the best first."""
+    gains = evidence.gains(now, bank) - np.array([h.odds for h in bank.candidates])
+    for k in np.argsort(-gains):
+        h = bank.candidates[k]
+        if np.isfinite(gains[k]) and id(h) not in barred and not _excluded(residual, h, now.chosen):
+            yield h, float(gains[k])
+
+
+def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
+    """One more, the best there is, and which; None where nothing gains."""
+    for added, gain in _best(residual, evidence, now, bank, barred):
+        if gain <= 0:
+            return None
+        after = _with(residual, evidence, now, added)
+        if after is not None:
+            return _settled(residual, evidence, after), added
+        barred.add(id(added))
+    return None
+
+
+def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
+    """One odd effect for a better one, everything else given; None where none is better."""
+    worths = evidence.worths(now)
+    for h, worth in zip(now.chosen, worths, strict=True):
+        if not h.is_odd:
+            continue
+        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        own = {id(c) for c in bank.candidates if c.key == h.key}
+        better = next(_best(residual, evidence, rest, bank, barred | own), None)
+        if better is not None and better[1] > worth - h.odds + EXCHANGE:
+            # Once exchanged, it does not come back: no two take turns.
+            barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+            after = _with(residual, evidence, rest, better[0])
+            if after is not None:
+                return _settled(residual, evidence, after), better[0]
+    return None
+
+
+def _excluded(residual, h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
+    """Whether it is chosen already, or another law of what its place has but one of."""
+    for c in chosen:
+        if c.family == h.family and h.family not in MANY and _one_place(residual, c, h):
+            return True
+        if not h.effect.law:
+            continue
+        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
+        if c.effect.law == h.effect.law and together:
+            return True
+    return False
+
+
+def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two places are one: bodies that are fixed to each other are."""
+    if a.place.kind == b.place.kind == "body":
+        return residual.robot.topology.welded(a.place.index, b.place.index)
+    return a.place == b.place
+
+
+HALVINGS = 6
+"""Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
+MANY = frozenset({"push", "cogging"})
+"""Effects that may be at a place more than once."""
+
+
+def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
+    """One more, its secant where it belongs; None where its numbers are no robot's."""
+    after = relinearised(residual, evidence, now, h)
+    added = after.chosen[-1]
+    possible = added.effect.possible(residual.context, added.place, after.of(added)[0])
+    return after if possible else None
+
+
+def _settled(residual, evidence, now: Posterior) -> Posterior:
+    """Variance learned again, and without what can no longer be or has lost its evidence."""
+    evidence.learn(now)
+    now = evidence.posterior(now.chosen)
+    return _pruned(evidence, bounded(residual, evidence, now))
+
+
+def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> Posterior:
+    """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
+    now = evidence.posterior((*now.chosen, h))
+    if not h.effect.secant:
+        return now
+    for _ in range(4):
+        theta = now.of(now.chosen[-1])[0]
+        if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
+            break
+        h = hypothesis(residual, h.effect, h.place, tuple(float(x) for x in theta), h.odds)
+        now = evidence.posterior((*now.chosen[:-1], h))
+    return now
+
+
+def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
+    """Without effects, ordinary ones apart, that have lost their evidence to others."""
+    while True:
+        worths = evidence.worths(now)
+        loss = [
+            (w - h.odds, k)
+            for k, (h, w) in enumerate(zip(now.chosen, worths, strict=True))
+            if h.is_odd
+        ]
+        if not loss or min(loss)[0] >= -1.0:
+            return now
+        out = min(loss)[1]
+        now = evidence.posterior(tuple(h for k, h in enumerate(now.chosen) if k != out))
