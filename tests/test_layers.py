@@ -31,7 +31,8 @@ ORDER: dict[str, str] = {
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
     "control": "qp terms whole_body walking",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "replay": "loop simulate fit checks odd result pipeline corrected report command",
+    "replay": """loop record joint_numbers spec_edits plant simulate fit checks candidates odd result listing
+        pipeline figures varying_friction corrected report entry command""",
     "cli": """console gains conventions convert replay_run replay diagnose_whole diagnose_run diagnose
         plots estimate_output estimate_wrench estimate suggest_motion demo main""",
     "cli.demo": "simulation hidden comparison figure command",
