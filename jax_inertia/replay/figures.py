@@ -50,5 +50,7 @@ def replays(names, r: Replayed, *, both: bool = True) -> Figure:
             axes.set_xlabel("time [s]")
         grid[0, 0].set_ylabel("rad")
         handles, labels = grid[0, 0].get_legend_handles_labels()
-        out.legend(handles, labels, loc="outside upper right", ncols=5, frameon=False)
+        out.legend(
+            handles, labels, loc="outside upper right", ncols=5 if columns > 1 else 3, frameon=False
+        )
     return out

@@ -112,9 +112,15 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     if family == "torque_speed":
         sizes = _motor(sizes)
     place = place_of(*odd.candidate.place, names)
-    ties = (*ties_of(family, place, found, rows[0], loop, names), *_rivals(odd.rivals, names))
+    own = {(found.table[k].family, *place) for k in rows}
+    ties = [
+        t for t in (*ties_of(family, place, found, rows[0], loop, names), *_rivals(odd.rivals, names))
+        if t.exact or (t.family, t.kind, t.name) not in own or t.family != family
+    ]  # fmt: skip
     nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
-    return Effect(family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, ties)
+    return Effect(
+        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, tuple(ties)
+    )
 
 
 def _motor(sizes: dict[str, Size]) -> dict[str, Size]:
