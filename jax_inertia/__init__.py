@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from jax_inertia.estimation.pipeline import estimate
     from jax_inertia.estimation.priors import Load
     from jax_inertia.estimation.stream import Stream
-    from jax_inertia.gap.either import diagnose, to_report
     from jax_inertia.logs.log import Log, LogError
     from jax_inertia.logs.log_files import read_log, write_log
     from jax_inertia.maths.inertial_parameters import (
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
     )
     from jax_inertia.model.load import ModelError, ModelWarning, load_model
     from jax_inertia.model.robot import Robot
+    from jax_inertia.replay.entry import diagnose, to_report
     from jax_inertia.signals.differences import Observation
 
 __all__ = [
@@ -93,7 +93,6 @@ __all__ = [
 
 # As above, for when it runs; a test holds the two together.
 _MODULES = {
-    "gap.either": "diagnose to_report",
     "dynamics.rigid_body": """body_jacobian body_poses condensed_dynamics contact_torque inverse_dynamics mass_matrix
         passive_torque torque_regressor""",
     "estimation.checkpoint": "StateError load_state save_state",
@@ -113,6 +112,7 @@ _MODULES = {
         to_log_cholesky""",
     "model.load": "ModelError ModelWarning load_model",
     "model.robot": "Robot",
+    "replay.entry": "diagnose to_report",
     "signals.differences": "Observation",
 }
 _PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}

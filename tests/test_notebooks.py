@@ -20,6 +20,7 @@ SLOW = {
     "4_monte_carlo",
     "5_your_robot",
     "6_your_own_effect",
+    "7_servo_arm",
 }
 
 
@@ -27,8 +28,8 @@ def cells_of(path: Path) -> list[dict]:
     return json.loads(path.read_text())["cells"]
 
 
-def test_there_are_six():
-    assert [path.stem[:2] for path in NOTEBOOKS] == [f"{k}_" for k in range(1, 7)]
+def test_there_are_seven():
+    assert [path.stem[:2] for path in NOTEBOOKS] == [f"{k}_" for k in range(1, 8)]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -16,7 +16,9 @@ from jax_inertia.replay.corrected import corrected, policy
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
-from jax_inertia.replay.simulate import Plant, controls, record_of
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import record_of, step_means
+from jax_inertia.replay.simulate import replay
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"
 # A rotor of 0.05 kg m² without weight: its loop has a closed form.
@@ -97,9 +99,9 @@ def test_a_step_is_answered_as_a_damped_oscillator_does(late):
     log = step_log()
     spec = rotor()
     plant = Plant(spec, log.joint_names, position_loop(log, spec.compile()))
-    plant.model.opt.timestep = 1e-4
+    plant.step = plant.model.opt.timestep = 1e-4
     table = (Parameter("target_delay", -1, 0.0, 1.0, -1.0, 1.0),)
-    path = plant.replay(table, np.array([[late]]), record_of(log))[0, :, 0]
+    path = replay(plant, table, np.array([[late]]), record_of(log))[0, :, 0]
     omega, half = np.sqrt(5 / 0.05), 0.4 / 0.05 / 2
     fast = np.sqrt(omega**2 - half**2)
     t = np.maximum(log.time - 0.5 - late, 0.0)
@@ -109,18 +111,21 @@ def test_a_step_is_answered_as_a_damped_oscillator_does(late):
 
 def test_controls_are_means_of_held_targets():
     record = record_of(step_log(0.02))
-    out = controls(record, 0.002, 1000, np.array([0.0005]), np.zeros(1))
+    told = record.told
+    out = step_means(told.time, told.position, 0.002, 1000, np.array([0.0005]), np.zeros(1))
     # The step of 0.5 s comes a quarter of a step into [0.5, 0.502).
     np.testing.assert_allclose(out[248:252, 0], [0.0, 0.0, 0.75, 1.0], atol=1e-9)
     later = record.between(30, 100)
     assert later.target[0] == 1.0
-    out = controls(later, 0.002, 100, np.array([0.2]), np.zeros(1))
+    told = later.told
+    out = step_means(told.time, told.position, 0.002, 100, np.array([0.2]), np.zeros(1))
     # What was told before the stretch began arrives in it.
     np.testing.assert_allclose(out[[0, 49, 51], 0], [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def test_a_lag_is_a_first_order_one():
-    out = controls(record_of(step_log(0.02)), 1e-3, 2500, np.zeros(1), np.array([0.1]))
+    told = record_of(step_log(0.02)).told
+    out = step_means(told.time, told.position, 1e-3, 2500, np.zeros(1), np.array([0.1]))
     assert out[600, 0] == pytest.approx(1 - np.exp(-0.1 / 0.1), abs=0.01)
 
 
@@ -201,7 +206,7 @@ def test_what_is_wrong_is_found_and_its_replay_proves_it(effects, family, place,
     spec = arm()
     corrected(spec, found)
     model = mujoco.MjModel.from_xml_string(spec.to_xml())
-    r = found.replayed.record
+    r = found.replayed.records[0]
     model.opt.timestep = h = 2e-3
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     data = mujoco.MjData(model)
@@ -312,6 +317,29 @@ def test_cases_from_targets_and_encoders_alone(case, wanted):
     assert (found.verdict is Verdict.NO_GAP) == (not wanted)
     loud = {(e.family, e.name) for e in found.effects if e.share > 0.05}
     assert loud == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.is_dir(), reason="cases (../shared/cases) are not here")
+def test_a_lerobot_dataset_of_a_sound_leg_has_no_gap():
+    model = CASES / "leg_none_d" / "nominal.xml"
+    log = ji.read_log(CASES / "lerobot", names=ji.load_model(model))
+    assert log.tau is None
+    assert ji.diagnose(model, log).verdict is Verdict.NO_GAP
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.is_dir(), reason="cases (../shared/cases) are not here")
+def test_a_late_loop_is_told_beside_a_sound_motion(tmp_path):
+    """Torque and motion agree; between targets and torque there are 20 ms."""
+    case, out = CASES / "leg_action_delay_a", tmp_path / "out"
+    model = str(case / "nominal.xml")
+    assert main(["diagnose", str(case / "log.npz"), "--model", model, "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["verdict"] == "explained"
+    late = [e for e in report["effects"] if e["family"] == "target_delay"]
+    assert late[0]["half"] == "command"
+    assert late[0]["parameters"]["delay"]["value"] == pytest.approx(0.02, abs=3e-3)
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="cases (../shared/cases) are not here")

@@ -28,6 +28,9 @@ examples:
   a position-controlled robot, no torque in the log
     jax-inertia diagnose log.npz --model arm.xml --test-log other.npz --kp 20 --kd 0.5
 
+  the same from several motions
+    jax-inertia diagnose a.npz --more-logs b.npz c.npz --model arm.xml --test-log other.npz
+
 No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.
 """
 
@@ -48,6 +51,16 @@ def add_parser(subparsers) -> None:
     add("--model", type=Path, required=True, help="MJCF or URDF, the robot as modelled")
     test_help = "another motion of the same robot, used to validate only"
     add("--test-log", type=Path, metavar="LOG2", help=test_help)
+    more_help = "further logs without torque, fitted with LOG; their gains may be others"
+    add(
+        "--more-logs",
+        nargs="+",
+        type=Path,
+        action="extend",
+        default=[],
+        metavar="LOG",
+        help=more_help,
+    )
     exclude_help = "families of effects that are out of the question"
     add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
     effects_help = "look for so many effects at most (default 3)"
@@ -78,7 +91,9 @@ def run(args: argparse.Namespace) -> int:
     gains = pipeline.Gains(args.kp, args.kd, args.fix_base)
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
-        inputs = pipeline.read(args.model, args.log, args.test_log, args.exclude, args, gains)
+        inputs = pipeline.read(
+            args.model, args.log, args.test_log, args.exclude, args, gains, args.more_logs
+        )
         if args.nominal_uncertainty is not None:
             inputs = dataclasses.replace(inputs, uncertainty=tuple(args.nominal_uncertainty))
         with output_folder(out) as folder:

@@ -18,11 +18,10 @@ from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
 from jax_inertia.cli.conventions import met
 from jax_inertia.cli.replay_run import SILENT, Gains
-from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap.diagnosis import diagnose
-from jax_inertia.gap.either import tolerance, unknown_families, usable, whole_robot
+from jax_inertia.gap.either import tolerance, usable, whole_robot
 from jax_inertia.gap.finding import Diagnosis, effects_of, known_of
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
@@ -43,6 +42,7 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
 from jax_inertia.preflight.preflight import Finding as Quality
 from jax_inertia.preflight.preflight import Severity
+from jax_inertia.replay import entry
 from jax_inertia.text.words import percent, plain
 
 
@@ -56,6 +56,7 @@ class Inputs:
     log: Log
     test_log: Log | None
     quality: tuple[Quality, ...]
+    more: tuple[Log, ...] = ()
     of_loop: bool = False
     """Whether torques are not of the log, but what a position loop gives."""
     uncertainty: tuple[float, float, float] | None = None
@@ -80,19 +81,21 @@ def read(
     exclude: Sequence[str],
     conventions: argparse.Namespace | None = None,
     gains: Gains = SILENT,
+    more: Sequence[Path] = (),
 ) -> Inputs:
     """Read model and logs, and look at them before anything is computed; ValueError with one line.
 
-    `conventions` are the options of `cli.conventions`, `gains` those of a position loop.
+    `conventions` are the options of `cli.conventions`, `gains` those of a position loop. `more` logs are fitted with
+    the first, where targets are replayed.
     """
-    if unknown := unknown_families(exclude):
+    if unknown := entry.unknown_families(exclude):
         raise ValueError(
-            f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(NAMES)}"
+            f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(entry.FAMILIES)}"
         )
     robot = load_model(model)
     if gains.fix_base:
-        robot = load_model(compile_spec(replay_run.nominal_spec(model, True), model))
-    paths = (log, *([] if test_log is None else [test_log]))
+        robot = load_model(compile_spec(entry.nominal_spec(model, True), model))
+    paths = (log, *more, *([] if test_log is None else [test_log]))
     options = Options(time_unit=None if conventions is None else conventions.time_unit)
     given = [read_log(path, names=robot, options=options) for path in paths]
     robot, told = afloat(robot, model, given[0])
@@ -107,7 +110,7 @@ def read(
     for path, one in zip(paths, given, strict=True):
         try:
             if one.tau is None and (not logs or logs[0].tau is None):
-                findings = replay_run.usable(one, robot)
+                findings = entry.usable(one, robot)
             else:
                 one, drives, findings = usable(one, robot, drives, path.name)
         except LogError as error:
@@ -117,8 +120,13 @@ def read(
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)
-    other = logs[1] if len(logs) > 1 else None
-    return Inputs(model, log, robot, logs[0], other, tuple(quality), of_loop)
+    if more and logs[0].tau is not None:
+        raise ValueError(
+            f"--more-logs is for logs of targets without torque, and {log.name} has torque: leave it out"
+        )
+    last = len(more) + 1
+    test = logs[last] if test_log is not None else None
+    return Inputs(model, log, robot, logs[0], test, tuple(quality), tuple(logs[1:last]), of_loop)
 
 
 def diagnosed(
@@ -134,8 +142,10 @@ def diagnosed(
     By replays where there is no torque; where there are both, by torque, and the position loop on its own.
     """
     if inputs.log.tau is None:
-        paths, logs = (inputs.path, inputs.model), (inputs.log, inputs.test_log)
-        return replay_run.diagnosed(folder, paths, logs, gains, exclude, inputs.quality, stage)
+        paths, logs = (inputs.path, inputs.model), (inputs.log, *inputs.more)
+        return replay_run.diagnosed(
+            folder, paths, logs, inputs.test_log, gains, exclude, inputs.quality, stage
+        )
     show_it = by_torque(folder, inputs, exclude, max_effects, stage)
     if inputs.of_loop:
         return show_it

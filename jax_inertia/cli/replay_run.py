@@ -18,17 +18,18 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
-from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import loadable
-from jax_inertia.preflight.preflight import Finding, Severity, preflight
-from jax_inertia.replay import command, report
+from jax_inertia.preflight.preflight import Finding, Severity
+from jax_inertia.replay import command, report, simulate
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
+from jax_inertia.replay.entry import by_replays, nominal_spec, usable
+from jax_inertia.replay.figures import replays
 from jax_inertia.replay.loop import Loop, position_loop
-from jax_inertia.replay.pipeline import FLOATS, diagnose
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import record_of
 from jax_inertia.replay.result import Diagnosis, Replayed, total
-from jax_inertia.replay.simulate import Plant, fixed_base, record_of
 from jax_inertia.signals.held import with_loop_torque
 from jax_inertia.text.words import chance, number, percent, plain, unit
 
@@ -43,14 +44,6 @@ class Gains(NamedTuple):
 
 SILENT = Gains()
 """Nothing said."""
-
-
-def nominal_spec(model: Path, fix_base: bool) -> MjSpec:
-    """The model's spec, its base fixed where asked for."""
-    spec = load_spec(model)
-    if fix_base:
-        fixed_base(spec)
-    return spec
 
 
 def by_loop(log: Log, robot: Robot, model: Path, gains: Gains) -> Log:
@@ -77,25 +70,14 @@ def read(
     return one, findings
 
 
-def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
-    """What there is to say of a log that is to be replayed; LogError where it cannot be."""
-    if log.qpos_target is None:
-        raise LogError("a replay needs the joints' position targets: qpos_target")
-    if robot.has_free_base:
-        raise LogError(FLOATS)
-    found = preflight(log, robot)
-    found.raise_for_errors()
-    return found.findings
-
-
 def replay(model: Path, log: Log, gains: Gains) -> tuple[Loop, Replayed]:
     """The log's targets through the model as it is."""
     spec = nominal_spec(model, gains.fix_base)
     compiled = compile_spec(spec, model)
     loop = position_loop(log, compiled, gains.kp, gains.kd, model_first=True)
-    plant, record = Plant(spec, log.joint_names, loop), record_of(log)
-    path = plant.replay((), np.zeros((1, 0)), record)[0]
-    return loop, Replayed(record, path, path, floor(record), "the log")
+    plant, record = Plant(spec, log.joint_names, loop), record_of(log, loop)
+    path = simulate.replay(plant, (), np.zeros((1, 0)), record)[0]
+    return loop, Replayed((record,), (path,), (path,), floor((record,)), "the log")
 
 
 def write_replay(folder: Path, log: Log, loop: Loop, done: Replayed) -> dict:
@@ -113,18 +95,18 @@ def write_replay(folder: Path, log: Log, loop: Loop, done: Replayed) -> dict:
             },
         },
         "loop": report.loop_report(names, loop),
-        "notes": list(objections(done.record, names)),
+        "notes": list(objections(done.records[0], names)),
     }
     out = report.clean(out)
     (folder / "replay.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
-    figure = report.figure(names, done, both=False)
+    figure = replays(names, done, both=False)
     FigureCanvasAgg(figure).print_png(str(folder / "replay.png"))
     return out
 
 
 def largest(done: Replayed) -> np.ndarray:
     """The largest error of each joint [rad]."""
-    return np.abs(done.nominal - done.record.q)[done.record.settled].max(axis=0)
+    return np.abs(done.nominal[0] - done.records[0].q)[done.records[0].settled].max(axis=0)
 
 
 def show_replay(out: dict, where: Path) -> None:
@@ -148,21 +130,23 @@ def show_replay(out: dict, where: Path) -> None:
 def diagnosed(
     folder: Path,
     paths: tuple[Path, Path],
-    logs: tuple[Log, Log | None],
+    logs: Sequence[Log],
+    test_log: Log | None,
     gains: Gains,
     exclude: Sequence[str],
     quality: Sequence[Finding],
     stage: Callable[[str], None],
 ) -> Callable[..., None]:
-    """Diagnose from targets and positions, write all; what prints it. `paths`: log and model."""
+    """Diagnose from targets and positions, write all; what prints it. `paths`: first log and model."""
     source, model = paths
-    found = diagnose(
-        [logs[0]],
-        functools.partial(nominal_spec, model, gains.fix_base),
-        test_log=logs[1],
+    found = by_replays(
+        model,
+        logs,
+        test_log,
+        exclude,
         kp=gains.kp,
         kd=gains.kd,
-        exclude=exclude,
+        fix_base=gains.fix_base,
         progress=stage,
     )
     stage("writing")
@@ -233,15 +217,15 @@ def add_command(
 
     A loop that differs from what is said of it is a gap of its own, whatever the motion says.
     """
-    halves = command.command_half(log)
-    if not halves:
-        return show_rest
     try:
         loop = position_loop(log, compile_spec(load_spec(model), model), gains.kp, gains.kd)
         kp, kd = loop.kp, loop.kd
     except LogError:
         # Nobody says them: what is measured is in the report, and differs from nothing.
-        kp = kd = np.zeros(len(log.joint_names))
+        loop, kp, kd = None, *np.zeros((2, len(log.joint_names)))
+    halves = command.command_half(log, loop)
+    if not halves:
+        return show_rest
     half = report.clean(command.to_report(halves, kp, kd, log.joint_names))
     path = folder / "report.json"
     out = json.loads(path.read_text())

@@ -67,7 +67,8 @@ class Log(eqx.Module):
     [m/s²] at `imu_pos` [m] on `imu_body` (where absent: at the base's origin), in that body's axes.
     `tau` may be absent where there is a `contact_wrench`,
     or `qpos_target`: the position targets of the joints, each from its stamp on, by a loop of
-    gains `kp` [N m/rad] and `kd` [N m s/rad]. `sigma_*` are standard deviations of one sample.
+    gains `kp` [N m/rad] and `kd` [N m s/rad], with velocities `qvel_target` and torques `tau_command`
+    fed forward. `sigma_*` are standard deviations of one sample.
     `tau_unit_text` is the unit in the log's own words. Raises `LogError` where shapes, names or
     units do not fit together, or a stamp is not finite; other values are not looked at, and it may
     be traced.
@@ -90,6 +91,7 @@ class Log(eqx.Module):
     tau_unit_text: str = eqx.field(static=True, default="")
     tau_command: Float[AnyArray, "T n"] | None = None
     qpos_target: Float[AnyArray, "T n"] | None = None
+    qvel_target: Float[AnyArray, "T n"] | None = None
     kp: Float[AnyArray, "n"] | None = None
     kd: Float[AnyArray, "n"] | None = None
     sigma_qpos: Float[AnyArray, "n"] | None = None

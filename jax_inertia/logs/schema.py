@@ -18,6 +18,7 @@ SHAPES: Mapping[str, tuple[str | int, ...]] = {
     "qvel": ("T", "n"),
     "tau_command": ("T", "n"),
     "qpos_target": ("T", "n"),
+    "qvel_target": ("T", "n"),
     "kp": ("n",),
     "kd": ("n",),
     "sigma_qpos": ("n",),

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.simulate import Record
+from jax_inertia.replay.record import Record
 
 LOOSE_TIME = 1e-3
 """How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""
@@ -52,10 +52,13 @@ def encoder_noise(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
     return out
 
 
-def floor(record: Record) -> Float[np.ndarray, " n"]:
-    """What a replay errs by though nothing is wrong, rms [rad]: by encoders, and `LOOSE_TIME` at a joint's speed."""
-    speed = np.sqrt(np.mean(np.gradient(record.q, record.time, axis=0) ** 2, axis=0))
-    return np.sqrt(encoder_noise(record.q) ** 2 + (LOOSE_TIME * speed) ** 2)
+def floor(records: Sequence[Record]) -> Float[np.ndarray, " n"]:
+    """What replays err by though nothing is wrong, rms [rad]: by encoders, and `LOOSE_TIME` at a joint's speed."""
+    square = 0.0
+    for r in records:
+        speed = np.mean(np.gradient(r.q, r.time, axis=0) ** 2, axis=0)
+        square = square + len(r.q) * (encoder_noise(r.q) ** 2 + LOOSE_TIME**2 * speed)
+    return np.sqrt(square / sum(len(r.q) for r in records))
 
 
 def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
@@ -72,27 +75,28 @@ def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
     return out
 
 
-def needed(found: Fit, extra: Float[np.ndarray, " P"]) -> list[int]:
-    """Which numbers differ from the nominal model's for a reason, the surest first.
+def needed(found: Fit, extra: Float[np.ndarray, " P"], rows: Sequence[int]) -> list[int]:
+    """Which of the numbers in `rows` differ from the nominal model's for a reason, the surest first.
 
     Backwards, on the cost's parabola: the number whose return costs least, the others following, is given up for as
     long as that costs less than a number is worth: ln N for N independent samples (BIC). `extra`: deviations of the
     numbers besides those of the fit.
     """
     mean = np.array([p.nominal for p in found.table])
-    off = found.theta - mean
-    covariance = np.linalg.inv(found.hessian) + np.diag(extra**2)
+    off = np.where(np.isfinite(mean), found.theta - mean, 0.0)
+    free = found.free
+    covariance = np.zeros_like(found.hessian)
+    covariance[np.ix_(free, free)] = np.linalg.inv(found.hessian[np.ix_(free, free)])
+    covariance += np.diag(extra**2)
     price = float(np.log(max(found.samples, 2.0)))
-    left = [k for k in range(len(off)) if abs(off[k]) > 0]
-    gone = [k for k in range(len(off)) if k not in left]
-    order = []
+    left = [k for k in rows if abs(off[k]) > 0 and free[k]]
+    gone: list[int] = []
     before = _return(covariance, off, gone)
     while left:
         costs = [_return(covariance, off, [*gone, k]) - before - price for k in left]
         least = int(np.argmin(costs))
         if costs[least] > 0:
             break
-        order.append(left[least])
         gone.append(left.pop(least))
         before = _return(covariance, off, gone)
     return sorted(left, key=lambda k: -abs(off[k]) / np.sqrt(covariance[k, k]))

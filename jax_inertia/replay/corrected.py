@@ -1,7 +1,9 @@
 """The nominal model with the numbers of a fit, as MJCF that replays as the fit did; and the same for a policy.
 
-Attributes of corrected.xml: an actuator's kp, kv, bias, force range, delay and time constant; a joint's armature,
-damping, friction loss, reference, and the `solimpfriction` with which friction holds at rest; a body's inertial.
+Attributes of corrected.xml: an actuator's gains, bias, force range, delay and time constant; a joint's armature,
+damping, friction loss, reference, and the `solimpfriction` with which friction holds at rest; a body's inertial. A dead
+band is a second actuator, told the same targets; play is a second joint on the axis. Friction that varies with torque
+or speed is its mean in the file, and itself in `varying_friction.callback`.
 """
 
 from typing import Any
@@ -13,85 +15,126 @@ from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
-from jax_inertia.replay.loop import Loop
-from jax_inertia.replay.pipeline import size_of, whole
+from jax_inertia.replay.listing import PARAMETERS, size_of, whole
+from jax_inertia.replay.plant import HOLD
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.simulate import HOLD, actuator_of, timing, with_loop
+from jax_inertia.replay.spec_edits import (
+    DEAD,
+    PLAY,
+    actuator_of,
+    add_dead_band,
+    add_play,
+    set_limit,
+    with_loop,
+)
+from jax_inertia.text.closest_names import listed
 
 _FINEST = 5e-4
 
 
 def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
     """Put what was found into a spec, which is changed; what has no attribute is in the remarks."""
-    fit, loop, names, notes = found.found, found.loop, found.names, []
+    loop, names, x, was = found.loop, found.names, found.numbers, found.original
     if loop.source != "model":
         with_loop(spec, names, loop)
-        notes.append(
-            "corrected.xml has a position actuator at every joint of the log, with its gains, as replayed"
-        )
-    delay, lag, offset = timing(fit.table, fit.theta, len(names))
-    if (delay < 0).any():
-        notes.append(
-            "a negative delay of the targets is not in corrected.xml: their stamps are late"
-        )
     for j, name in enumerate(names):
         joint, actuator = spec.joint(name), actuator_of(spec, name)
         if found.verdict is not Verdict.NO_GAP:
             joint.solimp_friction = HOLD
-        step = offset[j] / unit_of(spec, joint)
+        if x.armature[j] != was.armature[j]:
+            # Less than none is a loop's hold, which a model's timestep has too.
+            joint.armature = max(x.armature[j], 0.0)
+        if found.friction[j] != was.dry[j]:
+            joint.frictionloss = found.friction[j]
+        if (damping := x.damping[j] + x.back[j]) != was.damping[j]:
+            joint.damping = set_first(joint.damping, damping)
+        step = x.offset[j] / unit_of(spec, joint)
         joint.ref += step
         joint.springref += step
         joint.range = np.asarray(joint.range) + step
-        late = actuator.delay + delay[j]
-        if late < spec.option.timestep:
-            # MuJoCo makes a whole step of any part of one.
-            late = round(late / spec.option.timestep) * spec.option.timestep
-        if late > 0:
-            actuator.delay = late
-            # By default longer ones are rounded up to whole steps too; along straight lines they are what they say.
-            actuator.interp = 1
-            # Enough of the past for whoever steps finer than the model says.
-            actuator.nsample = int(np.ceil(late / min(spec.option.timestep, _FINEST))) + 2
-        if lag[j] > 0:
-            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-            actuator.dynprm = set_first(actuator.dynprm, lag[j])
-            actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    for p, x in zip(fit.table, fit.theta, strict=True):
-        if p.family == "payload":
-            model = spec.compile()
-            pi = body_pi(model, model.body(p.body).id)
-            set_inertials(spec, {p.body: pi * (pi[0] + x) / pi[0]})
-        elif p.joint >= 0:
-            _edit(spec, names[p.joint], p, float(x), loop)
+        _set_gains(actuator, found, j)
+        _set_timing(spec, actuator, x.delay[j], x.lag[j] if x.lag[j] != was.lag[j] else 0.0)
+        if x.dead[j] > 0:
+            add_dead_band(spec, name, x.dead[j])
+            second = [a for a in spec.actuators if a.name == f"{name}{DEAD}"][-1]
+            _set_timing(spec, second, x.delay[j], x.lag[j])
+            if np.isfinite(x.limit[j]):
+                actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+                joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+                joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
+        if x.play[j] > 0:
+            add_play(spec, name, x.play[j])
+    for body, added in x.mass.items():
+        model = spec.compile()
+        pi = body_pi(model, model.body(body).id)
+        set_inertials(spec, {body: pi * (pi[0] + added) / pi[0]})
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
         spec.delete(key)
     spec.compile()
-    return tuple(notes)
+    return _remarks(found)
 
 
-def _edit(spec: MjSpec, name: str, p, x: float, loop: Loop) -> None:
-    """One number of a joint or its actuator."""
-    joint, actuator = spec.joint(name), actuator_of(spec, name)
-    gear = float(actuator.gear[0])
+def _remarks(found: Diagnosis) -> tuple[str, ...]:
+    """What the file cannot say of itself."""
+    x, out = found.numbers, []
+
+    def where(of: np.ndarray) -> str:
+        return listed([n for n, there in zip(found.names, of, strict=True) if there])
+
+    if found.loop.source != "model":
+        out.append(
+            "corrected.xml has a position actuator at every joint of the log, with its gains, as replayed"
+        )
+    if (x.delay < 0).any():
+        out.append("a negative delay of the targets is not in corrected.xml: their stamps are late")
+    if (x.dead > 0).any():
+        out.append(
+            f"the dead band of {where(x.dead > 0)} is a second actuator (NAME{DEAD}): give it the target of the first"
+        )
+    if (x.play > 0).any():
+        out.append(
+            f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
+        )
+    if x.varies:
+        of = (x.load > 0) | (x.stiction > 0)
+        out.append(
+            f"friction of {where(of)} varies with torque or speed: corrected.xml has its mean; "
+            "jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
+        )
+    return tuple(out)
+
+
+def _set_gains(actuator, found: Diagnosis, j: int) -> None:
+    x, was, gear = found.numbers, found.original, float(actuator.gear[0])
+    ratio = float(x.kp[j] / was.kp[j])
     bias = np.array(actuator.biasprm, float)
-    if p.family == "armature":
-        joint.armature = x
-    elif p.family == "coulomb_friction":
-        joint.frictionloss = x
-    elif p.family == "viscous_friction":
-        kd = min(x, float(loop.kd[p.joint]))
-        joint.damping = set_first(joint.damping, x - kd)
-        bias[2] = -kd / gear**2
-    elif p.family == "kp_scale":
-        actuator.gainprm = set_first(actuator.gainprm, actuator.gainprm[0] * np.exp(x))
-        bias[1] *= np.exp(x)
-    elif p.family == "torque_bias":
-        bias[0] += x / gear
-    elif p.family == "torque_saturation":
-        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        actuator.forcerange = np.exp(x) / abs(gear) * np.array([-1.0, 1.0])
+    if ratio != 1.0:
+        actuator.gainprm = set_first(actuator.gainprm, actuator.gainprm[0] * ratio)
+        bias[1] *= ratio
+    if x.bias[j] != was.bias[j]:
+        bias[0] = x.bias[j] / gear
+    if x.kd[j] - x.back[j] != was.kd[j]:
+        bias[2] = (x.back[j] - x.kd[j]) / gear**2
     actuator.biasprm = bias
+    if x.limit[j] != was.limit[j]:
+        set_limit(actuator, x.limit[j] / abs(gear))
+
+
+def _set_timing(spec: MjSpec, actuator, delay: float, lag: float) -> None:
+    if delay < spec.option.timestep:
+        # MuJoCo makes a whole step of any part of one.
+        delay = round(delay / spec.option.timestep) * spec.option.timestep
+    if delay > 0:
+        actuator.delay = delay
+        # By default longer ones are rounded up to whole steps too; along straight lines they are what they say.
+        actuator.interp = 1
+        # Enough of the past for whoever steps finer than the model says.
+        actuator.nsample = int(np.ceil(delay / min(spec.option.timestep, _FINEST))) + 2
+    if lag > 0:
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        actuator.dynprm = set_first(actuator.dynprm, lag)
+        actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def policy(found: Diagnosis) -> dict[str, Any]:
@@ -115,10 +158,12 @@ def policy(found: Diagnosis) -> dict[str, Any]:
             "range": [max(ends[0], least), ends[1]],
             "unit": number.unit,
         }
+        if not np.all(np.isfinite([entry["value"], *entry["range"]])):
+            continue
         if p.joint >= 0:
             joints.setdefault(found.names[p.joint], {})[_POLICY.get(p.family, p.family)] = entry
         else:
-            shared[f"mass_added.{p.body}" if p.body else "delay"] = entry
+            shared[f"mass_added.{p.body}" if p.body else _shared_name(p.family)] = entry
     for j, name in enumerate(found.names):
         gains = joints.setdefault(name, {})
         gains["kp"] = {"value": float(found.loop.kp[j]), "unit": "N m/rad", "scaled_by": "kp_scale"}
@@ -131,3 +176,7 @@ def policy(found: Diagnosis) -> dict[str, Any]:
 
 
 _POLICY = {"viscous_friction": "damping", "coulomb_friction": "frictionloss"}
+
+
+def _shared_name(family: str) -> str:
+    return PARAMETERS[family] if family.startswith("target_") else family

@@ -1,4 +1,4 @@
-"""The numbers of a replay that fits: Gauss–Newton over MuJoCo replays, all columns of a Jacobian in one call.
+"""The numbers of a replay that fits: Gauss–Newton over MuJoCo replays.
 
 The cost is the replays' error, joint by joint in units of what remains of it, every sample counting for its share of
 an independent one, and a Gaussian prior about the nominal model:
@@ -15,13 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.simulate import Plant, Record
+from jax_inertia.replay.loop import ALL, LOGARITHMIC, Parameter
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.simulate import replay
 
 ROUNDS = 12
 _ENOUGH = 2e-3
 _DAMPINGS = (0.0, 1e-2, 0.1, 1.0, 10.0)
 _DIFFERENCE = 0.02
+# Between Jacobians: steps with a mended one, while each takes so much of the cost.
+_MENDED, _WORTHWHILE = 2, 0.03
 # Of the log, for the first look at kp and delay [s].
 _LOOK = 12.0
 _GUESSED = np.array([-5.0, -4.5, -4.0, -3.5, -3.0, -2.4, -1.8, -1.2, -0.6, 0.0])
@@ -39,12 +43,20 @@ class Fit(NamedTuple):
     """Half the second derivative of the cost, prior included."""
     samples: float
     """How many independent samples the errors are worth."""
-    rms: Float[np.ndarray, " n"]
+    error: Float[np.ndarray, "N n"]
+    columns: Float[np.ndarray, "P N n"]
+    """Derivatives of the error, there or a last small step before."""
+    weights: "Weights"
 
     @property
     def sigma(self) -> Float[np.ndarray, " P"]:
         """Standard deviations."""
         return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def free(self) -> Bool[np.ndarray, " P"]:
+        """Which numbers were fitted."""
+        return np.diagonal(self.covariance) > 0
 
 
 class Weights(NamedTuple):
@@ -67,7 +79,7 @@ def errors(
 ) -> Float[np.ndarray, "B N n"]:
     """Replay minus log of every vector, all records one after the other, where they count [rad]."""
     return np.concatenate(
-        [(plant.replay(table, thetas, r) - r.q)[:, r.settled] for r in records], axis=1
+        [(replay(plant, table, thetas, r) - r.q)[:, r.settled] for r in records], axis=1
     )
 
 
@@ -78,8 +90,8 @@ def weights(error: Float[np.ndarray, "N n"], floor: float) -> Weights:
 
 
 def autocorrelation_time(x: Float[np.ndarray, " N"]) -> float:
-    """1 + 2 Σ ρ_k up to the first k where ρ is not positive, as in Geyer 1992 [samples]."""
-    n = len(x)
+    """1 + 2 Σ ρ_k up to the first k where ρ is not positive, as in Geyer 1992, of x about its mean [samples]."""
+    n, x = len(x), x - np.mean(x)
     power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
     rho = np.fft.irfft(power)[: n // 2]
     if not rho[0] > 0:
@@ -99,7 +111,7 @@ def start(
     theta = np.array([p.nominal for p in table])
     gains = [k for k, p in enumerate(table) if p.family == "kp_scale"]
     late = next(
-        (k for k, p in enumerate(table) if p.family == "target_delay" and p.joint < 0), None
+        (k for k, p in enumerate(table) if p.family == "target_delay" and p.joint == ALL), None
     )
     scales = _GUESSED if guessed else _SAID
     delays = (0.0,) if late is None else _DELAYS
@@ -130,51 +142,120 @@ def fit(
     free: Bool[np.ndarray, " P"] | None = None,
     floor: float = 1e-4,
     rounds: int = ROUNDS,
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+    mended_only: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Fit:
-    """Gauss–Newton from `theta`; numbers that are not free stay where they are."""
-    low, high = (np.array([getattr(p, side) for p in table]) for side in ("low", "high"))
-    mean, sd = np.array([p.nominal for p in table]), np.array([p.sd for p in table])
-    free = np.ones(len(table), bool) if free is None else free
-    theta = np.clip(theta, low, high)
+    """Gauss–Newton from `theta`; numbers that are not free stay where they are.
+
+    Between Jacobians, up to two steps with one that is mended by Broyden's formula: a replay for each try, where a
+    Jacobian takes one for each number. `known`: error and derivatives near the start, from another fit;
+    `mended_only`: with no other Jacobian than that.
+    """
+    problem = _Problem(plant, tuple(table), records, floor, np.ones(len(table), bool))
+    if free is not None:
+        problem = problem._replace(free=free)
+    theta = np.clip(theta, *problem.bounds)
+    error, columns = known or derivatives(plant, table, records, theta, problem.free)
+    mended = int(known is not None)
     for k in range(rounds):
         progress(f"fitting replays, round {k + 1}")
-        error, columns = derivatives(plant, table, records, theta, free)
-        w = weights(error, floor)
+        step = problem.step(theta, error, columns)
+        if step.gain > _ENOUGH:
+            new, now = step.theta, step.error
+            if mended_only or (mended < _MENDED and step.gain > _WORTHWHILE):
+                columns = mend(plant, problem.table, columns, new - theta, now - error)
+                theta, error, mended = new, now, mended + 1
+                continue
+            theta = new
+        elif mended_only or not mended:
+            if step.gain > 0:
+                theta, error = step.theta, step.error
+            break
+        error, columns = derivatives(plant, table, records, theta, problem.free)
+        mended = 0
+    if mended and not mended_only:
+        error, columns = derivatives(plant, table, records, theta, problem.free)
+    return _told(problem, theta, error, columns)
+
+
+class _Step(NamedTuple):
+    theta: np.ndarray
+    error: np.ndarray
+    gain: float
+    """By what share the cost falls."""
+
+
+class _Problem(NamedTuple):
+    plant: Plant
+    table: tuple[Parameter, ...]
+    records: Sequence[Record]
+    floor: float
+    free: np.ndarray
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([p.low for p in self.table]), np.array([p.high for p in self.table])
+
+    @property
+    def prior(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of each number; those that stand still have none."""
+        mean = np.array([p.mean for p in self.table])
+        return mean, np.array([p.sd for p in self.table])
+
+    def step(self, theta, error, columns) -> _Step:
+        """The best of a few damped steps."""
+        low, high = self.bounds
+        mean, sd = self.prior
+        w = weights(error, self.floor)
         hessian, gradient = normal(error, columns, w, theta, mean, sd)
         # What stands at a bound and wants beyond stays there.
-        held = ~free | ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
+        held = ~self.free | ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
         go = np.flatnonzero(~held)
         tries = []
         for damping in _DAMPINGS:
             h = hessian[np.ix_(go, go)]
-            step = np.zeros(len(table))
+            step = np.zeros(len(theta))
             step[go] = -np.linalg.solve(h + damping * np.diag(np.diagonal(h)), gradient[go])
             tries.append(np.clip(theta + step, low, high))
-        costs = _cost(errors(plant, table, np.array(tries), records), w, np.array(tries), mean, sd)
-        now = _cost(error[None], w, theta[None], mean, sd)[0]
+        found = errors(self.plant, self.table, np.array(tries), self.records)
+        costs = cost(found, w, np.array(tries)[:, self.free], mean[self.free], sd[self.free])
+        now = cost(error[None], w, theta[None, self.free], mean[self.free], sd[self.free])[0]
         best = int(np.argmin(costs))
-        if not costs[best] < now:
-            break
-        theta = tries[best]
-        if now - costs[best] < _ENOUGH * now:
-            break
-    return _told(plant, table, records, theta, free, floor)
+        return _Step(tries[best], found[best], float((now - costs[best]) / now))
 
 
-def _told(plant, table, records, theta, free, floor) -> Fit:
+def mend(plant: Plant, table, columns, step, change) -> np.ndarray:
+    """Derivatives that say of the last step what it did (Broyden), each joint's by the numbers of its tree."""
+    step = np.nan_to_num(step)
+    scaled = step / np.array([p.sd for p in table])
+    share = scaled[:, None] * touches(plant, table)
+    lacking = change - np.einsum("p,pnj->nj", step, columns)
+    size = np.maximum(np.sum(share**2, axis=0), 1e-300)
+    by = share / size / np.array([p.sd for p in table])[:, None]
+    return columns + by[:, None] * lacking
+
+
+def touches(plant: Plant, table: Sequence[Parameter]) -> Bool[np.ndarray, "P n"]:
+    """Which joints' positions each number can change."""
+    trees = [plant.tree_of(p) for p in table]
+    return np.array(
+        [np.ones_like(plant.trees, bool) if t is None else plant.trees == t for t in trees]
+    )
+
+
+def _told(problem: _Problem, theta, error, columns) -> Fit:
     """How well the numbers are known: the wider, number by number, of two ways to allow for errors that last.
 
     One counts samples by their autocorrelation; the other is the sandwich H⁻¹ Σ_b g_b g_bᵀ H⁻¹ over blocks b of the
     log, which is a jackknife over them to first order.
     """
-    mean, sd = np.array([p.nominal for p in table]), np.array([p.sd for p in table])
-    error, columns = derivatives(plant, table, records, theta, free)
-    w = weights(error, floor)
-    hessian, _ = normal(error, columns, w, theta, mean, sd)
+    table, free = problem.table, problem.free
+    w = weights(error, problem.floor)
+    hessian, _ = normal(error, columns, w, theta, *problem.prior)
     go = np.flatnonzero(free)
     inverse = np.linalg.inv(hessian[np.ix_(go, go)])
-    length = int(max(2.0 * np.max(w.correlated), 1.0 / records[0].period))
+    length = int(max(2.0 * np.max(w.correlated), 1.0 / problem.records[0].period))
     blocks = max(len(error) // length, 1)
     white, rest, scores = columns * w.root, error * w.root, []
     for rows in np.array_split(np.arange(len(error)), blocks):
@@ -185,37 +266,50 @@ def _told(plant, table, records, theta, free, floor) -> Fit:
     covariance = np.zeros((len(table),) * 2)
     covariance[np.ix_(go, go)] = np.minimum(np.outer(wider, wider), 1e6) * inverse
     samples = float(np.sum(len(error) / w.correlated))
-    return Fit(
-        tuple(table), theta, covariance, hessian, samples, np.sqrt(np.mean(error**2, axis=0))
-    )
+    return Fit(table, theta, covariance, hessian, samples, error, columns, w)
 
 
 def derivatives(plant, table, records, theta, free) -> tuple[np.ndarray, np.ndarray]:
-    """Error (N, n) and its derivatives (P, N, n), by differences as wide as the encoders can see."""
+    """Error (N, n) and its derivatives (P, N, n), by differences as wide as the encoders can see.
+
+    Numbers of separate trees of joints, which do not feel each other, share a replay.
+    """
     steps = np.array([_DIFFERENCE * (p.sd if np.isfinite(p.sd) else 1.0) for p in table])
-    steps = np.maximum(
-        steps, _DIFFERENCE * np.abs(theta) * np.array([p.family not in _LOG for p in table])
-    )
+    linear = np.array([p.family not in LOGARITHMIC for p in table])
+    steps = np.maximum(steps, _DIFFERENCE * np.abs(np.where(linear, theta, 0.0)))
     steps = np.where(theta + steps > np.array([p.high for p in table]), -steps, steps)
     go = np.flatnonzero(free)
-    thetas = np.repeat(theta[None], len(go) + 1, axis=0)
-    thetas[np.arange(len(go)) + 1, go] += steps[go]
+    rows = together([plant.tree_of(table[k]) for k in go])
+    thetas = np.repeat(theta[None], max(rows, default=-1) + 2, axis=0)
+    for k, row in zip(go, rows, strict=True):
+        thetas[row + 1, k] += steps[k]
     out = errors(plant, table, thetas, records)
     jacobian = np.zeros((len(table), *out.shape[1:]))
-    jacobian[go] = (out[1:] - out[0]) / steps[go, None, None]
-    return out[0], jacobian
+    for k, row in zip(go, rows, strict=True):
+        jacobian[k] = (out[row + 1] - out[0]) / steps[k]
+    return out[0], jacobian * touches(plant, table)[:, None]
 
 
-_LOG = ("kp_scale", "torque_saturation")
+def together(trees: Sequence[int | None]) -> list[int]:
+    """A replay's number for each change: those of separate trees share one, those of all joints have their own."""
+    out, used = [], dict.fromkeys({t for t in trees if t is not None}, 0)
+    for t in trees:
+        out.append(-1 if t is None else used[t])
+        if t is not None:
+            used[t] += 1
+    shared = max(used.values(), default=0)
+    alone = iter(range(shared, shared + len(trees)))
+    return [next(alone) if row < 0 else row for row in out]
 
 
 def normal(error, jacobian, w: Weights, theta, mean, sd) -> tuple[np.ndarray, np.ndarray]:
     """Half the cost's second derivative, and half its gradient."""
     flat = (jacobian * w.root).reshape(len(theta), -1)
     prior = 1.0 / sd**2
-    gradient = flat @ (error * w.root).ravel() + prior * (theta - mean)
+    away = np.where(np.isfinite(theta), theta - mean, 0.0)
+    gradient = flat @ (error * w.root).ravel() + prior * away
     return flat @ flat.T + np.diag(prior), gradient
 
 
-def _cost(error, w: Weights, thetas, mean, sd) -> np.ndarray:
+def cost(error, w: Weights, thetas, mean, sd) -> np.ndarray:
     return np.sum((error * w.root) ** 2, axis=(1, 2)) + np.sum(((thetas - mean) / sd) ** 2, axis=1)

@@ -2,9 +2,9 @@
 
 The torque at a joint is what its loop gives, within its limit:
 
-    τ = clip(kp (q*(t − d) − q) + b, ± L) − v q̇
+    τ = clip(kp (q*(t − d) − q) + kd (q̇* − q̇) + τ_ff + b, ± L) − v q̇
 
-v being the loop's kd and the joint's viscous friction in one: from positions alone nothing tells them apart.
+From positions at one setting of kd alone nothing tells kd and viscous friction v apart: their sum is one number.
 """
 
 from collections.abc import Mapping, Sequence
@@ -91,18 +91,29 @@ def _one_each(name: str, values: Sequence[float] | None, n: int) -> np.ndarray |
     return np.broadcast_to(out, (n,)).copy()
 
 
+ALL = -1
+"""In place of a joint: all of them."""
+
+
 class Parameter(NamedTuple):
     """One number that a replay depends on: where the nominal model has it, how far off it may well be, its bounds."""
 
     family: str
     joint: int
-    """Place among the log's joints; −1 for all of them."""
+    """Place among the log's joints, or `ALL`."""
     nominal: float
     sd: float
-    """Of the prior, about the nominal value."""
+    """Of the prior, about `mean`."""
     low: float
     high: float
     body: str = ""
+    centre: float | None = None
+    """Of the prior, where that is not the nominal value: of what is not there in the nominal model at all."""
+
+    @property
+    def mean(self) -> float:
+        """The prior's."""
+        return self.nominal if self.centre is None else self.centre
 
 
 UNITS: Mapping[str, str] = {
@@ -116,15 +127,23 @@ UNITS: Mapping[str, str] = {
     "torque_saturation": "N m",
     "target_lag": "s",
     "payload": "kg",
+    "kd_scale": "1",
+    "torque_speed": "N m s/rad",
+    "dead_band": "rad",
+    "backlash": "rad",
+    "load_friction": "1",
+    "stribeck_friction": "N m",
+    "stribeck_velocity": "rad/s",
 }
-LOGARITHMIC = ("kp_scale", "torque_saturation")
-"""Families whose number in the vector is a logarithm: of kp over the one that is said, of the limit in N m."""
+LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation")
+"""Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""
 ORDINARY = (
     "armature",
     "viscous_friction",
     "coulomb_friction",
     "encoder_offset",
     "kp_scale",
+    "kd_scale",
     "target_delay",
 )
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
@@ -133,6 +152,12 @@ _OFFSET, _DELAY = 0.05, 0.02
 _LONGEST_DELAY = 0.3
 # A model without friction or rotor is still one of a joint that has them.
 _DRY_SHARE = 0.3
+_HOLD = 1e-3
+"""Of a position loop [s]: half a period at 500 Hz."""
+# Of a link's inertia at most, or there is none left in some posture.
+_OWN = 0.2
+# Settings of kd that part kd from viscous friction differ by so much of it.
+_APART = 0.05
 
 
 def ordinary(
@@ -143,8 +168,11 @@ def ordinary(
     inertia: Float[np.ndarray, " n"],
     torque: Float[np.ndarray, " n"],
     period: float,
+    settings: Sequence[Loop] = (),
 ) -> tuple[Parameter, ...]:
     """What every robot of this kind has: five numbers a joint and one delay of the targets.
+
+    A joint whose kd differs between `settings`, the loops of the logs, has a number for kd too.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
     model lacks may be. Stamps of targets may be up to one `period` of the log late.
@@ -156,11 +184,17 @@ def ordinary(
         # Critical damping is what a designer aims at.
         typical = max(viscous, 0.5 * float(np.sqrt(loop.kp[j] * inertia[j])))
         dry = max(friction[j], _DRY_SHARE * torque[j])
+        held = min(_HOLD * loop.kd[j], _OWN * max(inertia[j] - armature[j], 0.0))
         out += [
-            Parameter("armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), 1e-5, np.inf),
+            # A loop's own hold takes kd · hold from the inertia that it sees.
+            Parameter(
+                "armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), -held, np.inf
+            ),
             Parameter("viscous_friction", j, viscous, typical, 0.0, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
         ]
-    return (*out, Parameter("target_delay", -1, 0.0, _DELAY, -period, _LONGEST_DELAY))
+        if any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings):
+            out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
+    return (*out, Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))

@@ -1,41 +1,41 @@
 """What may be wrong beyond what every robot has: candidates that compete on what the ordinary numbers leave.
 
-Each is one more number, judged by its column: by how much the cost would fall, the others following.
+Each is tried at a few sizes, the ordinary numbers following along the cost's parabola; the best few are fitted, and the
+best of them stays if evidence and a replay that played no part both ask for it.
 """
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.candidates import Candidate, candidates
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.simulate import Plant, Record
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record
 
-MOST = 4
+MOST = 6
 LOG_ODDS = float(np.log(20.0))
 """Against any one odd effect: one robot in twenty has it."""
-_BIAS_SHARE, _LAG, _OWN_DELAY, _MASS_SHARE = 0.5, 0.02, 0.01, 0.5
 _GAIN = 0.02
+_FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
+_ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
+"""Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
+_CONTENDERS = 0.3
+"""Of the best one's gain, before any is fitted, what another one must promise."""
+_AS_GOOD = 2.0 * float(np.log(20.0))
+"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 
 
-def candidates(plant: Plant, torque: Float[np.ndarray, " n"]) -> tuple[Parameter, ...]:
-    """One parameter each: torque bias, lag and own delay of a joint's targets, mass at a body that moves."""
-    out = []
-    for j in range(len(plant.names)):
-        out += [
-            Parameter("torque_bias", j, 0.0, _BIAS_SHARE * torque[j], -np.inf, np.inf),
-            Parameter("target_lag", j, 0.0, _LAG, 0.0, 0.5),
-            Parameter("target_delay", j, 0.0, _OWN_DELAY, 0.0, 0.2),
-        ]
-    model = plant.model
-    for b in range(1, model.nbody):
-        name = model.body(b).name
-        if name and model.body_mass[b] > 0 and model.body_weldid[b] > 0:
-            sd = max(_MASS_SHARE * model.body_mass[b], 0.02 * float(model.body_mass.sum()))
-            out.append(Parameter("payload", -2, 0.0, sd, -0.9 * model.body_mass[b], np.inf, name))
-    return tuple(out)
+class Odd(NamedTuple):
+    """An effect that was added: its numbers in the fit's table, and what would do nearly as well in its place."""
+
+    candidate: Candidate
+    rows: tuple[int, ...]
+    rivals: tuple[Candidate, ...]
 
 
 def add_odd(
@@ -45,34 +45,47 @@ def add_odd(
     held_out: Sequence[Record],
     torque: Float[np.ndarray, " n"],
     floor: float,
+    exclude: Sequence[str],
     progress: Callable[[str], None],
-) -> Fit:
+) -> tuple[Fit, tuple[Odd, ...]]:
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
-    pool = list(candidates(plant, torque))
-    best = _square(plant, found, held_out)
+    now = plant.numbers(found.table, found.theta, None)
+    pool = [c for c in candidates(plant, records, now, torque) if c.family not in exclude]
+    best, out = _square(plant, found, held_out), []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
-        gains = _gains(plant, found, pool, records, floor)
-        if not len(gains):
+        fits = [
+            (c, _fitted(plant, found, c, start, records, floor))
+            for c, start in _finalists(plant, found, pool, records)
+        ]
+        if k == 0:
+            fits += _afresh(plant, found, pool, records, floor)
+        passed = []
+        for c, tried in fits:
+            evidence = total_cost(found, found) - total_cost(tried, found) - _price(found, c)
+            # A number that does not carry over to another stretch is none of the robot's.
+            carries = _square(plant, tried, held_out) <= (1.0 - _GAIN) ** 2 * best
+            if evidence > 0 and carries:
+                passed.append((evidence, c, tried))
+        if not passed:
             break
-        first = int(np.argmax(gains))
-        if gains[first] < np.log(found.samples) + 2.0 * LOG_ODDS:
-            break
-        new = pool.pop(first)
-        table = (*found.table, new)
-        free = np.append(_free(found), True)
-        start = np.append(found.theta, new.nominal)
-        tried = fitting.fit(plant, table, records, start, free=free, floor=floor, rounds=4)
-        square = _square(plant, tried, held_out)
-        # A number that does not carry over to another stretch is none of the robot's.
-        if square > (1.0 - _GAIN) ** 2 * best:
-            continue
-        found, best = tried, square
-    return found
+        passed.sort(key=lambda x: -x[0])
+        evidence, first, tried = passed[0]
+        found = fitting.fit(
+            plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=_ROUNDS,
+            known=(tried.error, tried.columns),
+        )  # fmt: skip
+        best = _square(plant, found, held_out)
+        rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
+        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - _AS_GOOD and c is not first)
+        out.append(Odd(first, rows, rivals))
+        pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
+    return found, tuple(out)
 
 
-def _free(found: Fit) -> np.ndarray:
-    return np.diagonal(found.covariance) > 0
+def _price(found: Fit, c: Candidate) -> float:
+    """What the cost must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
+    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
 def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
@@ -80,26 +93,135 @@ def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
     return float(np.mean(error**2))
 
 
-def _gains(plant, found: Fit, pool, records, floor) -> np.ndarray:
-    """By how much the cost falls with each candidate, the free numbers following, on the cost's parabola."""
-    if not pool:
-        return np.zeros(0)
-    table = (*found.table, *pool)
-    theta = np.append(found.theta, [p.nominal for p in pool])
-    n = len(found.table)
-    own = np.flatnonzero(_free(found))
-    free = np.concatenate([_free(found), np.ones(len(pool), bool)])
-    error, columns = fitting.derivatives(plant, table, records, theta, free)
-    w = fitting.weights(error, floor)
-    mean, sd = np.array([p.nominal for p in table]), np.array([p.sd for p in table])
-    hessian, gradient = fitting.normal(error, columns, w, theta, mean, sd)
-    inverse = np.linalg.inv(hessian[np.ix_(own, own)])
+def _finalists(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record]
+) -> list[tuple[Candidate, tuple[float, ...]]]:
+    """The candidates that promise most, and where each starts."""
+    tries = [(c, s) for c in pool for s in c.starts]
+    if not tries:
+        return []
+    follow = _Following(found)
+    best: dict[tuple, tuple] = {}
+    for c, start, error in tried_errors(plant, found, tries, records):
+        share, gain = follow.scaled(c, start, error) if c.scales else (1.0, follow.gain(error))
+        key = c.family, c.place
+        if gain > _price(found, c) and (key not in best or gain > best[key][0]):
+            start = tuple(share * np.array(start))
+            best[key] = gain, c, start
+    order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
+    least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
+    return [(c, start) for gain, c, start in order if gain >= least]
+
+
+def tried_errors(
+    plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
+) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
+    """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
+    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]))
+    for first in range(0, rows.max() + 1, _AT_ONCE):
+        mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
+        more = [p for k in mine for p in tries[k][0].parameters]
+        theta = np.concatenate([found.theta, [p.nominal for p in more]])
+        thetas = np.repeat(theta[None], rows[mine].max() - first + 1, axis=0)
+        at = len(found.table)
+        for k in mine:
+            thetas[rows[k] - first, at : at + len(tries[k][1])] = tries[k][1]
+            at += len(tries[k][1])
+        changed = fitting.errors(plant, (*found.table, *more), thetas, records)
+        for k in mine:
+            c, start = tries[k]
+            touched = fitting.touches(plant, c.parameters[:1])[0]
+            yield c, start, np.where(touched, changed[rows[k] - first], found.error)
+
+
+class _Following:
+    """By how much the cost falls with a change of the error, the free numbers following on the cost's parabola."""
+
+    def __init__(self, found: Fit):
+        self.found, self.free = found, found.free
+        w = found.weights
+        self.flat = (found.columns[self.free] * w.root).reshape(self.free.sum(), -1)
+        hessian = found.hessian[np.ix_(self.free, self.free)]
+        self.inverse = np.linalg.inv(hessian)
+        mean, sd = (np.array([getattr(p, k) for p in found.table]) for k in ("mean", "sd"))
+        self.pull = ((found.theta - mean) / sd**2)[self.free]
+        self.now = self._cost(found.error)
+
+    def _cost(self, error: np.ndarray) -> float:
+        white = (error * self.found.weights.root).ravel()
+        gradient = self.flat @ white + self.pull
+        return float(white @ white - gradient @ self.inverse @ gradient)
+
+    def gain(self, error: np.ndarray) -> float:
+        """Of an error as it is."""
+        return self.now - self._cost(error)
+
+    def scaled(self, c: Candidate, start, error: np.ndarray) -> tuple[float, float]:
+        """(multiple of the start, gain) where the change is best scaled, prior and bounds of the number included."""
+        p, change = c.parameters[0], error - self.found.error
+        costs = [self._cost(self.found.error + x * change) for x in (-1.0, 0.0, 1.0)]
+        prior = (start[0] / p.sd) ** 2
+        slope, bend = 0.5 * (costs[2] - costs[0]), 0.5 * (costs[2] + costs[0]) - costs[1] + prior
+        share = -slope / (2.0 * max(bend, 1e-300))
+        share = float(np.clip(share * start[0], p.low, p.high)) / start[0]
+        return share, -(slope * share + bend * share**2)
+
+
+def _afresh(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with a dead band that do not start at the numbers without one.
+
+    A soft loop with much friction passes for a stiff one with a dead band, and no small step leads from one to the
+    other: gain, friction and dead band are looked for together, at the joints whose replays err most.
+    """
+    error = np.sqrt(np.mean(found.error**2, axis=0))
+    pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
+    pool = sorted(
+        (c for c in pool if error[c.place[0]] > _ROUGH * floor), key=lambda c: -error[c.place[0]]
+    )
+    where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
     out = []
-    for c in range(n, len(table)):
-        across = hessian[own, c]
-        curvature = hessian[c, c] - across @ inverse @ across
-        slope = gradient[c] - across @ inverse @ gradient[own]
-        wanted = -slope / max(curvature, 1e-300)
-        beyond = wanted + theta[c] < table[c].low
-        out.append(0.0 if beyond else slope**2 / max(curvature, 1e-300))
-    return np.array(out)
+    for c in pool[:_AFRESH]:
+        gain, dry, wet = (
+            where.get((f, c.place[0]), -1)
+            for f in ("kp_scale", "coulomb_friction", "viscous_friction")
+        )
+        if min(gain, dry, wet) < 0:
+            continue
+        table, tries = (*found.table, *c.parameters), []
+        for (width,), stiffer, rubs in itertools.product(c.starts, _STIFFER, (True, False)):
+            theta = np.append(found.theta, width)
+            theta[gain] += stiffer
+            if not rubs:
+                theta[[dry, wet]] = table[dry].nominal, table[wet].nominal
+            tries.append(theta)
+        weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
+        theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
+        free = np.append(found.free, True)
+        out.append(
+            (c, fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS))
+        )
+    return out
+
+
+def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
+    """A first fit with a candidate."""
+    table = (*found.table, *c.parameters)
+    theta = np.append(found.theta, start)
+    new = np.zeros(len(table), bool)
+    new[len(found.table) :] = True
+    error, columns = fitting.derivatives(plant, table, records, theta, new)
+    columns[: len(found.table)] = found.columns
+    free = np.append(found.free, np.ones(len(c.parameters), bool))
+    return fitting.fit(
+        plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS, known=(error, columns),
+        mended_only=True,
+    )  # fmt: skip
+
+
+def total_cost(fit: Fit, weighed: Fit) -> float:
+    """Cost of a fit at the weights of another."""
+    free = fit.free
+    mean, sd = (np.array([getattr(p, k) for p in fit.table])[free] for k in ("mean", "sd"))
+    return float(fitting.cost(fit.error[None], weighed.weights, fit.theta[None, free], mean, sd)[0])

@@ -1,38 +1,33 @@
-"""From a log of targets and encoders to what the model lacks, proved by replays."""
+"""From logs of targets and encoders to what the model lacks, proved by replays."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, odd
+from jax_inertia.replay import checks, listing, odd
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.loop import (
-    LOGARITHMIC,
-    ORDINARY,
-    UNITS,
-    Loop,
-    Parameter,
-    ordinary,
-    position_loop,
-)
-from jax_inertia.replay.result import Diagnosis, Effect, Replayed, Size, total
-from jax_inertia.replay.simulate import Plant, Record, record_of
+from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record, record_of, step_means
+from jax_inertia.replay.result import Diagnosis, Replayed, total
+from jax_inertia.replay.simulate import replay
 
 FIT_SHARE = 0.7
-"""Of a log without another one to test on, what is fitted; the rest is replayed."""
-LONGEST = 40.0
-"""Of each log, what is fitted at most [s]."""
-_AT_FLOOR = 2.0
-_NEARLY, _SOME = 0.35, 0.8
+"""Of logs without another one beside them, what is fitted; the rest is replayed."""
+LONGEST, SHORTEST = 60.0, 8.0
+"""Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _IDLE, _LISTED = 0.005, 0.01
 _SPARSER = 1.01
 _CREEPS = 1.1
+
+Progress = Callable[[str], None]
 
 
 def diagnose(
@@ -43,92 +38,175 @@ def diagnose(
     kp: Sequence[float] | None = None,
     kd: Sequence[float] | None = None,
     exclude: Sequence[str] = (),
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Progress = lambda text: None,
 ) -> Diagnosis:
     """Find what the model lacks, from targets and positions alone; `spec` gives the nominal model anew at each call.
 
-    The fit sees `logs` (without a test log, the first 70 % of the only one); verdict, shares and gate are of replays of
-    the rest. Raises `LogError` where joints or gains are missing.
+    The fit sees `logs` (without a test log, the first 70 % of each); verdict, shares and gate are of replays of the
+    rest. Logs may be of different gains. Raises `LogError` where joints or gains are missing.
     """
     names = logs[0].joint_names
-    records, held, of = _parts(logs, test_log)
-    loop = position_loop(logs[0], spec().compile(), kp, kd)
     check_base(spec().compile())
+    loops = [position_loop(log, spec().compile(), kp, kd) for log in logs]
+    loop = loops[0]
+    test_loop = loop if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
+    wholes, records, held, of = _parts(logs, loops, test_log, test_loop)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
-    torque = typical_torque(plant, records)
-    table = tuple(p for p in _ordinary(plant, records, torque) if p.family not in exclude)
-    theta0 = np.array([p.nominal for p in table])
-    floor = checks.floor(held)
-    # What the clocks leave is no noise of a sample: the fit may take it up in its delay.
-    least = float(np.sqrt(np.mean(checks.encoder_noise(held.q) ** 2)))
     progress("replaying the nominal model")
-    nominal = bare.replay((), np.zeros((1, 0)), held)[0]
-    replayed = Replayed(held, nominal, nominal, floor, of)
-    before = replayed.before
-    progress("looking for kp and delay")
-    start = fitting.start(plant, table, records, loop.source == "model")
-    everything = fitting.fit(plant, table, records, start, floor=least, progress=progress)
-    if np.all(before <= _AT_FLOOR * floor):
-        found, kept = everything._replace(theta=theta0), []
-        after_path, worse, creeping = nominal, (), before
-    else:
-        held_back = _causal(plant, everything, records, least, progress)
-        found = _sparse(plant, held_back, records, held, loop, least, progress)
-        if "odd" not in exclude:
-            found = odd.add_odd(plant, found, records, [held], torque, least, progress)
-        progress("taking each effect back")
-        found, shares = _gated(plant, found, held, before)
-        kept = [(k, s) for k, s in shares.items() if s > _LISTED and _distinct(found, k, loop)]
-        after_path = plant.replay(found.table, found.theta[None], held)[0]
-        after = replayed.error(after_path)
-        creeping = replayed.error(bare.replay(found.table, found.theta[None], held)[0])
-        worse = tuple(
-            n for n, a, b, f in zip(names, after, before, floor, strict=True)
-            if a > max(1.05 * b, 1.5 * f)
-        )  # fmt: skip
-    replayed = Replayed(held, nominal, after_path, floor, of)
-    effects = tuple(_effect(found, k, s, loop, names) for k, s in sorted(kept, key=lambda x: -x[1]))
-    verdict, confidence = _verdict(replayed, effects)
-    notes = [*checks.objections(records[0], names), *_notes(everything, loop)]
-    if total(creeping) > _CREEPS * total(replayed.after):
-        notes.append(
-            "friction that holds a joint at rest (solimpfriction in corrected.xml) matters: with MuJoCo's own, which "
-            f"creeps, the same numbers err by {total(creeping):.2g} rad"
-        )
+    nominal = _paths(bare, (), np.zeros(0), held)
+    replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
+    torque = typical_torque(plant, records)
+    table = tuple(p for p in _ordinary(plant, records, torque, loops) if p.family not in exclude)
+    sound = bool(np.all(replayed.before <= listing.AT_FLOOR * replayed.floor))
+    everything, found, extra, shares = _fitted(
+        plant, table, records, held, torque, replayed.before, sound, exclude, progress
+    )
+    after = nominal if sound else _paths(plant, found.table, found.theta, held)
+    replayed = Replayed(held, nominal, after, replayed.floor, of)
+    if not sound:
+        fan = _fan(plant, found, held[replayed.shown])
+        replayed = dataclasses.replace(replayed, fan=fan)
+    left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
+    if not sound and test_log is None:
+        progress("fitting all of it")
+        found = _on_all(plant, found, wholes)
+    kept = {
+        k: s for k, s in shares.items()
+        if (max(k) >= len(table) and s > min(_LISTED, left))
+        or (s > _LISTED and listing.distinct(found, min(k), loop))
+    }  # fmt: skip
+    effects = listing.listed(found, extra, kept, loop, names)
+    verdict, confidence = listing.verdict(replayed, effects)
+    notes = [n for r in records for n in checks.objections(r, names)]
+    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop)]
+    if not sound:
+        notes += _creeping(bare, found, replayed)
+    numbers = plant.numbers(found.table, found.theta, None)
     return Diagnosis(
-        verdict, confidence, _headline(verdict, replayed), names, loop, effects, everything, found, replayed, worse,
-        tuple(notes),
+        verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
+        plant.nominal, _mean_friction(numbers, held), replayed, () if sound else _worse(replayed, names), tuple(notes),
     )  # fmt: skip
 
 
+def _fitted(plant, table, records, held, torque, before, sound, exclude, progress):
+    """All numbers at once, those that are needed, odd effects, and what share each row or rows take."""
+    # What the clocks leave is no noise of a sample: the fit may take it up in its delay.
+    least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in held])))
+    progress("looking for kp and delay")
+    start = fitting.start(plant, table, records, plant.loop.source == "model")
+    scale = np.array(
+        [np.exp(x) for p, x in zip(table, start, strict=True) if p.family == "kp_scale"]
+    )
+    if len(scale) == len(plant.names):
+        plant.retime(plant.loop.kp * np.minimum(2.0 * scale, 1.0))
+    everything = fitting.fit(plant, table, records, start, floor=least, progress=progress)
+    if sound:
+        nominal = np.array([p.nominal for p in table])
+        return everything, everything._replace(theta=nominal), (), {}
+    causal, extra = _causal(plant, everything, records, least, progress), ()
+    found = causal
+    if "odd" not in exclude:
+        found, extra = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
+    if extra:
+        everything = found
+    found = _sparse(plant, found, len(table), records, held, least, progress)
+    progress("taking each effect back")
+    found, shares = _gated(plant, found, [o.rows for o in extra], held, before)
+    return everything, found, extra, shares
+
+
+def _paths(plant: Plant, table, theta, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    return tuple(replay(plant, table, theta[None], r)[0] for r in records)
+
+
+def _fan(plant: Plant, found: Fit, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Between which positions (T, n) nine tenths of replays lie, of numbers drawn as the fit knows them."""
+    low, high = (np.array([getattr(p, side) for p in found.table]) for side in ("low", "high"))
+    size, way = np.linalg.eigh(found.covariance)
+    rng = np.random.default_rng(0)
+    off = rng.normal(size=(_DRAWN, len(size))) * np.sqrt(np.maximum(size, 0.0)) @ way.T
+    away = found.theta != np.array([p.nominal for p in found.table])
+    thetas = np.clip(np.where(away, found.theta + off, found.theta), low, high)
+    lower, upper = np.percentile(replay(plant, found.table, thetas, record), (5.0, 95.0), axis=0)
+    return lower, upper
+
+
+_DRAWN = 32
+
+
+def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
+    """The numbers that are in, fitted to what was held back too, once it has said which those are."""
+    nominal = np.array([p.nominal for p in found.table])
+    free = found.free & (found.theta != nominal)
+    least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in wholes])))
+    return fitting.fit(plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3)
+
+
+def _worse(r: Replayed, names: Sequence[str]) -> tuple[str, ...]:
+    limits = np.maximum(1.05 * r.before, 1.5 * r.floor)
+    return tuple(n for n, a, top in zip(names, r.after, limits, strict=True) if a > top)
+
+
+def _creeping(bare: Plant, found: Fit, r: Replayed) -> list[str]:
+    """What is to be said where friction has to hold joints at rest."""
+    creeping = total(r.error(_paths(bare, found.table, found.theta, r.records)))
+    if creeping <= _CREEPS * total(r.after):
+        return []
+    return [
+        "friction that holds a joint at rest (solimpfriction in corrected.xml) matters: with MuJoCo's own, which "
+        f"creeps, the same numbers err by {creeping:.2g} rad"
+    ]
+
+
+def _mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " n"]:
+    """Dry friction's mean along runs, at the positions that were measured."""
+    sizes = []
+    for r in records:
+        steps = len(r.time)
+        told = step_means(r.told.time, r.told.position, r.period, steps, x.delay, x.lag) - x.offset
+        v = np.gradient(r.q, r.time, axis=0)
+        sizes.append(x.friction(x.torque(told, r.q - x.offset, v), v))
+    return np.mean(np.concatenate(sizes), axis=0)
+
+
 def _ordinary(
-    plant: Plant, records: Sequence[Record], torque: Float[np.ndarray, " n"]
+    plant: Plant, records: Sequence[Record], torque: Float[np.ndarray, " n"], loops: Sequence[Loop]
 ) -> tuple[Parameter, ...]:
     """The ordinary numbers about those of the plant's model."""
     m, dofs = plant.model, plant.dof
     inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
-    return ordinary(plant.loop, *own, inertia, torque, records[0].period)
+    return ordinary(plant.loop, *own, inertia, torque, records[0].period, loops)
 
 
-def _parts(logs: Sequence[Log], test_log: Log | None) -> tuple[list[Record], Record, str]:
-    """What is fitted, what is replayed, and what the latter is called."""
-    records = [record_of(log) for log in logs]
+def _parts(
+    logs: Sequence[Log], loops: Sequence[Loop], test_log: Log | None, test_loop: Loop
+) -> tuple[list[Record], list[Record], tuple[Record, ...], str]:
+    """Whole records, what is fitted of them, what is replayed, and what the latter is called."""
+    records = [record_of(log, loop) for log, loop in zip(logs, loops, strict=True)]
     for r in records:
         if np.ptp(r.target, axis=0).max() < 1e-3:
             raise LogError("qpos_target never changes: it cannot show how the robot follows")
     if test_log is not None:
-        held, of = record_of(test_log), "the other run"
+        held, of = (record_of(test_log, test_loop),), "the other run"
     else:
-        whole = records[-1]
-        cut = int(FIT_SHARE * len(whole.time))
-        records[-1], held, of = (
-            whole.between(0, cut),
-            whole.between(cut, len(whole.time)),
-            "the rest of the log",
-        )
-    records = [r.between(0, int(np.searchsorted(r.time, LONGEST, side="right"))) for r in records]
-    return records, held, of
+        cuts = [int(FIT_SHARE * len(r.time)) for r in records]
+        held = tuple(r.between(k, len(r.time)) for r, k in zip(records, cuts, strict=True))
+        records = [r.between(0, k) for r, k in zip(records, cuts, strict=True)]
+        of = f"the rest of the log{'s' if len(logs) > 1 else ''}"
+    longest = max(LONGEST / len(records), SHORTEST)
+    records = [_first(r, longest) for r in records]
+    wholes = [_first(record_of(log, x), longest) for log, x in zip(logs, loops, strict=True)]
+    return (
+        wholes,
+        records,
+        held if test_log is not None else tuple(_first(r, longest) for r in held),
+        of,
+    )
+
+
+def _first(r: Record, seconds: float) -> Record:
+    return r.between(0, int(np.searchsorted(r.time, seconds, side="right")))
 
 
 FLOATS = (
@@ -159,13 +237,8 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
             data.qpos[plant.qadr] = r.q[k]
             mujoco.mj_forward(plant.model, data)
             weight = data.qfrc_bias[plant.dof].copy()
-            parts.append(np.abs(weight) + plant_inertia(plant, data) * np.abs(a))
+            parts.append(np.abs(weight) + plant.inertia(r.q[k]) * np.abs(a))
     return np.maximum(np.sqrt(np.mean(np.square(parts), axis=0)), 1e-3)
-
-
-def plant_inertia(plant: Plant, data) -> np.ndarray:
-    """Each joint's own inertia where the data are."""
-    return plant.inertia(data.qpos[plant.qadr])
 
 
 def _causal(plant, everything: Fit, records, least, progress) -> Fit:
@@ -177,167 +250,47 @@ def _causal(plant, everything: Fit, records, least, progress) -> Fit:
         return everything
     start = np.where(early, 0.0, everything.theta)
     return fitting.fit(
-        plant,
-        everything.table,
-        records,
-        start,
-        free=~early,
-        floor=least,
-        rounds=6,
-        progress=progress,
-    )
-
-
-def _sparse(plant, everything: Fit, records, held, loop, least, progress) -> Fit:
-    """The numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
-    keep = checks.needed(everything, checks.loose(everything.table, loop))
-    free = np.zeros(len(everything.table), bool)
-    free[keep] = True
-    nominal = np.array([p.nominal for p in everything.table])
-    start = np.where(free, everything.theta, nominal)
-    few = fitting.fit(
-        plant, everything.table, records, start, free=free, floor=least, rounds=5, progress=progress
-    )
-    both = np.stack([everything.theta, few.theta])
-    square = np.mean(fitting.errors(plant, everything.table, both, [held]) ** 2, axis=(1, 2))
-    return few if square[1] <= _SPARSER**2 * square[0] else everything
-
-
-def _gated(plant, found: Fit, held: Record, before) -> tuple[Fit, dict[int, float]]:
-    """Without the numbers that make the held-out replay worse, and what share of its error each of the others takes."""
-    nominal = np.array([p.nominal for p in found.table])
-    energy = float(np.mean(before**2))
-    theta, away, shares = found.theta.copy(), np.zeros(0, int), np.zeros(0)
-    for _ in range(3):
-        away = np.flatnonzero(theta != nominal)
-        thetas = np.repeat(theta[None], len(away) + 1, axis=0)
-        thetas[np.arange(len(away)) + 1, away] = nominal[away]
-        square = np.mean(fitting.errors(plant, found.table, thetas, [held]) ** 2, axis=(1, 2))
-        shares = (square[1:] - square[0]) / energy
-        harm = [k for k, s in zip(away, shares, strict=True) if s < -_IDLE]
-        if not harm:
-            break
-        theta[away[int(np.argmin(shares))]] = nominal[away[int(np.argmin(shares))]]
-    return found._replace(theta=theta), dict(zip(away.tolist(), shares.tolist(), strict=True))
-
-
-def _distinct(found: Fit, k: int, loop: Loop) -> bool:
-    """Whether a number's interval leaves the nominal one out."""
-    p, sd = found.table[k], np.hypot(found.sigma[k], checks.loose(found.table, loop)[k])
-    return bool(abs(found.theta[k] - p.nominal) > 1.96 * sd)
-
-
-CHANGES = ("armature", "viscous_friction", "coulomb_friction")
-"""Families whose effect is what is added to the model's own number."""
-
-
-def whole(p: Parameter, x: float, loop: Loop) -> float:
-    """A number of the vector as people have it."""
-    if p.family in LOGARITHMIC:
-        return float(np.exp(x))
-    if p.family == "viscous_friction":
-        return float(x - loop.kd[p.joint])
-    return float(x)
-
-
-PARAMETERS = {
-    "armature": "armature", "viscous_friction": "damping", "coulomb_friction": "coulomb", "encoder_offset": "offset",
-    "kp_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
-    "torque_saturation": "limit", "payload": "mass",
-}  # fmt: skip
-"""What the one parameter of each family is called."""
-
-
-def size_of(found: Fit, k: int, loop: Loop) -> Size:
-    """A number and its interval; what only the loop's own clock could tell widens it."""
-    p = found.table[k]
-    sd = float(np.hypot(found.sigma[k], checks.loose(found.table, loop)[k]))
-    ends = [whole(p, float(found.theta[k] + s * sd), loop) for s in (0.0, -1.96, 1.96)]
-    return Size(ends[0], ends[1], ends[2], UNITS[p.family])
-
-
-def _effect(found: Fit, k: int, share: float, loop: Loop, names) -> Effect:
-    p = found.table[k]
-    size, nominal, share = size_of(found, k, loop), whole(p, p.nominal, loop), min(share, 1.0)
-    if p.family in CHANGES:
-        size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
-    kind, name = (
-        ("body", p.body)
-        if p.body
-        else ("joint", names[p.joint])
-        if p.joint >= 0
-        else ("global", "global")
-    )
-    is_ordinary = p.family in ORDINARY and not (p.family == "target_delay" and p.joint >= 0)
-    return Effect(
-        p.family, kind, name, PARAMETERS[p.family], size, nominal, share,
-        is_ordinary, _ties(found, k, loop, names),
+        plant, everything.table, records, start, free=~early, floor=least, rounds=6, progress=progress
     )  # fmt: skip
 
 
-_ALWAYS_TIED = {
-    "kp_scale": "torque gain (kp, strength of the motor and voltage are one product: only torque tells them apart)",
-    "viscous_friction": "kd (their sum is what a replay knows)",
-    "encoder_offset": "torque bias (kp · offset is one)",
-    "torque_bias": "encoder offset (offset = bias / kp)",
-}
-_TIED = 0.9
+def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
+    """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
+    keep = checks.needed(full, checks.loose(full.table, plant.loop), range(ordinaries))
+    free = full.free.copy()
+    free[[k for k in range(ordinaries) if k not in keep]] = False
+    nominal = np.array([p.nominal for p in full.table])
+    start = np.where(free, full.theta, nominal)
+    few = fitting.fit(
+        plant, full.table, records, start, free=free, floor=least, rounds=5, progress=progress
+    )
+    both = np.stack([full.theta, few.theta])
+    square = np.mean(fitting.errors(plant, full.table, both, held) ** 2, axis=(1, 2))
+    return few if square[1] <= _SPARSER**2 * square[0] else full
 
 
-def _ties(found: Fit, k: int, loop: Loop, names) -> tuple[tuple[str, str], ...]:
-    """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
-    p = found.table[k]
-    out = [(_ALWAYS_TIED[p.family], "exact")] if p.family in _ALWAYS_TIED else []
-    sigma = found.sigma
-    for i, other in enumerate(found.table):
-        if i == k or not sigma[i] > 0 or not sigma[k] > 0:
-            continue
-        if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
-            where = f" of {names[other.joint]}" if other.joint >= 0 else ""
-            slope = found.covariance[i, k] / sigma[k] ** 2
-            name = other.family.replace("_", " ")
-            out.append((f"{name}{where}: one more here is {slope:.3g} there", "motion_limited"))
-    if p.family in _DELAY_TIES:
-        damps = (
-            f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"
-        )
-        out.append((f"{_DELAY_TIES[p.family]}, in part: {damps}", "motion_limited"))
-    return tuple(out)
+def _gated(
+    plant, found: Fit, odd_rows: Sequence[tuple[int, ...]], held, before
+) -> tuple[Fit, dict[tuple[int, ...], float]]:
+    """Without the numbers that make the held-out replay worse, and what share of its error each of the others takes.
 
-
-_DELAY_TIES = {"target_delay": "viscous friction", "viscous_friction": "target delay"}
-
-
-def _verdict(replayed: Replayed, effects) -> tuple[Verdict, float]:
-    before, after, floor = (total(x) for x in (replayed.before, replayed.after, replayed.floor))
-    if np.all(replayed.before <= _AT_FLOOR * replayed.floor):
-        return Verdict.NO_GAP, 0.9
-    left = np.sqrt(max(after**2 - floor**2, 0.0)) / before
-    if not effects or after > _SOME * before:
-        return Verdict.UNKNOWN, 0.9
-    if after <= 1.5 * floor or after <= _NEARLY * before:
-        return Verdict.EXPLAINED, float(np.clip(1.0 - left, 0.5, 0.97))
-    return Verdict.PARTLY, 0.8
-
-
-def _headline(verdict: Verdict, r: Replayed) -> str:
-    before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
-    if verdict is Verdict.NO_GAP:
-        return f"replay error on {r.of}: {before:.2g} rad, no more than encoders and clocks leave ({floor:.2g} rad)"
-    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks)"
-
-
-def _notes(everything: Fit, loop: Loop) -> list[str]:
-    out = []
-    shared = [p.family == "target_delay" and p.joint < 0 for p in everything.table]
-    for late, sd in zip(everything.theta[shared], everything.sigma[shared], strict=True):
-        if late < -2.0 * np.hypot(sd, checks.LOOSE_TIME):
-            out.append(
-                f"positions lead their targets by {-1e3 * late:.1f} ms: are the stamps of targets late? "
-                "No model can hold that; other numbers take it up"
-            )
-    if loop.source == "model":
-        out.append(
-            "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
-        )
-    return out
+    Numbers of one effect come and go together.
+    """
+    nominal = np.array([p.nominal for p in found.table])
+    energy = float(np.mean(before**2))
+    theta, units, shares = found.theta.copy(), [], np.zeros(0)
+    odd_ones = {k for rows in odd_rows for k in rows}
+    for _ in range(3):
+        away = np.flatnonzero(theta != nominal).tolist()
+        units = [(k,) for k in away if k not in odd_ones]
+        units += [rows for rows in odd_rows if rows[0] in away]
+        thetas = np.repeat(theta[None], len(units) + 1, axis=0)
+        for b, rows in enumerate(units):
+            thetas[b + 1, list(rows)] = nominal[list(rows)]
+        square = np.mean(fitting.errors(plant, found.table, thetas, held) ** 2, axis=(1, 2))
+        shares = (square[1:] - square[0]) / energy
+        if not np.any(shares < -_IDLE):
+            break
+        worst = list(units[int(np.argmin(shares))])
+        theta[worst] = nominal[worst]
+    return found._replace(theta=theta), dict(zip(units, shares.tolist(), strict=True))

@@ -5,18 +5,15 @@ import io
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from jax_inertia.replay.corrected import policy
+from jax_inertia.replay.figures import replays
+from jax_inertia.replay.listing import PARAMETERS, size_of
 from jax_inertia.replay.loop import UNITS, Loop
-from jax_inertia.replay.pipeline import PARAMETERS, size_of
 from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
+from jax_inertia.replay.varying_friction import law
 from jax_inertia.text.report_page import rendered
 from jax_inertia.text.words import chance, number, percent, plain, unit
-
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#666666"
-_SHOWN = 10.0  # Of a motion, seconds about the worst moment.
 
 
 def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> dict[str, Any]:
@@ -28,6 +25,8 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
     shared: dict[str, dict] = {}
     for k, p in enumerate(found.everything.table):
         size = size_of(found.everything, k, found.loop)
+        if p.body:
+            continue
         (joints[found.names[p.joint]] if p.joint >= 0 else shared)[p.family] = _size(size)
     return clean(
         {
@@ -59,6 +58,7 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
             },
             "loop": loop_report(found.names, found.loop),
             "command": command,
+            "friction_law": law(found),
             "policy": policy(found),
             "when": [],
             "undetectable_below": [],
@@ -103,15 +103,28 @@ def _effect(e: Effect) -> dict[str, Any]:
     return {
         "family": e.family,
         "location": {"kind": e.kind, "name": e.name},
+        "half": "command" if e.family in COMMAND else "motion",
         "ordinary": e.ordinary,
-        "parameters": {e.parameter: _size(e.size)},
+        "parameters": {name: _size(size) for name, size in e.sizes},
         "share": e.share,
         "explained_heldout": e.share,
         "equivalent": [
-            {"family": tie, "location": {"kind": e.kind, "name": e.name}, "kind": kind}
-            for tie, kind in e.ties
+            {
+                "family": tie.family,
+                "location": {"kind": tie.kind, "name": tie.name},
+                "kind": "exact" if tie.exact else "motion_limited",
+                "text": tie.text,
+            }
+            for tie in e.ties
         ],
-    }  # fmt: skip
+    }
+
+
+COMMAND = (
+    "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
+    "dead_band",
+)  # fmt: skip
+"""Families between what a joint is told and its torque; the others are between torque and motion."""
 
 
 def _size(s) -> dict[str, Any]:
@@ -129,58 +142,24 @@ def clean(x: Any) -> Any:
     return x if not isinstance(x, float) or np.isfinite(x) else None
 
 
-def figure(names, r: Replayed, *, both: bool = True) -> Figure:
-    """Joint positions as commanded, as measured and as replayed, around the nominal model's largest error."""
-    error = np.abs(r.nominal - r.record.q)
-    worst = float(r.record.time[int(np.argmax(error.max(axis=1)))])
-    first = min(max(worst - 0.5 * _SHOWN, 0.0), max(r.record.time[-1] - _SHOWN, 0.0))
-    rows = (r.record.time >= first) & (r.record.time <= first + _SHOWN)
-    t, n = r.record.time[rows], len(names)
-    columns = 1 if n < 4 else 2
-    high = -(-n // columns)
-    with rc_context({"text.parse_math": False, "font.size": 8.5}):
-        out = Figure((5.4 * columns, 0.9 + 1.5 * high), layout="constrained")
-        grid = out.subplots(high, columns, sharex=True, squeeze=False)
-        for j, axes in enumerate(grid.ravel()[:n]):
-            axes.step(
-                t, r.record.target[rows, j], where="post", color="#bbbbbb", lw=0.9, label="target"
-            )
-            axes.plot(t, r.record.q[rows, j], color="black", lw=1.4, label="robot")
-            axes.plot(
-                t,
-                r.nominal[rows, j],
-                color=ORANGE,
-                lw=1.1,
-                label="model" if not both else "nominal model",
-            )
-            if both:
-                axes.plot(
-                    t, r.corrected[rows, j], color=BLUE, lw=1.1, ls="--", label="corrected model"
-                )
-            text = f"{1e3 * r.before[j]:.3g} mrad" + (f" → {1e3 * r.after[j]:.3g}" if both else "")
-            axes.set_title(f"{names[j]}: {text} rms", fontsize=8.5, loc="left")
-            axes.grid(color="#e3e6ea", lw=0.6)
-        for axes in grid.ravel()[n:]:
-            axes.set_axis_off()
-        for axes in grid[-1]:
-            axes.set_xlabel("time [s]")
-        grid[0, 0].set_ylabel("rad")
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        out.legend(handles, labels, loc="outside upper right", ncols=4, frameon=False)
-    return out
-
-
 def page(found: Diagnosis, report: dict, names: tuple[str, str]) -> str:
     """The report as one HTML file, every name in it escaped; `names`: of log and model."""
     filters = {"plain": plain, "number": number, "percent": percent, "chance": chance}
     out = io.BytesIO()
-    figure(found.names, found.replayed).savefig(out, format="svg", metadata={"Date": None})
+    replays(found.names, found.replayed).savefig(out, format="svg", metadata={"Date": None})
     picture = "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
     families = [f for f in PARAMETERS if any(f in own for own in report["joints"].values())]
+    commanded = [e for e in found.effects if e.family in COMMAND]
+    moving = [e for e in found.effects if e.family not in COMMAND]
+    halves = [
+        ("From targets to torque", "gains, delay, limits, dead band", commanded),
+        ("From torque to motion", "rotor, friction, play, masses, encoders", moving),
+    ]
     return rendered(
         "jax_inertia.replay",
         filters,
         found=found,
+        halves=halves,
         report=report,
         names=names,
         picture=picture,

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Loop
-from jax_inertia.replay.simulate import Record
+from jax_inertia.replay.record import Record
 
 
 class Size(NamedTuple):
@@ -29,30 +30,55 @@ class Effect:
     kind: str
     """Of its place: "joint", "body" or "global"."""
     name: str
-    parameter: str
-    size: Size
+    sizes: tuple[tuple[str, Size], ...]
+    """Its parameters by name, the one that says how large it is first."""
     nominal: float
+    """Of the first."""
     share: float
     """Of the nominal replay's squared error on the checked run: what returns when it alone is left out."""
     ordinary: bool
-    ties: tuple[tuple[str, str], ...]
-    """What positions alone cannot tell it from and by what sum they are bound, each "exact" or "motion_limited"."""
+    ties: tuple["Tie", ...]
+
+    @property
+    def parameter(self) -> str:
+        """The first one's name."""
+        return self.sizes[0][0]
+
+    @property
+    def size(self) -> Size:
+        """The first one's."""
+        return self.sizes[0][1]
+
+
+class Tie(NamedTuple):
+    """What positions alone cannot tell an effect from, by what sum they are bound, and what would part them."""
+
+    family: str
+    kind: str
+    name: str
+    text: str
+    exact: bool
+    """By the equation; else on this motion only."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replayed:
-    """Replays of the run that played no part in the fit."""
+    """Replays of runs that played no part in the fit."""
 
-    record: Record
-    nominal: Float[np.ndarray, "T n"]
-    corrected: Float[np.ndarray, "T n"]
+    records: tuple[Record, ...]
+    nominal: tuple[np.ndarray, ...]
+    """Positions (T, n) of each run."""
+    corrected: tuple[np.ndarray, ...]
     floor: Float[np.ndarray, " n"]
     of: str
-    """Which run: "the other run" or "the rest of the log"."""
+    """Which: "the other run", "the rest of the log" or "the rest of the logs"."""
+    fan: tuple[np.ndarray, np.ndarray] | None = None
+    """Of the shown run: between which positions nine tenths of replays lie, of numbers drawn as the fit knows them."""
 
-    def error(self, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
-        """Of one replay at each joint, rms over what counts [rad]."""
-        return rms((path - self.record.q)[self.record.settled])
+    def error(self, paths: tuple[np.ndarray, ...]) -> Float[np.ndarray, " n"]:
+        """Of replays at each joint, rms over all that counts [rad]."""
+        parts = [(p - r.q)[r.settled] for p, r in zip(paths, self.records, strict=True)]
+        return rms(np.concatenate(parts))
 
     @property
     def before(self) -> Float[np.ndarray, " n"]:
@@ -63,6 +89,15 @@ class Replayed:
     def after(self) -> Float[np.ndarray, " n"]:
         """Error of the corrected model at each joint, rms [rad]."""
         return self.error(self.corrected)
+
+    @property
+    def shown(self) -> int:
+        """The run that the nominal model misses most."""
+        return int(
+            np.argmax(
+                [np.sum((p - r.q) ** 2) for p, r in zip(self.nominal, self.records, strict=True)]
+            )
+        )
 
 
 def rms(error: Float[np.ndarray, "*b T n"]) -> Float[np.ndarray, "*b n"]:
@@ -89,6 +124,12 @@ class Diagnosis:
     """All ordinary numbers at once, with their intervals: what is known of each joint, listed as an effect or not."""
     found: Fit
     """Those that are needed, the others at the nominal model's."""
+    numbers: Numbers
+    """Of every joint of the corrected model."""
+    original: Numbers
+    """Of every joint of the nominal one."""
+    friction: Float[np.ndarray, " n"]
+    """Dry friction's mean along the checked run [N m]."""
     replayed: Replayed
     worse: tuple[str, ...]
     """Joints that the corrected model replays worse than the nominal one."""

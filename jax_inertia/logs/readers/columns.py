@@ -4,7 +4,7 @@ A column is named after the array and what it belongs to:
 
     time                                       s
     qpos.<joint>  qvel.<joint>  tau.<joint>    rad, rad/s, N m (on slides m, m/s, N)
-    tau_command.<joint>  qpos_target.<joint>
+    tau_command.<joint>  qpos_target.<joint>  qvel_target.<joint>
     sigma_qpos.<joint>  sigma_tau.<joint>      one value, repeated
     kp.<joint>  kd.<joint>                     of the position loop, one value, repeated
     base_pos.{x,y,z}  base_quat.{w,x,y,z}  base_linvel.{x,y,z}  base_angvel.{x,y,z}
@@ -49,6 +49,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "qpos_target": _ANGLE,
     "sigma_qpos": _ANGLE,
     "qvel": _RATE,
+    "qvel_target": _RATE,
     "base_pos": _LENGTH,
     "base_quat": {"1": 1.0, "-": 1.0},
     "base_linvel": {f"{unit}/s": factor for unit, factor in _LENGTH.items()},

@@ -97,7 +97,7 @@ def applied(contents: Contents, options: Options) -> Contents:
     if options.degrees and contents.in_radians:
         raise LogError("the file states the unit of its positions itself; leave out degrees")
     if options.degrees:
-        for name in ("qpos", "qvel", "qpos_target"):
+        for name in ("qpos", "qvel", "qpos_target", "qvel_target"):
             if name in arrays:
                 arrays[name] = np.deg2rad(arrays[name])
         notes.append("positions and velocities were turned from degrees into radians")

@@ -1,0 +1,140 @@
+"""Effects that few robots have: which numbers each takes, and at which sizes it is first tried."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.loop import ALL, Parameter
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record, step_means
+
+
+class Candidate(NamedTuple):
+    """One effect at one place."""
+
+    family: str
+    parameters: tuple[Parameter, ...]
+    starts: tuple[tuple[float, ...], ...]
+    """Values of the parameters to be tried."""
+    scales: bool = False
+    """Whether its column grows with its size, so that one start is enough and its best size is on a parabola."""
+
+    @property
+    def place(self) -> tuple[int, str]:
+        """Joint and body."""
+        return self.parameters[0].joint, self.parameters[0].body
+
+
+# Prior deviations: of torque as a share of a joint's typical one, of times [s], of angles [rad], of a mass's share.
+_BIAS_SHARE, _LAG, _OWN_DELAY, _MASS_SHARE = 0.5, 0.02, 0.01, 0.5
+_ANGLE, _LOAD = 0.015, 0.15
+_DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
+_LOADS = (0.08, 0.2)
+_LIMITS = (0.9, 0.75, 0.6, 0.45)
+"""Of the largest torque that is asked for."""
+_STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
+"""Of the largest torque and of the largest speed."""
+_STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
+_LONGEST_OWN = 0.2
+
+
+def candidates(
+    plant: Plant,
+    records: Sequence[Record],
+    now: Numbers,
+    torque: Float[np.ndarray, " n"],
+) -> list[Candidate]:
+    """All of them; `now`: as fitted so far, `torque`: typical of each joint's motion [N m]."""
+    asked, fastest = demands(records, now)
+    out = []
+    for j in range(len(plant.names)):
+        out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
+        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]))
+        joint = plant.model.joint(plant.names[j])
+        if joint.type[0] == int(mujoco.mjtJoint.mjJNT_HINGE):
+            out += _of_angles(j)
+    if len(plant.names) > 1:
+        out += _of_angles(ALL)
+        out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
+        out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
+    return out + _masses(plant)
+
+
+def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.ndarray]:
+    """The largest torque that each joint's loop asks for, and its largest speed, for 99.5 % of the time."""
+    asked, speed = [], []
+    for r in records:
+        steps = int(r.time[-1] / r.period)
+        told = step_means(r.told.time, r.told.position, r.period, steps, now.delay, now.lag)
+        q = np.stack([np.interp(np.arange(steps) * r.period, r.time, x) for x in r.q.T], axis=1)
+        asked.append(np.abs(now.kp * (told - (q - now.offset))))
+        wide = max(int(0.02 / r.period), 1)
+        speed.append(np.abs(q[wide:] - q[:-wide]) / (wide * r.period))
+    top = [np.percentile(np.concatenate(x), 99.5, axis=0) for x in (asked, speed)]
+    return np.maximum(top[0], 1e-6), np.maximum(top[1], 1e-6)
+
+
+def _one(family, joint, nominal, sd, low, high, starts, *, scales=False, centre=None) -> Candidate:
+    p = Parameter(family, joint, nominal, sd, low, high, "", centre)
+    return Candidate(family, (p,), tuple((x,) for x in starts), scales)
+
+
+def _of_targets(j: int) -> list[Candidate]:
+    return [
+        _one("target_lag", j, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True),
+        _one("target_delay", j, 0.0, _OWN_DELAY, 0.0, _LONGEST_OWN, (0.5 * _OWN_DELAY,), scales=True),
+    ]  # fmt: skip
+
+
+def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) -> list[Candidate]:
+    bias = _BIAS_SHARE * torque
+    out = [_one("torque_bias", j, 0.0, bias, -np.inf, np.inf, (0.2 * bias,), scales=True)]
+    limit = float(np.log(said)) if np.isfinite(said) else np.inf
+    top = min(asked, said)
+    low, high = float(np.log(0.05 * top)), float(np.log(1.5 * top))
+    shares = [float(np.log(x * top)) for x in _LIMITS]
+    centre = float(np.log(0.7 * top))
+    out.append(_one("torque_saturation", j, limit, 0.5, low, high, shares, centre=centre))
+    stall = Parameter("torque_saturation", j, limit, 0.5, low, high + 1.0, "", centre)
+    typical = 0.5 * top / fastest
+    back = Parameter("torque_speed", j, 0.0, typical, 0.0, 20.0 * typical, "", typical)
+    starts = tuple(
+        (float(np.log(a * top)), a * top / (b * fastest)) for a in _STALLS for b in _FREE_SPEEDS
+    )
+    return [*out, Candidate("torque_speed", (stall, back), starts)]
+
+
+def _of_friction(j: int, dry: float) -> list[Candidate]:
+    more = Parameter("stribeck_friction", j, 0.0, dry, 0.0, 20.0 * dry)
+    slow = Parameter("stribeck_velocity", j, 0.1, 0.1, 0.01, 2.0)
+    starts = tuple((a * dry, v) for a in _STICTIONS for v in _SLOW)
+    return [
+        _one("load_friction", j, 0.0, _LOAD, 0.0, 0.9, _LOADS),
+        Candidate("stribeck_friction", (more, slow), starts),
+    ]
+
+
+def _of_angles(j: int) -> list[Candidate]:
+    return [
+        _one("dead_band", j, 0.0, _ANGLE, 0.0, 0.3, _DEAD_BANDS),
+        _one("backlash", j, 0.0, _ANGLE, 0.0, 0.3, _PLAYS),
+    ]
+
+
+def _masses(plant: Plant) -> list[Candidate]:
+    out, model = [], plant.model
+    for b in range(1, model.nbody):
+        name, mass = model.body(b).name, float(model.body_mass[b])
+        if name and mass > 0 and model.body_weldid[b] > 0:
+            sd = max(_MASS_SHARE * mass, 0.02 * float(model.body_mass.sum()))
+            p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, name)
+            out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
+    return out
+
+
+NO_JOINT = -2
+"""In place of a joint: of a body."""

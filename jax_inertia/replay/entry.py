@@ -1,0 +1,148 @@
+"""One call that diagnoses a log with torque by its torques, and one without by closed-loop replays of its targets."""
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.result import Diagnosis as ByTorque
+from jax_inertia.estimation.log_estimate import LogEstimate
+from jax_inertia.gap import either
+from jax_inertia.gap.finding import Diagnosis as OfOne
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.model.load import compile_spec, load_model, load_spec
+from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.preflight import Finding, preflight
+from jax_inertia.replay import pipeline, report
+from jax_inertia.replay.loop import UNITS
+from jax_inertia.replay.result import Diagnosis
+from jax_inertia.replay.spec_edits import fixed_base
+from jax_inertia.text.closest_names import listed
+
+FAMILIES = tuple(dict.fromkeys((*NAMES, *UNITS)))
+"""Of effects, those of both ways to diagnose."""
+
+
+def unknown_families(names: Sequence[str]) -> list[str]:
+    """Those that are no families of effects."""
+    return sorted(set(names) - set(FAMILIES) - {"odd"})
+
+
+def nominal_spec(model: str | Path, fix_base: bool) -> MjSpec:
+    """The model's spec, its base fixed where asked for."""
+    spec = load_spec(model)
+    if fix_base:
+        fixed_base(spec)
+    return spec
+
+
+def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
+    """What there is to say of a log that is to be replayed; LogError where it cannot be."""
+    if log.qpos_target is None:
+        raise LogError("a replay needs the joints' position targets: qpos_target")
+    if robot.has_free_base:
+        raise LogError(pipeline.FLOATS)
+    found = preflight(log, robot)
+    found.raise_for_errors()
+    return found.findings
+
+
+def diagnose(
+    robot: Robot | str | Path,
+    log: Log,
+    *,
+    more_logs: Sequence[Log] = (),
+    test_log: Log | None = None,
+    exclude: Sequence[str] = (),
+    max_effects: int = 3,
+    kp: Sequence[float] | None = None,
+    kd: Sequence[float] | None = None,
+    fix_base: bool = False,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> OfOne | ByTorque | Diagnosis:
+    """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds.
+
+    `robot` is a loaded model, or the path of its file, which a log without torque needs: its targets are replayed.
+    All results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of each.
+    `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
+    effects. Of logs with torque: `max_effects` holds where single effects are sought; torques that are no N m get one
+    drive gain per joint from the log itself, and a note says so; computed in double precision, whatever JAX is set to.
+    Of logs without: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the
+    position loop (one or each) and `fix_base` as in the command. Raises ValueError for an unknown family or an argument
+    of the other kind of log, and LogError for a log that cannot be used.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.diagnose(ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> str(found.verdict), ji.to_report(found)["effects"][0]["family"]
+    ('explained', 'payload')
+    """
+    if log.tau is None:
+        if isinstance(robot, Robot):
+            raise LogError(
+                "a log without torque is replayed, which takes the model's file: diagnose('arm.xml', log)"
+            )
+        logs = [log, *more_logs]
+        return by_replays(
+            Path(robot), logs, test_log, exclude, kp=kp, kd=kd, fix_base=fix_base, progress=progress
+        )
+    for name, value in (("more_logs", more_logs), ("kp", kp), ("kd", kd), ("fix_base", fix_base)):
+        if value:
+            raise ValueError(f"{name} is for logs of targets without torque; this log has torque")
+    loaded = robot if isinstance(robot, Robot) else load_model(robot)
+    return either.diagnose(
+        loaded,
+        log,
+        test_log=test_log,
+        exclude=exclude,
+        max_effects=max_effects,
+        progress=progress,
+    )
+
+
+def by_replays(
+    model: Path,
+    logs: Sequence[Log],
+    test_log: Log | None,
+    exclude: Sequence[str],
+    *,
+    kp: Sequence[float] | None,
+    kd: Sequence[float] | None,
+    fix_base: bool,
+    progress: Callable[[str], None],
+) -> Diagnosis:
+    """The diagnosis by replays, every log looked at first."""
+    if unknown := unknown_families(exclude):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(FAMILIES)}")
+    robot = load_model(compile_spec(nominal_spec(model, fix_base), model))
+    for one in (*logs, *([] if test_log is None else [test_log])):
+        usable(one, robot)
+        if one.joint_names != logs[0].joint_names:
+            raise LogError(
+                f"logs have different joints: {listed(logs[0].joint_names)}; {listed(one.joint_names)}"
+            )
+    return pipeline.diagnose(
+        logs,
+        functools.partial(nominal_spec, model, fix_base),
+        test_log=test_log,
+        kp=kp,
+        kd=kd,
+        exclude=exclude,
+        progress=progress,
+    )
+
+
+def to_report(found: OfOne | ByTorque | LogEstimate | Diagnosis) -> dict[str, Any]:
+    """report.json of what `diagnose` or `estimate` found: only JSON's own types, no NaN.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.diagnose(ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> ji.to_report(found)["effects"][0]["location"]["name"]
+    'lower'
+    """
+    if isinstance(found, Diagnosis):
+        return report.to_report(found)
+    return either.to_report(found)

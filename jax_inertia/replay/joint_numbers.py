@@ -1,0 +1,116 @@
+"""A vector of numbers of a fit as each joint's physics: armature, friction, gains, limits, dead band, play, delay."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay.loop import ALL, Loop, Parameter
+
+
+class Numbers(NamedTuple):
+    """One number for each of the log's joints (n,), in SI units at the joint.
+
+        τ = clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇
+        friction = (dry + load |τ| + stiction exp(−(q̇ / slow)²)) sign(q̇) + damping q̇
+
+    dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
+    """
+
+    armature: Float[np.ndarray, " n"]
+    damping: Float[np.ndarray, " n"]
+    dry: Float[np.ndarray, " n"]
+    kp: Float[np.ndarray, " n"]
+    kd: Float[np.ndarray, " n"]
+    bias: Float[np.ndarray, " n"]
+    limit: Float[np.ndarray, " n"]
+    back: Float[np.ndarray, " n"]
+    dead: Float[np.ndarray, " n"]
+    play: Float[np.ndarray, " n"]
+    """Full width of what a motor-side encoder does not see of the link's motion."""
+    load: Float[np.ndarray, " n"]
+    stiction: Float[np.ndarray, " n"]
+    """What friction at rest has beyond `dry`."""
+    slow: Float[np.ndarray, " n"]
+    offset: Float[np.ndarray, " n"]
+    delay: Float[np.ndarray, " n"]
+    lag: Float[np.ndarray, " n"]
+    mass: Mapping[str, float]
+    """Added to bodies."""
+
+    @property
+    def varies(self) -> bool:
+        """Whether dry friction changes along the motion, which no attribute of a model can say."""
+        return bool(np.any(self.load > 0) or np.any(self.stiction > 0))
+
+    def torque(self, told: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the motors give at positions and velocities (..., n), `told` being what `record.controls` makes."""
+        miss = told - q
+        miss = miss - np.clip(miss, -self.dead, self.dead)
+        asked = self.kp * miss + self.bias - (self.kd - self.back) * v
+        return np.clip(asked, -self.limit, self.limit) - self.back * v
+
+    def friction(self, torque: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Dry friction's size at a torque and a velocity."""
+        slow = np.exp(-((v / self.slow) ** 2))
+        return self.dry + self.load * np.abs(torque) + self.stiction * slow
+
+
+# Family of a parameter: the field that it is added to, or put in place of.
+_ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag"}  # fmt: skip
+_REPLACED = {
+    "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
+    "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
+    "torque_speed": "back",
+}  # fmt: skip
+
+
+def nominal_numbers(
+    loop: Loop,
+    armature: Float[np.ndarray, " n"],
+    damping: Float[np.ndarray, " n"],
+    dry: Float[np.ndarray, " n"],
+    bias: Float[np.ndarray, " n"],
+    delay: Float[np.ndarray, " n"],
+    lag: Float[np.ndarray, " n"],
+) -> Numbers:
+    """Those of a model and its loop: nothing is lacking."""
+    none = np.zeros(len(loop.kp))
+    return Numbers(
+        armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
+        none + 0.1, none, delay, lag, {},
+    )  # fmt: skip
+
+
+def decoded(
+    base: Numbers, table: Sequence[Parameter], theta: Float[np.ndarray, " P"], loop: Loop
+) -> Numbers:
+    """The numbers of a vector, those that it does not hold as in `base`; `loop`: while the record was made.
+
+    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's.
+    """
+    new = {k: np.array(x) for k, x in base._asdict().items() if k != "mass"}
+    new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
+    mass, whole = {}, base.damping + base.kd
+    for p, x in zip(table, theta, strict=True):
+        if x == p.nominal:
+            # Not there: another number may say something of the same place.
+            continue
+        at = slice(None) if p.joint == ALL else p.joint
+        if p.family in _ADDED:
+            new[_ADDED[p.family]][at] += max(x, 0.0) if p.family == "target_lag" else x
+        elif p.family in _REPLACED:
+            new[_REPLACED[p.family]][at] = x
+        elif p.family in ("kp_scale", "kd_scale"):
+            new[p.family[:2]][at] *= np.exp(x)
+        elif p.family == "viscous_friction":
+            whole[p.joint] = x
+        elif p.family == "torque_saturation":
+            new["limit"][at] = np.exp(x)
+        elif p.family == "payload":
+            mass[p.body] = x
+    rest = whole - base.kd
+    new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
+    new["damping"] = np.maximum(rest, 0.0)
+    return Numbers(**new, mass=mass)

@@ -1,0 +1,204 @@
+"""The effects of a fit as people have them: sizes with intervals, shares, ties; verdict and headline."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.replay import checks
+from jax_inertia.replay.candidates import Candidate
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
+from jax_inertia.replay.odd import Odd
+from jax_inertia.replay.result import Effect, Replayed, Size, Tie, total
+
+AT_FLOOR = 2.0
+"""Replays that err by no more than so many times what encoders and clocks leave show no gap."""
+RETURNS = 0.45
+"""An effect is listed whose return adds so much of the corrected replay's error (in squares: it errs a tenth more)."""
+_NEARLY, _SOME = 0.35, 0.8
+_TIED = 0.9
+CHANGES = ("armature", "viscous_friction", "coulomb_friction")
+"""Families whose effect is what is added to the model's own number."""
+PARAMETERS = {
+    "armature": "armature", "viscous_friction": "damping", "coulomb_friction": "coulomb", "encoder_offset": "offset",
+    "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
+    "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
+    "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
+    "stribeck_velocity": "stribeck_velocity",
+}  # fmt: skip
+"""What the parameter of each family is called."""
+_LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
+_EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
+    "viscous_friction": (("kd_scale", "kd and damping: their sum is what a replay knows; torque parts them, or a "
+                          "second setting of kd"),),
+    "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
+    "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
+}  # fmt: skip
+_IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "dead_band": (("coulomb_friction", "friction stops a joint within F / kp of its target too; slow motion parts "
+                   "them, and loads held at rest"),),
+    "backlash": (("dead_band", "both leave a joint within a width of its target"),),
+    "load_friction": (("coulomb_friction", "where the load hardly changes F + μ |τ| is one number; other loads or "
+                       "postures part them"),),
+    "stribeck_friction": (("coulomb_friction", "at one speed it is one number; slow and fast motion part them"),),
+    "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
+    "encoder_offset": (("torque_bias", _LEANS),),
+    "torque_bias": (("encoder_offset", _LEANS),),
+    "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
+}  # fmt: skip
+
+
+def distinct(found: Fit, k: int, loop: Loop) -> bool:
+    """Whether a number's interval leaves the nominal one out."""
+    p, sd = found.table[k], np.hypot(found.sigma[k], checks.loose(found.table, loop)[k])
+    return bool(abs(found.theta[k] - p.nominal) > 1.96 * sd)
+
+
+def whole(p: Parameter, x: float, loop: Loop) -> float:
+    """A number of the vector as people have it."""
+    if p.family in LOGARITHMIC:
+        return float(np.exp(x))
+    if p.family == "viscous_friction":
+        return float(x - loop.kd[p.joint])
+    return float(x)
+
+
+def size_of(found: Fit, k: int, loop: Loop) -> Size:
+    """A number and its interval; what only the loop's own clock could tell widens it."""
+    p = found.table[k]
+    sd = float(np.hypot(found.sigma[k], checks.loose(found.table, loop)[k]))
+    ends = [whole(p, float(found.theta[k] + s * sd), loop) for s in (0.0, -1.96, 1.96)]
+    return Size(ends[0], ends[1], ends[2], UNITS[p.family])
+
+
+def place_of(joint: int, body: str, names: Sequence[str]) -> tuple[str, str]:
+    """Kind and name of a place."""
+    if body:
+        return "body", body
+    return ("global", "global") if joint == ALL else ("joint", names[joint])
+
+
+def listed(
+    found: Fit,
+    odd: Sequence[Odd],
+    shares: Mapping[tuple[int, ...], float],
+    loop: Loop,
+    names: Sequence[str],
+) -> tuple[Effect, ...]:
+    """Effects by the share that each takes; `shares` has those of the rows of each, which are there to be listed."""
+    out, added = [], {o.rows: o for o in odd}
+    for rows, share in sorted(shares.items(), key=lambda x: -x[1]):
+        p = found.table[rows[0]]
+        if rows in added:
+            out.append(_odd(found, added[rows], share, loop, names))
+            continue
+        size, nominal = size_of(found, rows[0], loop), whole(p, p.nominal, loop)
+        if p.family in CHANGES:
+            size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
+        place = place_of(p.joint, p.body, names)
+        ties = ties_of(p.family, place, found, rows[0], loop, names)
+        is_ordinary = p.family in ORDINARY
+        out.append(
+            Effect(p.family, *place, ((PARAMETERS[p.family], size),), nominal, min(share, 1.0), is_ordinary, ties)
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
+    family, rows = odd.candidate.family, odd.rows
+    sizes = {PARAMETERS[found.table[k].family]: size_of(found, k, loop) for k in rows}
+    if family == "torque_speed":
+        sizes = _motor(sizes)
+    place = place_of(*odd.candidate.place, names)
+    own = {(found.table[k].family, *place) for k in rows}
+    ties = [
+        t for t in (*ties_of(family, place, found, rows[0], loop, names), *_rivals(odd.rivals, names))
+        if t.exact or (t.family, t.kind, t.name) not in own or t.family != family
+    ]  # fmt: skip
+    nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
+    return Effect(
+        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, tuple(ties)
+    )
+
+
+def _motor(sizes: dict[str, Size]) -> dict[str, Size]:
+    """Stall torque, and no-load speed as stall torque over the slope."""
+    stall, slope = sizes["limit"], sizes["slope"]
+    free, low, high = (stall.value / max(x, 1e-9) for x in (slope.value, slope.high, slope.low))
+    return {"stall": stall, "no_load_speed": Size(free, low, high, "rad/s")}
+
+
+def _rivals(rivals: Sequence[Candidate], names) -> tuple[Tie, ...]:
+    text = "the replays of this motion are nearly as good with it"
+    return tuple(Tie(c.family, *place_of(*c.place, names), text, False) for c in rivals)
+
+
+def ties_of(
+    family: str, place: tuple[str, str], found: Fit, k: int, loop: Loop, names
+) -> tuple[Tie, ...]:
+    """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
+    p = found.table[k]
+    out = [Tie(tie, *place, text, True) for tie, text in _EXACT.get(family, ())]
+    out += [Tie(tie, *place, text, False) for tie, text in _IN_PART.get(family, ())]
+    sigma = found.sigma
+    for i, other in enumerate(found.table):
+        if i == k or not sigma[i] > 0 or not sigma[k] > 0:
+            continue
+        told = {(t.family, t.kind, t.name) for t in out}
+        if (other.family, *place_of(other.joint, other.body, names)) in told:
+            continue
+        if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
+            slope = found.covariance[i, k] / sigma[k] ** 2
+            text = f"one more here is {slope:.3g} there"
+            out.append(Tie(other.family, *place_of(other.joint, other.body, names), text, False))
+    if family in _LATE:
+        damps = (
+            f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"
+        )
+        out.append(Tie(_LATE[family], *place, f"in part: {damps}; fast and slow motion part them", False))  # fmt: skip
+    return tuple(out)
+
+
+_LATE = {
+    "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
+}  # fmt: skip
+
+
+def verdict(replayed: Replayed, effects: Sequence[Effect]) -> tuple[Verdict, float]:
+    """Verdict and how sure it is, by the replays' error before, after, and what encoders and clocks leave."""
+    before, after, floor = (total(x) for x in (replayed.before, replayed.after, replayed.floor))
+    if np.all(replayed.before <= AT_FLOOR * replayed.floor):
+        return Verdict.NO_GAP, 0.9
+    left = np.sqrt(max(after**2 - floor**2, 0.0)) / before
+    if not effects or after > _SOME * before:
+        return Verdict.UNKNOWN, 0.9
+    if after <= 1.5 * floor or after <= _NEARLY * before:
+        return Verdict.EXPLAINED, float(np.clip(1.0 - left, 0.5, 0.97))
+    return Verdict.PARTLY, 0.8
+
+
+def headline(of: Verdict, r: Replayed) -> str:
+    """One line."""
+    before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
+    if of is Verdict.NO_GAP:
+        return f"replay error on {r.of}: {before:.2g} rad, no more than encoders and clocks leave ({floor:.2g} rad)"
+    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks)"
+
+
+def notes(everything: Fit, loop: Loop) -> list[str]:
+    """What is to be said of stamps and gains."""
+    out = []
+    shared = [p.family == "target_delay" and p.joint == ALL for p in everything.table]
+    for late, sd in zip(everything.theta[shared], everything.sigma[shared], strict=True):
+        if late < -2.0 * np.hypot(sd, checks.LOOSE_TIME):
+            out.append(
+                f"positions lead their targets by {-1e3 * late:.1f} ms: are the stamps of targets late? "
+                "No model can hold that; other numbers take it up"
+            )
+    if loop.source == "model":
+        out.append(
+            "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
+        )
+    return out

@@ -1,0 +1,232 @@
+"""A model with position loops at a log's joints, compiled, and set to any numbers of a fit."""
+
+import copy
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
+from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
+from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
+from jax_inertia.replay.spec_edits import (
+    DEAD,
+    PLAY,
+    actuator_of,
+    add_dead_band,
+    add_play,
+    with_loop,
+)
+
+STEP = 2e-3
+"""The longest step [s]; a stiff loop on a light joint gets a shorter one."""
+_STEPS_PER_RADIAN, _STEPS_PER_DAMPING = 4.0, 6.0
+"""At least: steps in 1/ω of the stiffest loop, and in the time I/kd that damping takes.
+
+MuJoCo's implicit damping over a step h adds kd h to a joint's inertia.
+"""
+_SHORTEST = 5e-4
+_ROTOR = 1e-4
+"""Of a motor behind play, at least [kg m²]."""
+HOLD = np.array([0.9999, 0.9999, 0.001, 0.5, 2.0])
+"""solimp of dry friction that holds a joint at rest.
+
+With MuJoCo's own (0.9) friction creeps under load f at R f / b, R = (1 − 0.9)/0.9 / M and b ≈ 100 / s: 0.3 N m on
+0.03 kg m² at 10 mrad/s, so that a joint which its friction stops short of a target gets there within seconds. On a real
+arm replays of slow motions erred by 41 mrad so, and by 16 mrad with this figure.
+"""
+_FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
+
+
+class Structure(NamedTuple):
+    """What a compiled model has beyond joints and loops: dead bands (everywhere or nowhere), play at some joints."""
+
+    dead: bool = False
+    play: tuple[int, ...] = ()
+
+
+class Compiled(NamedTuple):
+    """A model of one structure, and where a log's joints are in it."""
+
+    model: MjModel
+    qadr: Int[np.ndarray, " n"]
+    dof: Int[np.ndarray, " n"]
+    act: Int[np.ndarray, " n"]
+    gear: Float[np.ndarray, " n"]
+    dead: Int[np.ndarray, " n"] | None
+    """Actuators of dead bands."""
+    play: Int[np.ndarray, " p"]
+    """Joints of play, in the structure's order."""
+    copies: list[MjModel]
+    """To be set to one variant each."""
+
+
+class Plant:
+    """A model with position actuators at a log's joints, to be replayed with other numbers than its own.
+
+    The spec is changed. `holds`: dry friction holds a joint at rest, which MuJoCo's own figures let creep.
+    """
+
+    def __init__(self, spec: MjSpec, names: Sequence[str], loop: Loop, *, holds: bool = False):
+        if loop.source != "model":
+            with_loop(spec, names, loop)
+        # Delay and lag of the model are of the targets, which get them before they get there.
+        delay, lag = np.zeros((2, len(names)))
+        for j, name in enumerate(names):
+            a = actuator_of(spec, name)
+            delay[j] = a.delay
+            a.delay, a.nsample = 0.0, 0
+            if a.dyntype in _FILTERS:
+                lag[j] = a.dynprm[0]
+                a.dyntype = mujoco.mjtDyn.mjDYN_NONE
+        self.names, self.loop, self.holds = tuple(names), loop, holds
+        self._spec, self._compiled = spec, {}
+        model = spec.compile()
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        m = self.compiled(Structure())
+        self.model, self.qadr, self.dof = m.model, m.qadr, m.dof
+        self.nominal = nominal_numbers(
+            loop,
+            model.dof_armature[m.dof],
+            model.dof_damping[m.dof],
+            model.dof_frictionloss[m.dof],
+            m.gear * model.actuator_biasprm[m.act, 0],
+            delay,
+            lag,
+        )
+        self.step = STEP
+        self.retime(loop.kp)
+        coupled = model.neq > 0 or not _without_contacts(model)
+        trees = model.dof_treeid[m.dof]
+        self.trees = np.zeros_like(trees) if coupled else trees
+        """Joints of separate trees on a fixed base do not feel each other."""
+
+    def retime(self, kp: Float[np.ndarray, " n"]) -> None:
+        """Take steps as long as loops of these gains allow."""
+        inertia = self.inertia(np.zeros(len(kp)))
+        stiff = 1.0 / (_STEPS_PER_RADIAN * np.sqrt(np.max(kp / inertia)))
+        damped = 1.0 / (_STEPS_PER_DAMPING * np.max(self.loop.kd / inertia + 1e-9))
+        self.step = float(min(STEP, stiff, max(damped, _SHORTEST)))
+        for m in self._compiled.values():
+            for one in (m.model, *m.copies):
+                one.opt.timestep = self.step
+
+    def compiled(self, structure: Structure) -> Compiled:
+        """The model of a structure, made once."""
+        if structure not in self._compiled:
+            self._compiled[structure] = self._compile(structure)
+        return self._compiled[structure]
+
+    def _compile(self, structure: Structure) -> Compiled:
+        spec = self._spec.copy()
+        for j in structure.play:
+            add_play(spec, self.names[j])
+        if structure.dead:
+            for name in self.names:
+                add_dead_band(spec, name)
+        model = spec.compile()
+        model.opt.timestep = getattr(self, "step", STEP)
+        joints = [model.joint(name).id for name in self.names]
+        dead = None
+        if structure.dead:
+            dead = np.array([model.actuator(f"{name}{DEAD}").id for name in self.names])
+        on = [[a for a in actuators_on(model, j) if dead is None or a not in dead] for j in joints]
+        act = np.array([a[-1] for a in on])
+        dof = model.jnt_dofadr[joints]
+        if self.holds:
+            model.dof_solimp[dof] = HOLD
+        play = np.array([model.joint(f"{self.names[j]}{PLAY}").id for j in structure.play], int)
+        return Compiled(
+            model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play, []
+        )  # fmt: skip
+
+    def tree_of(self, p: Parameter) -> int | None:
+        """The tree of joints that a parameter acts on; None for all of them."""
+        if p.body:
+            body = self.model.body(p.body).id
+            while self.model.body_dofnum[body] == 0 and body > 0:
+                body = self.model.body_parentid[body]
+            dof = self.model.body_dofadr[body]
+            same = np.flatnonzero(self.model.dof_treeid[self.dof] == self.model.dof_treeid[dof])
+            return int(self.trees[same[0]]) if len(same) else None
+        return None if p.joint == ALL else int(self.trees[p.joint])
+
+    def inertia(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Each joint's own inertia at a posture, rotor included [kg m²]."""
+        data, full = mujoco.MjData(self.model), np.zeros((self.model.nv,) * 2)
+        data.qpos[self.qadr] = q
+        mujoco.mj_forward(self.model, data)
+        mujoco.mj_fullM(self.model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(
+            self.model, data, full
+        )
+        return np.diagonal(full)[self.dof].copy()
+
+    def numbers(
+        self, table: Sequence[Parameter], theta: Float[np.ndarray, " P"], loop: Loop | None
+    ) -> Numbers:
+        """What a vector says of every joint, at the gains of a record."""
+        return decoded(self.nominal, table, theta, self.loop if loop is None else loop)
+
+    def structure(self, numbers: Numbers) -> Structure:
+        """What a model must have to hold the numbers."""
+        play = tuple(np.flatnonzero(numbers.play > 0).tolist())
+        return Structure(bool(np.any(numbers.dead > 0)), play)
+
+    def variants(self, structure: Structure, some: Sequence[Numbers]) -> list[MjModel]:
+        """Models with the numbers; valid until the next call for the structure."""
+        m = self.compiled(structure)
+        while len(m.copies) < len(some):
+            m.copies.append(copy.copy(m.model))
+        for model, x in zip(m.copies, some, strict=False):
+            self._set(m, structure, model, x)
+        return m.copies[: len(some)]
+
+    def _set(self, m: Compiled, structure: Structure, model: MjModel, x: Numbers) -> None:
+        # Behind play there is nothing but the rotor.
+        least = np.where(x.play > 0, _ROTOR, -np.inf)
+        model.dof_armature[m.dof] = np.maximum(x.armature, least)
+        model.dof_frictionloss[m.dof] = x.dry
+        model.dof_damping[m.dof] = x.damping + x.back
+        ratio, square = x.kp / self.loop.kp, m.gear**2
+        model.actuator_gainprm[m.act, 0] = m.model.actuator_gainprm[m.act, 0] * ratio
+        model.actuator_biasprm[m.act, 1] = m.model.actuator_biasprm[m.act, 1] * ratio
+        model.actuator_biasprm[m.act, 0] = x.bias / m.gear
+        model.actuator_biasprm[m.act, 2] = (x.back - x.kd) / square
+        # A limit that is said stays, of whatever kind; another one replaces an actuator's.
+        told = np.isfinite(x.limit) & (x.limit != self.loop.limit)
+        reach = np.where(told, x.limit, 0.0) / np.abs(m.gear)
+        said = m.model.actuator_forcelimited[m.act], m.model.actuator_forcerange[m.act]
+        model.actuator_forcelimited[m.act] = np.where(told, 1, said[0])
+        model.actuator_forcerange[m.act] = np.where(
+            told[:, None], np.stack([-reach, reach], 1), said[1]
+        )
+        if m.dead is not None:
+            model.actuator_gainprm[m.dead, 0] = -x.kp / square
+            model.actuator_biasprm[m.dead, 1] = x.kp / square
+            reach = x.kp * x.dead / np.abs(m.gear)
+            model.actuator_forcerange[m.dead] = np.stack([-reach, reach], 1)
+            # Of both actuators together, the limit is the joint's.
+            both, joint = np.isfinite(x.limit) & (x.dead > 0), model.dof_jntid[m.dof]
+            model.actuator_forcelimited[m.act[both]] = 0
+            model.jnt_actfrclimited[joint] = np.where(both, 1, m.model.jnt_actfrclimited[joint])
+            top = np.where(both, x.limit, 0.0)
+            model.jnt_actfrcrange[joint] = np.where(
+                both[:, None], np.stack([-top, top], 1), m.model.jnt_actfrcrange[joint]
+            )
+        if len(m.play):
+            half = 0.5 * x.play[list(structure.play)]
+            model.jnt_range[m.play] = np.stack([-half, half], 1)
+        model.body_mass[:], model.body_inertia[:] = m.model.body_mass, m.model.body_inertia
+        for body, added in x.mass.items():
+            b = model.body(body).id
+            # More of the same body: its centre and its shape are kept.
+            share = max(1.0 + added / model.body_mass[b], 0.05)
+            model.body_inertia[b] *= share
+            model.body_mass[b] *= share
+
+
+def _without_contacts(model: MjModel) -> bool:
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return bool(off) or not np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0))

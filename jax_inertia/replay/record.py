@@ -1,0 +1,157 @@
+"""What a replay needs of a log: positions, and what the joints were told, as means over the steps of a simulation."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.signal import lfilter
+
+from jax_inertia.logs.log import Log
+from jax_inertia.replay.loop import Loop
+
+SETTLING = 0.2
+"""Of a replay's start, what does not count [s]."""
+_LATE_AT_MOST = 1e-4
+_IS_THE_LOOPS = 0.2
+
+
+class Told(NamedTuple):
+    """All that the joints were told, before a stretch too: who is late still follows it."""
+
+    time: Float[np.ndarray, " S"]
+    position: Float[np.ndarray, "S n"]
+    velocity: Float[np.ndarray, "S n"] | None = None
+    """Targets of velocity, in kd (q̇* − q̇); none where they are 0."""
+    torque: Float[np.ndarray, "S n"] | None = None
+    """Fed forward, within the torque limit."""
+
+    def upto(self, last: int, zero: float) -> "Told":
+        """The first rows, their clock's zero moved."""
+        velocity, torque = (None if x is None else x[:last] for x in self[2:])
+        return Told(self.time[:last] - zero, self.position[:last], velocity, torque)
+
+
+class Record(NamedTuple):
+    """A log, or a stretch of it: from 0 s, in the log's order of joints."""
+
+    time: Float[np.ndarray, " T"]
+    q: Float[np.ndarray, "T n"]
+    start: Float[np.ndarray, " n"]
+    """Velocities at the first stamp."""
+    told: Told
+    loop: Loop | None = None
+    """Gains while this was recorded; none where they are those of the plant."""
+
+    @property
+    def period(self) -> float:
+        """Median, s."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def target(self) -> Float[np.ndarray, "T n"]:
+        """Positions told at the stamps of the stretch."""
+        first = len(self.told.time) - len(self.time)
+        return self.told.position[first:]
+
+    @property
+    def settled(self) -> Bool[np.ndarray, " T"]:
+        """Samples that count: what was told before the log began, and how fast joints were, is soon forgotten."""
+        return self.time >= min(SETTLING, 0.1 * self.time[-1])
+
+    def between(self, first: int, last: int) -> "Record":
+        """The samples of a range of rows, as a record of its own."""
+        q, time = self.q[first:last], self.time[first:last]
+        before = len(self.told.time) - len(self.time)
+        told = self.told.upto(before + first + len(time), time[0])
+        return Record(time - time[0], q, slope(time, q), told, self.loop)
+
+
+def record_of(log: Log, loop: Loop | None = None) -> Record:
+    """The record of a log with targets, what is not finite bridged."""
+    time = np.asarray(log.time, float)
+    time = time - time[0]
+    q, target = (_bridged(time, np.asarray(x, float)) for x in (log.qpos, log.qpos_target))
+    speed = None if log.qvel_target is None else np.nan_to_num(np.asarray(log.qvel_target, float))
+    torque = None
+    if feeds_forward(log, loop):
+        torque = np.nan_to_num(np.asarray(log.tau_command, float))
+    return Record(time, q, slope(time, q), Told(time, target, speed, torque), loop)
+
+
+def feeds_forward(log: Log, loop: Loop | None) -> bool:
+    """Whether `tau_command` is a torque beside the loop's, and not what the loop made of its targets.
+
+    It is the loop's where four fifths of its variance are kp (q* − q) at all joints that have any.
+    """
+    if log.tau_command is None or loop is None:
+        return False
+    tau = np.nan_to_num(np.asarray(log.tau_command, float))
+    spring = loop.kp * (np.asarray(log.qpos_target, float) - np.asarray(log.qpos, float))
+    rest = np.nanvar(tau - spring, axis=0)
+    moves = np.var(tau, axis=0) > 0
+    return bool(moves.any() and not np.all((rest < _IS_THE_LOOPS * np.var(tau, axis=0))[moves]))
+
+
+def _bridged(time: np.ndarray, x: np.ndarray) -> np.ndarray:
+    out = x.copy()
+    for column in out.T:
+        good = np.isfinite(column)
+        if good.any() and not good.all():
+            column[~good] = np.interp(time[~good], time[good], column[good])
+    return out
+
+
+def slope(time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Velocity at the start, by a parabola through the first 50 ms or five samples."""
+    k = max(5, int(np.searchsorted(time - time[0], 0.05)))
+    k = min(k, len(time))
+    t = time[:k] - time[0]
+    return np.linalg.lstsq(np.stack([t**0, t, t**2], 1), q[:k], rcond=None)[0][1]
+
+
+def step_means(
+    time: Float[np.ndarray, " S"],
+    held: Float[np.ndarray, "S n"],
+    h: float,
+    steps: int,
+    delay: Float[np.ndarray, " n"],
+    lag: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "K n"]:
+    """The mean over each step of what is held from stamp to stamp, delayed and behind a first-order lag.
+
+    Means, not samples: a delay of a part of a step counts, and replays are smooth in it.
+    """
+    edges = np.append(time, time[-1] + float(np.median(np.diff(time))))
+    area_of = held * np.diff(edges)[:, None]
+    whole = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(area_of, axis=0)])
+    at = np.arange(steps + 1) * h
+    out = np.empty((steps, held.shape[1]))
+    for j, (d, late) in enumerate(zip(delay, lag, strict=True)):
+        t = at - d
+        area = np.interp(t, edges, whole[:, j])
+        # Before the first target and after the last it is held.
+        area += np.minimum(t - edges[0], 0.0) * held[0, j]
+        area += np.maximum(t - edges[-1], 0.0) * held[-1, j]
+        out[:, j] = np.diff(area) / h
+        if late > _LATE_AT_MOST:
+            keep = np.exp(-h / late)
+            out[:, j] = lfilter([1 - keep], [1, -keep], out[:, j], zi=[keep * out[0, j]])[0]
+    return out
+
+
+def controls(
+    record: Record,
+    h: float,
+    steps: int,
+    delay: Float[np.ndarray, " n"],
+    lag: Float[np.ndarray, " n"],
+    kp: Float[np.ndarray, " n"],
+    kd: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "K n"]:
+    """What a position loop is told at each step: q* + (kd q̇* + τ_ff)/kp, each as late as the targets."""
+    told = record.told
+    out = step_means(told.time, told.position, h, steps, delay, lag)
+    for more, gain in ((told.velocity, kd / kp), (told.torque, 1.0 / kp)):
+        if more is not None:
+            out += gain * step_means(told.time, more, h, steps, delay, lag)
+    return out

@@ -1,0 +1,96 @@
+"""Actuators and joints that a replay puts into a model's spec: position loops, dead bands, play, a base held fast."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.replay.loop import Loop
+
+DEAD, PLAY = "_dead_band", "_play"
+"""What names of added actuators and joints end in."""
+_LIGHT = 1e-6
+# Of the ends of play: stiff, and inelastic, at the steps of a replay.
+_STOP = np.array([0.004, 1.0]), np.array([0.99, 0.999, 1e-4, 0.5, 2.0])
+
+
+def with_loop(spec: MjSpec, names: Sequence[str], loop: Loop) -> None:
+    """Give every named joint one position actuator with the loop's gains, in place of whatever acts on it.
+
+    Actuators keep the name of the one that they replace; those of other joints stay.
+    """
+    for j, name in enumerate(names):
+        old = [
+            a for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT and a.target == name
+        ]
+        label = old[0].name if old else ""
+        for a in old:
+            spec.delete(a)
+        new = spec.add_actuator(name=label or f"{name}_position", target=name)
+        new.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        new.set_to_position(kp=loop.kp[j], kv=loop.kd[j])
+        set_limit(new, loop.limit[j])
+
+
+def set_limit(actuator, limit: float) -> None:
+    """Make ± limit the force range of an actuator of a spec; infinity leaves it as it is."""
+    if np.isfinite(limit):
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = np.array([-limit, limit])
+
+
+def fixed_base(spec: MjSpec) -> None:
+    """Take the free joints out of a spec, and contacts: of a robot that hangs in the air."""
+    free = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]
+    for joint in free:
+        spec.delete(joint)
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+
+
+def actuator_of(spec: MjSpec, joint: str):
+    """The last actuator on a joint of a spec, dead bands left out."""
+    on_joint = [
+        a
+        for a in spec.actuators
+        if a.trntype == mujoco.mjtTrn.mjTRN_JOINT
+        and a.target == joint
+        and not a.name.endswith(DEAD)
+    ]
+    return on_joint[-1]
+
+
+def add_dead_band(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
+    """An actuator that takes the spring of a joint's position actuator back within ± width; told the same targets.
+
+    kp dz(e; b) = kp e − clip(kp e, ± kp b): a second position actuator of gain −kp, with a force range. A torque limit
+    has to be the joint's then (`actuatorfrcrange`), of both together.
+    """
+    main = actuator_of(spec, joint)
+    kp, gear = float(main.gainprm[0]), float(main.gear[0])
+    new = spec.add_actuator(name=f"{joint}{DEAD}", target=joint)
+    new.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    new.set_to_position(kp=1.0)
+    new.gear, new.ctrllimited, new.ctrlrange = main.gear, main.ctrllimited, main.ctrlrange
+    for name in ("gainprm", "biasprm"):
+        prm = np.zeros_like(getattr(main, name))
+        prm[0 if name == "gainprm" else 1] = -kp if name == "gainprm" else kp
+        setattr(new, name, prm)
+    new.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    reach = kp * width * abs(gear)
+    new.forcerange = np.array([-reach, reach])
+
+
+def add_play(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
+    """A second joint on the same axis, free within ± width/2: the link's, where the first is the motor's."""
+    main = spec.joint(joint)
+    body = main.parent
+    new = body.add_joint(name=f"{joint}{PLAY}", type=main.type, axis=main.axis, pos=main.pos)
+    new.armature = _LIGHT
+    new.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    degrees = spec.compiler.degree and main.type == mujoco.mjtJoint.mjJNT_HINGE
+    half = 0.5 * width * (180.0 / np.pi if degrees else 1.0)
+    new.range = np.array([-half, half])
+    new.solref_limit, new.solimp_limit = _STOP

@@ -1,0 +1,52 @@
+"""Dry friction that goes with torque and speed, set before each step of MuJoCo C.
+
+correct = callback(model, report)        # model: corrected.xml; report: report.json
+while ...:
+    data.ctrl[:] = targets
+    correct(model, data)
+    mujoco.mj_step(model, data)
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from jax_inertia.model.mujoco_types import MjData, MjModel
+from jax_inertia.replay.result import Diagnosis
+
+
+def law(found: Diagnosis) -> dict[str, dict[str, float]]:
+    """What `callback` needs, by joint; nothing where friction does not vary.
+
+    friction = coulomb + load |τ| + stiction exp(−(q̇ / stribeck_velocity)²), τ the motor's torque [N m].
+    """
+    x = found.numbers
+    return {
+        name: {
+            "coulomb": float(x.dry[j]),
+            "load": float(x.load[j]),
+            "stiction": float(x.stiction[j]),
+            "stribeck_velocity": float(x.slow[j]),
+        }
+        for j, name in enumerate(found.names)
+        if x.load[j] > 0 or x.stiction[j] > 0
+    }
+
+
+def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, MjData], None]:
+    """What sets `dof_frictionloss` as the report's friction_law says; ValueError for a joint that is not there."""
+    told = report["friction_law"]
+    known = {model.joint(j).name: j for j in range(model.njnt)}
+    if lacking := [name for name in told if name not in known]:
+        raise ValueError(f"the model has no joint {lacking[0]!r}, whose friction the report tells")
+    dofs = model.jnt_dofadr[[known[name] for name in told]]
+    keys = ("coulomb", "load", "stiction", "stribeck_velocity")
+    dry, load, stiction, slow = np.array([[x[k] for k in keys] for x in told.values()]).T
+
+    def correct(model: MjModel, data: MjData) -> None:
+        rest = np.exp(-((data.qvel[dofs] / slow) ** 2))
+        torque = np.abs(data.qfrc_actuator[dofs])
+        model.dof_frictionloss[dofs] = dry + load * torque + stiction * rest
+
+    return correct

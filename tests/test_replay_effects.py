@@ -1,0 +1,276 @@
+"""Effects of robots that are told positions: what a model is made to do against the equations, and what is found."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import jax_inertia as ji
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.replay import entry, fit, pipeline
+from jax_inertia.replay.corrected import corrected
+from jax_inertia.replay.loop import Loop, Parameter
+from jax_inertia.replay.plant import Plant, Structure
+from jax_inertia.replay.record import Record, Told, feeds_forward, record_of
+from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.varying_friction import callback
+
+TWO = """
+<mujoco><option timestep="0.001"/><worldbody>
+<body name="left"><joint name="a" axis="0 1 0" armature="0.02"/>
+<inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.004 0.004 0.001"/></body>
+<body name="right" pos="0 1 0"><joint name="b" axis="0 1 0" armature="0.02"/>
+<inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.004 0.004 0.001"/></body></worldbody></mujoco>"""
+NAMES = ("a", "b")
+KP, KD = np.array([20.0, 15.0]), np.array([0.7, 0.5])
+LOOP = Loop(KP, KD, np.full(2, np.inf), "log")
+
+
+def two():
+    return mujoco.MjSpec.from_string(TWO)
+
+
+def one():
+    spec = two()
+    spec.delete(spec.body("right"))
+    return spec
+
+
+def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD) -> Log:
+    """A log of 200 Hz by MuJoCo C at 0.5 ms, a 1 kHz loop; `law(miss, v)` is the loop's torque, (torque, friction)."""
+    m = spec().compile()
+    n = m.nv
+    m.opt.timestep = 5e-4
+    m.dof_solimp[:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    at = np.arange(0, seconds, 0.02)
+    told = 0.5 + sum(
+        rng.uniform(0.1, 0.5)
+        * np.sin(2 * np.pi * np.outer(at, rng.uniform(0.1, 1.2, n)) + rng.uniform(0, 6, n))
+        for _ in range(3)
+    )
+    told = told + np.repeat(rng.normal(size=(len(at) // 50 + 1, n)) * 0.2, 50, axis=0)[: len(at)]
+    d.qpos[:] = told[0]
+    rows = []
+    for k in range(int(seconds / m.opt.timestep) - 1):
+        now = told[int((k * m.opt.timestep + 1e-9) / 0.02)]
+        if k % 2 == 0:
+            torque, friction = law(now - d.qpos, d.qvel)
+            d.qfrc_applied[:], m.dof_frictionloss[:] = torque, friction
+        if k % 10 == 0:
+            rows.append((k * m.opt.timestep, *d.qpos, *now))
+        mujoco.mj_step(m, d)
+    x = np.array(rows)
+    count = 2 * np.pi / 2**14
+    return Log(
+        time=x[:, 0], joint_names=NAMES[:n], qpos=np.round(x[:, 1 : 1 + n] / count) * count, qpos_target=x[:, 1 + n :],
+        kp=kp[:n], kd=kd[:n],
+    )  # fmt: skip
+
+
+def dead_zone(x, width):
+    return np.sign(x) * np.maximum(np.abs(x) - width, 0.0)
+
+
+TABLE = (
+    Parameter("dead_band", 0, 0.0, 0.01, 0.0, 1.0),
+    Parameter("torque_saturation", 0, np.inf, 0.5, -9.0, 9.0, "", 0.0),
+    Parameter("torque_speed", 0, 0.0, 0.1, 0.0, 9.0),
+    Parameter("torque_saturation", 1, np.inf, 0.5, -9.0, 9.0, "", 0.0),
+    Parameter("kp_scale", 1, 0.0, 0.5, -6.0, 3.0),
+    Parameter("torque_bias", 1, 0.0, 1.0, -9.0, 9.0),
+)
+THETA = np.array([0.05, np.log(3.0), 0.2, np.log(2.0), 0.3, 0.4])
+
+
+def test_a_model_gives_the_torque_of_the_equation():
+    plant = Plant(two(), NAMES, LOOP)
+    x = plant.numbers(TABLE, THETA, None)
+    model = plant.variants(Structure(dead=True), [x])[0]
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    at = plant.compiled(Structure(dead=True))
+    for _ in range(50):
+        data.qpos[:], data.qvel[:] = rng.normal(size=2) * 0.3, rng.normal(size=2) * 8
+        told = rng.normal(size=2) * 0.3
+        data.ctrl[at.act] = data.ctrl[at.dead] = told
+        mujoco.mj_forward(model, data)
+        # Back-EMF is in the joint's damping.
+        got = data.qfrc_actuator + data.qfrc_passive
+        np.testing.assert_allclose(got, x.torque(told, data.qpos, data.qvel), atol=1e-9)
+    e, v = dead_zone(0.3, 0.05), 6.0
+    by_hand = np.clip(20 * e - (0.7 - 0.2) * v, -3, 3) - 0.2 * v
+    assert x.torque(np.full(2, 0.3), np.zeros(2), np.full(2, v))[0] == pytest.approx(by_hand)
+
+
+def test_velocities_and_torques_fed_forward_act_in_the_loop():
+    time = np.arange(0, 2, 0.005)
+    still, ones = np.zeros((len(time), 2)), np.ones((len(time), 2))
+    pushed = Record(time, still, np.zeros(2), Told(time, still, None, 0.3 * ones), LOOP)
+    aimed = Record(time, still, np.zeros(2), Told(time, still + 0.3 / KP), LOOP)
+    led = Record(time, still, np.zeros(2), Told(time, still, 0.3 / KD * ones), LOOP)
+    plant = Plant(two(), NAMES, LOOP)
+    paths = [replay(plant, (), np.zeros((1, 0)), r)[0] for r in (pushed, aimed, led)]
+    np.testing.assert_allclose(paths[0], paths[1], atol=1e-12)
+    np.testing.assert_allclose(paths[0], paths[2], atol=1e-12)
+
+
+def test_a_command_that_is_the_loops_own_is_not_fed_forward():
+    rng = np.random.default_rng(0)
+    time, q = np.arange(0, 1, 0.01), rng.normal(size=(100, 2))
+    log = {"time": time, "joint_names": NAMES, "qpos": q, "qpos_target": np.zeros_like(q)}
+    assert not feeds_forward(Log(**log, tau_command=-KP * q), LOOP)
+    assert feeds_forward(Log(**log, tau_command=np.full_like(q, 2.0) + 0.1 * q), LOOP)
+    assert not feeds_forward(Log(**log), LOOP)
+
+
+def test_joints_of_separate_trees_share_replays():
+    assert fit.together([0, 0, 1, None, 1, 1, None]) == [0, 1, 0, 3, 1, 2, 4]
+    log = made(lambda miss, v: (KP * miss - KD * v, 0.05))
+    record, plant = record_of(log, LOOP), Plant(two(), NAMES, LOOP)
+    table = tuple(
+        Parameter(f, j, n, s, -9.0, 9.0)
+        for j in range(2)
+        for f, n, s in (("kp_scale", 0.0, 0.3), ("coulomb_friction", 0.0, 0.2))
+    )
+    theta, free = np.array([0.1, 0.04, -0.1, 0.06]), np.ones(4, bool)
+    shared = fit.derivatives(plant, table, [record], theta, free)
+    plant.trees = np.zeros(2, int)
+    alone = fit.derivatives(plant, table, [record], theta, free)
+    for x, y in zip(shared, alone, strict=True):
+        np.testing.assert_allclose(x, y, atol=1e-9)
+
+
+def test_broydens_formula_says_what_the_last_step_did():
+    rng = np.random.default_rng(0)
+    plant = Plant(two(), NAMES, LOOP)
+    table = tuple(Parameter("kp_scale", j, 0.0, 0.3, -9.0, 9.0) for j in range(2))
+    columns = rng.normal(size=(2, 7, 2)) * fit.touches(plant, table)[:, None]
+    step, change = rng.normal(size=2), rng.normal(size=(7, 2))
+    mended = fit.mend(plant, table, columns, step, change)
+    np.testing.assert_allclose(np.einsum("p,pnj->nj", step, mended), change)
+    assert np.all(mended[0, :, 1] == 0)
+
+
+def odd_effects(found):
+    return {(e.family, e.name): e for e in found.effects if not e.ordinary}
+
+
+@pytest.mark.slow
+def test_a_dead_band_is_found_and_replays_in_mujoco_alone():
+    def law(miss, v):
+        return KP * dead_zone(miss, np.array([0.03, 0.0])) - KD * v, 0.06
+
+    log, other = (made(law, seed=k) for k in (0, 1))
+    found = pipeline.diagnose([log], two, test_log=other)
+    odd = odd_effects(found)
+    assert set(odd) == {("dead_band", "a")}
+    size = odd["dead_band", "a"].size
+    assert size.value == pytest.approx(0.03, rel=0.05)
+    assert {t.family for t in odd["dead_band", "a"].ties} >= {"coulomb_friction"}
+    spec = two()
+    notes = corrected(spec, found)
+    assert any("give it the target of the first" in n for n in notes)
+    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    r = found.replayed.records[0]
+    model.opt.timestep, model.opt.integrator = 1e-3, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data, error = mujoco.MjData(model), []
+    data.qpos[:], data.qvel[:] = r.q[0], r.start
+    joints = model.actuator_trnid[:, 0]
+    for k in range(int(r.time[-1] / 1e-3)):
+        row = int((k + 1e-6) / 5)
+        if k % 5 == 0 and k > 500:
+            error.append(data.qpos - r.q[row])
+        data.ctrl[:] = r.target[row][joints]
+        mujoco.mj_step(model, data)
+    rms = np.sqrt(np.mean(np.square(error), axis=0))
+    assert np.all(rms < found.replayed.after + found.replayed.floor)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "family", ["torque_saturation", "torque_speed", "load_friction", "torque_bias"]
+)
+def test_what_else_may_be_odd_is_found(family):
+    def law(miss, v):
+        asked = KP[:1] * miss - KD[:1] * v
+        if family == "torque_saturation":
+            return np.clip(asked, -2.2, 2.2), 0.05
+        if family == "torque_speed":
+            return np.clip(asked, -3.0 * (1 + v / 9.0), 3.0 * (1 - v / 9.0)), 0.05
+        if family == "load_friction":
+            return asked, 0.05 + 0.25 * np.abs(asked)
+        return asked + 0.5, 0.05
+
+    log, other = (made(law, spec=one, seed=k) for k in (2, 3))
+    found = pipeline.diagnose([log], one, test_log=other)
+    odd = odd_effects(found)
+    assert (family, "a") in odd
+    values = {k: s.value for k, s in odd[family, "a"].sizes}
+    wanted = {
+        "torque_saturation": {"limit": 2.2}, "torque_speed": {"stall": 3.0, "no_load_speed": 9.0},
+        "load_friction": {"load_coefficient": 0.25}, "torque_bias": {"bias": 0.5},
+    }[family]  # fmt: skip
+    assert values == pytest.approx(wanted, rel=0.15)
+    assert np.all(found.replayed.after < 0.2 * found.replayed.before)
+
+
+@pytest.mark.slow
+def test_a_second_setting_of_kd_parts_it_from_damping():
+    """kd 0.8 of what is said, and 0.2 N m s/rad of the joint's own."""
+    logs = []
+    for seed, kd in ((0, 0.7), (1, 0.3), (2, 1.1)):
+        logs.append(
+            made(
+                lambda miss, v, kd=kd: (20.0 * miss - (0.8 * kd + 0.2) * v, 0.04),
+                spec=one, seed=seed, seconds=6.0, kd=np.array([kd]),
+            )
+        )  # fmt: skip
+    found = pipeline.diagnose(logs, one, exclude=("odd",))
+    sizes = {p.family: k for k, p in enumerate(found.everything.table)}
+    numbers = found.everything.theta
+    assert np.exp(numbers[sizes["kd_scale"]]) == pytest.approx(0.8, abs=0.06)
+    assert numbers[sizes["viscous_friction"]] - 0.7 == pytest.approx(0.2, abs=0.05)
+    alone = pipeline.diagnose(logs[:1], one, exclude=("odd",))
+    assert "kd_scale" not in {p.family for p in alone.everything.table}
+
+
+def test_play_is_a_second_joint_and_the_motor_is_what_the_encoder_sees():
+    table = (Parameter("backlash", 0, 0.0, 0.01, 0.0, 0.5),)
+    plant = Plant(one(), NAMES[:1], LOOP._replace(kp=KP[:1], kd=KD[:1], limit=np.array([np.inf])))
+    time = np.arange(0, 3, 0.01)
+    # Gravity turns the link against the lower end of its play where it hangs to the other side.
+    target = np.where(time < 1.5, 0.6, -0.6)[:, None]
+    record = Record(time, target, np.zeros(1), Told(time, target))
+    path = replay(plant, table, np.array([[0.2]]), record)[0, :, 0]
+    droop = 0.8 * 9.81 * 0.15 / 20.0
+    for row, q in ((140, 0.6), (290, -0.6)):
+        link = path[row] - np.sign(q) * 0.1
+        assert path[row] == pytest.approx(q - droop * np.sin(link), abs=2e-3)
+
+
+def test_friction_that_varies_is_set_by_a_callback():
+    model = two().compile()
+    data = mujoco.MjData(model)
+    law = {"b": {"coulomb": 0.1, "load": 0.2, "stiction": 0.3, "stribeck_velocity": 0.5}}
+    data.qvel[:] = 0.5
+    data.qfrc_actuator[:] = -2.0
+    callback(model, {"friction_law": law})(model, data)
+    np.testing.assert_allclose(model.dof_frictionloss, [0.0, 0.1 + 0.4 + 0.3 * np.exp(-1.0)])
+    with pytest.raises(ValueError, match="no joint 'c'"):
+        callback(model, {"friction_law": {"c": law["b"]}})
+
+
+def test_the_python_entry_takes_a_log_without_torque(tmp_path):
+    log = made(lambda miss, v: (0.7 * KP[:1] * miss - KD[:1] * v, 0.0), spec=one)
+    path = tmp_path / "rig.xml"
+    path.write_text(one().to_xml())
+    found = ji.diagnose(path, log, exclude=["odd"])
+    assert ji.to_report(found)["effects"][0]["family"] == "kp_scale"
+    with pytest.raises(LogError, match="takes the model's file"):
+        ji.diagnose(ji.load_model(path), log)
+    with pytest.raises(ValueError, match="unknown families"):
+        ji.diagnose(path, log, exclude=["dead_bands"])
+    with pytest.raises(LogError, match="qpos_target"):
+        entry.usable(
+            Log(time=log.time, joint_names=NAMES[:1], qpos=log.qpos, tau=log.qpos),
+            ji.load_model(path),
+        )
