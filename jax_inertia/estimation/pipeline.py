@@ -219,9 +219,9 @@ def _require_rows(inputs: Inputs, observation: Observation) -> None:
     if inputs.log.contact_wrench is not None or observation.motion.wrench is None:
         return
     used_up = ~np.asarray(observation.motion.valid).any(axis=0)
-    moved = inputs.robot.topology.body_dof[np.array(inputs.chosen)][:, used_up].any(axis=1)
-    if moved.any():
-        names = [name for name, of_leg in zip(inputs.bodies, moved, strict=True) if of_leg]
+    rows = inputs.robot.topology.body_dof[:, used_up]
+    names = [n for n, k in zip(inputs.bodies, inputs.chosen, strict=True) if rows[k].any()]
+    if names:
         raise LogError(
             f"no contact_wrench: the torques of the legs that stand give the forces at their feet, and nothing of "
             f"{', '.join(names)} on them; estimate what the legs carry, or log the wrenches"

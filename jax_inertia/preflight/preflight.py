@@ -229,7 +229,7 @@ def _base(log: Log, floating: str | None) -> Iterator[Finding]:
     if log.base_quat is None:
         message = (
             f"the model's base floats (joint {floating!r}) but the log lacks base_quat (its attitude, wxyz); log it "
-            "beside base_angvel and base_linacc of an IMU, or beside base_pos; of a robot that hung in the air: "
+            "with base_angvel and base_linacc of an IMU, or with base_pos; of a robot that hung in the air: "
             "--fix-base"
         )
         yield Finding(Severity.ERROR, "base", message)

@@ -64,7 +64,7 @@ class Prepared(eqx.Module):
     knows_velocity: bool = eqx.field(static=True, default=True)
     """Whether that of the base is measured, and not only its changes."""
     by_feet: bool = eqx.field(static=True, default=False)
-    """Whether how the base accelerates is told by its feet alone."""
+    """Whether how the base accelerates is taken from its feet alone."""
     loop: PositionLoop | None = None
     """Of the log's joints, in their order, where their torque was taken for that of one."""
 
