@@ -111,20 +111,20 @@ def test_a_step_is_answered_as_a_damped_oscillator_does(late):
 
 def test_controls_are_means_of_held_targets():
     record = record_of(step_log(0.02))
-    told = record.told
+    told = record.commanded
     out = step_means(told.time, told.position, 0.002, 1000, np.array([0.0005]), np.zeros(1))
     # The step of 0.5 s comes a quarter of a step into [0.5, 0.502).
     np.testing.assert_allclose(out[248:252, 0], [0.0, 0.0, 0.75, 1.0], atol=1e-9)
     later = record.between(30, 100)
     assert later.target[0] == 1.0
-    told = later.told
+    told = later.commanded
     out = step_means(told.time, told.position, 0.002, 100, np.array([0.2]), np.zeros(1))
     # What was told before the stretch began arrives in it.
     np.testing.assert_allclose(out[[0, 49, 51], 0], [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def test_a_lag_is_a_first_order_one():
-    told = record_of(step_log(0.02)).told
+    told = record_of(step_log(0.02)).commanded
     out = step_means(told.time, told.position, 1e-3, 2500, np.zeros(1), np.array([0.1]))
     assert out[600, 0] == pytest.approx(1 - np.exp(-0.1 / 0.1), abs=0.01)
 

@@ -10,7 +10,7 @@ from jax_inertia.replay import entry, fit, pipeline
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
-from jax_inertia.replay.record import Record, Told, feeds_forward, record_of
+from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
 from jax_inertia.replay.simulate import replay
 from jax_inertia.replay.varying_friction import callback
 
@@ -104,9 +104,9 @@ def test_a_model_gives_the_torque_of_the_equation():
 def test_velocities_and_torques_fed_forward_act_in_the_loop():
     time = np.arange(0, 2, 0.005)
     still, ones = np.zeros((len(time), 2)), np.ones((len(time), 2))
-    pushed = Record(time, still, np.zeros(2), Told(time, still, None, 0.3 * ones), LOOP)
-    aimed = Record(time, still, np.zeros(2), Told(time, still + 0.3 / KP), LOOP)
-    led = Record(time, still, np.zeros(2), Told(time, still, 0.3 / KD * ones), LOOP)
+    pushed = Record(time, still, np.zeros(2), Commanded(time, still, None, 0.3 * ones), LOOP)
+    aimed = Record(time, still, np.zeros(2), Commanded(time, still + 0.3 / KP), LOOP)
+    led = Record(time, still, np.zeros(2), Commanded(time, still, 0.3 / KD * ones), LOOP)
     plant = Plant(two(), NAMES, LOOP)
     paths = [replay(plant, (), np.zeros((1, 0)), r)[0] for r in (pushed, aimed, led)]
     np.testing.assert_allclose(paths[0], paths[1], atol=1e-12)
@@ -239,7 +239,7 @@ def test_play_is_a_second_joint_and_the_motor_is_what_the_encoder_sees():
     time = np.arange(0, 3, 0.01)
     # Gravity turns the link against the lower end of its play where it hangs to the other side.
     target = np.where(time < 1.5, 0.6, -0.6)[:, None]
-    record = Record(time, target, np.zeros(1), Told(time, target))
+    record = Record(time, target, np.zeros(1), Commanded(time, target))
     path = replay(plant, table, np.array([[0.2]]), record)[0, :, 0]
     droop = 0.8 * 9.81 * 0.15 / 20.0
     for row, q in ((140, 0.6), (290, -0.6)):

@@ -68,7 +68,7 @@ class Settings:
     library, where nothing remains and where something does. Measured: 42 of 45 and 8 of 13 on the development data of
     seeds 1 and 2."""
     likely: float = 0.5
-    """Probability from which an odd effect is told as a cause: less is a stand-in. Decision: more likely than not."""
+    """Probability from which an odd effect is stated as a cause: less is a stand-in. Decision: more likely than not."""
     most_steps: int = 30
     """Bound of the search's moves, a safeguard where equations are wrong everywhere (LWR4+): what comes later predicts
     nothing. None of 60 development logs keeps more than four odd effects."""

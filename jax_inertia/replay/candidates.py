@@ -69,9 +69,11 @@ def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.nda
     asked, speed = [], []
     for r in records:
         steps = int(r.time[-1] / r.period)
-        told = step_means(r.told.time, r.told.position, r.period, steps, now.delay, now.lag)
+        commanded = step_means(
+            r.commanded.time, r.commanded.position, r.period, steps, now.delay, now.lag
+        )
         q = np.stack([np.interp(np.arange(steps) * r.period, r.time, x) for x in r.q.T], axis=1)
-        asked.append(np.abs(now.kp * (told - (q - now.offset))))
+        asked.append(np.abs(now.kp * (commanded - (q - now.offset))))
         wide = max(int(0.02 / r.period), 1)
         speed.append(np.abs(q[wide:] - q[:-wide]) / (wide * r.period))
     top = [np.percentile(np.concatenate(x), 99.5, axis=0) for x in (asked, speed)]

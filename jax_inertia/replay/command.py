@@ -5,8 +5,8 @@ Joint by joint, over delays of the targets on a grid and then between its points
     τ = kp dz(q*(t − d) − q; w) + kd (q̇*(t − d) − q̇) + τ_ff(t − d) + b
 
 of the rows whose torque is not cut off. q̇ is as logged, or the slope of q; dz is 0 within the dead band ± w. Rows are
-cut off where the torque falls short of what the loop asks for; what is left there, L − s |q̇|, is the limit. A sample of
-a log at stamp t is taken before the loop acts on it, or after, or the loop is slower: d is known to about a period of
+cut off where the torque falls short of what the loop asks for; the remainder there, L − s |q̇|, is the limit. A sample
+of a log at stamp t is taken before the loop acts on it, or after, or the loop is slower: d is known to about a period of
 the loop.
 """
 
@@ -112,10 +112,10 @@ class _Rows(NamedTuple):
 
     def at(self, delay: float, width: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Columns of kp, kd and bias (T, 3), and the torque without what is fed forward."""
-        # A stamp at which a target is told is one at which it is in force.
+        # A stamp at which a target is commanded is one at which it is in force.
         when = self.time - delay + 0.5 * self.period
-        told, speed, fed = (_held(self.time, x, when) for x in (self.target, self.speed, self.fed))
-        miss = told - self.q
+        aim, speed, fed = (_held(self.time, x, when) for x in (self.target, self.speed, self.fed))
+        miss = aim - self.q
         miss = miss - np.clip(miss, -width, width)
         return np.stack([miss, speed - self.v, np.ones(len(self.q))], 1), self.tau - fed
 
@@ -128,9 +128,9 @@ class _Rows(NamedTuple):
         window = np.concatenate([[0.5], np.ones(2 * m - 1), [0.5]]) / (2 * m)
         parts = [np.convolve(x, window, mode="valid") for x in (*columns.T, tau)]
         mean_v = (self.q[2 * m :] - self.q[: -2 * m]) / (self.time[2 * m :] - self.time[: -2 * m])
-        told = parts[1] + np.convolve(self.v, window, mode="valid")
+        aim = parts[1] + np.convolve(self.v, window, mode="valid")
         whole = np.convolve(good, np.ones(2 * m + 1), mode="valid") > 2 * m + 0.5
-        return np.stack([parts[0], told - mean_v, parts[2]], 1)[whole], parts[3][whole]
+        return np.stack([parts[0], aim - mean_v, parts[2]], 1)[whole], parts[3][whole]
 
     def fit(self, delay: float, good, width: float = 0.0) -> tuple[np.ndarray, float]:
         """Coefficients and mean square that they leave."""
@@ -152,7 +152,7 @@ _CHANNELS = _Rows._fields[:7]
 
 
 def _joint(name: str, rows: _Rows) -> Half | None:
-    # What a late robot was told before the log began is not in it.
+    # What a late robot was commanded before the log began is not in it.
     known = rows.time >= rows.time[0] + min(_LONGEST, 0.1 * (rows.time[-1] - rows.time[0]))
     known &= np.all(np.isfinite(np.stack(rows[:7])), axis=0)
     top = float(np.percentile(np.abs(rows.tau[known]), 99.8)) if known.any() else 0.0

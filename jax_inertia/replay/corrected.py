@@ -2,7 +2,7 @@
 
 Attributes of corrected.xml: an actuator's gains, bias, force range, delay and time constant; a joint's armature,
 damping, friction loss, reference, and the `solimpfriction` with which friction holds at rest; a body's inertial. A dead
-band is a second actuator, told the same targets; play is a second joint on the axis. Friction that varies with torque
+band is a second actuator, of the same targets; play is a second joint on the axis. Friction that varies with torque
 or speed is its mean in the file, and itself in `varying_friction.callback`.
 """
 

@@ -12,7 +12,7 @@ _SHOWN = 10.0
 
 
 def replays(names, r: Replayed, *, both: bool = True) -> Figure:
-    """Joint positions as told, as they were and as replayed, about the moment that the nominal model misses most.
+    """Joint positions as commanded, as they were and as replayed, about the moment that the nominal model misses most.
 
     The band holds nine tenths of the replays of numbers drawn as the fit knows them.
     """
@@ -39,8 +39,8 @@ def replays(names, r: Replayed, *, both: bool = True) -> Figure:
             axes.plot(t, record.q[rows, j], color="black", lw=1.4, label="robot")
             axes.plot(t, nominal[rows, j], color=ORANGE, lw=1.1, label=nominally)
             if both:
-                told = {"color": BLUE, "lw": 1.1, "ls": "--", "label": "corrected model"}
-                axes.plot(t, corrected[rows, j], **told)
+                line = {"color": BLUE, "lw": 1.1, "ls": "--", "label": "corrected model"}
+                axes.plot(t, corrected[rows, j], **line)
             text = f"{1e3 * r.before[j]:.3g} mrad" + (f" → {1e3 * r.after[j]:.3g}" if both else "")
             axes.set_title(f"{names[j]}: {text} rms", fontsize=8.5, loc="left")
             axes.grid(color="#e3e6ea", lw=0.6)

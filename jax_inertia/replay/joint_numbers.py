@@ -44,9 +44,9 @@ class Numbers(NamedTuple):
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
         return bool(np.any(self.load > 0) or np.any(self.stiction > 0))
 
-    def torque(self, told: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """What the motors give at positions and velocities (..., n), `told` being what `record.controls` makes."""
-        miss = told - q
+    def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
+        miss = commanded - q
         miss = miss - np.clip(miss, -self.dead, self.dead)
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
         return np.clip(asked, -self.limit, self.limit) - self.back * v

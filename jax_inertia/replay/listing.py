@@ -146,8 +146,8 @@ def ties_of(
     for i, other in enumerate(found.table):
         if i == k or not sigma[i] > 0 or not sigma[k] > 0:
             continue
-        told = {(t.family, t.kind, t.name) for t in out}
-        if (other.family, *place_of(other.joint, other.body, names)) in told:
+        commanded = {(t.family, t.kind, t.name) for t in out}
+        if (other.family, *place_of(other.joint, other.body, names)) in commanded:
             continue
         if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
             slope = found.covariance[i, k] / sigma[k] ** 2

@@ -20,7 +20,7 @@ from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.simulate import replay
 
 FIT_SHARE = 0.7
-"""Of logs without another one beside them, what is fitted; the rest is replayed."""
+"""Of logs without another motion, what is fitted; the rest is replayed."""
 LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _IDLE, _LISTED = 0.005, 0.01
@@ -163,9 +163,12 @@ def _mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, "
     sizes = []
     for r in records:
         steps = len(r.time)
-        told = step_means(r.told.time, r.told.position, r.period, steps, x.delay, x.lag) - x.offset
+        commanded = (
+            step_means(r.commanded.time, r.commanded.position, r.period, steps, x.delay, x.lag)
+            - x.offset
+        )
         v = np.gradient(r.q, r.time, axis=0)
-        sizes.append(x.friction(x.torque(told, r.q - x.offset, v), v))
+        sizes.append(x.friction(x.torque(commanded, r.q - x.offset, v), v))
     return np.mean(np.concatenate(sizes), axis=0)
 
 

@@ -195,12 +195,12 @@ class Plant:
         model.actuator_biasprm[m.act, 0] = x.bias / m.gear
         model.actuator_biasprm[m.act, 2] = (x.back - x.kd) / square
         # A limit that is said stays, of whatever kind; another one replaces an actuator's.
-        told = np.isfinite(x.limit) & (x.limit != self.loop.limit)
-        reach = np.where(told, x.limit, 0.0) / np.abs(m.gear)
+        commanded = np.isfinite(x.limit) & (x.limit != self.loop.limit)
+        reach = np.where(commanded, x.limit, 0.0) / np.abs(m.gear)
         said = m.model.actuator_forcelimited[m.act], m.model.actuator_forcerange[m.act]
-        model.actuator_forcelimited[m.act] = np.where(told, 1, said[0])
+        model.actuator_forcelimited[m.act] = np.where(commanded, 1, said[0])
         model.actuator_forcerange[m.act] = np.where(
-            told[:, None], np.stack([-reach, reach], 1), said[1]
+            commanded[:, None], np.stack([-reach, reach], 1), said[1]
         )
         if m.dead is not None:
             model.actuator_gainprm[m.dead, 0] = -x.kp / square

@@ -1,4 +1,4 @@
-"""What a replay needs of a log: positions, and what the joints were told, as means over the steps of a simulation."""
+"""What a replay needs of a log: positions, and commands of the joints as means over the steps of a simulation."""
 
 from typing import NamedTuple
 
@@ -15,8 +15,8 @@ _LATE_AT_MOST = 1e-4
 _IS_THE_LOOPS = 0.2
 
 
-class Told(NamedTuple):
-    """All that the joints were told, before a stretch too: who is late still follows it."""
+class Commanded(NamedTuple):
+    """All that the joints were commanded, before a stretch too: who is late still follows it."""
 
     time: Float[np.ndarray, " S"]
     position: Float[np.ndarray, "S n"]
@@ -25,10 +25,10 @@ class Told(NamedTuple):
     torque: Float[np.ndarray, "S n"] | None = None
     """Fed forward, within the torque limit."""
 
-    def upto(self, last: int, zero: float) -> "Told":
+    def upto(self, last: int, zero: float) -> "Commanded":
         """The first rows, their clock's zero moved."""
         velocity, torque = (None if x is None else x[:last] for x in self[2:])
-        return Told(self.time[:last] - zero, self.position[:last], velocity, torque)
+        return Commanded(self.time[:last] - zero, self.position[:last], velocity, torque)
 
 
 class Record(NamedTuple):
@@ -38,7 +38,7 @@ class Record(NamedTuple):
     q: Float[np.ndarray, "T n"]
     start: Float[np.ndarray, " n"]
     """Velocities at the first stamp."""
-    told: Told
+    commanded: Commanded
     loop: Loop | None = None
     """Gains while this was recorded; none where they are those of the plant."""
 
@@ -49,21 +49,21 @@ class Record(NamedTuple):
 
     @property
     def target(self) -> Float[np.ndarray, "T n"]:
-        """Positions told at the stamps of the stretch."""
-        first = len(self.told.time) - len(self.time)
-        return self.told.position[first:]
+        """Positions commanded at the stamps of the stretch."""
+        first = len(self.commanded.time) - len(self.time)
+        return self.commanded.position[first:]
 
     @property
     def settled(self) -> Bool[np.ndarray, " T"]:
-        """Samples that count: what was told before the log began, and how fast joints were, is soon forgotten."""
+        """Samples that count: what was commanded before the log began, and how fast joints were, is soon forgotten."""
         return self.time >= min(SETTLING, 0.1 * self.time[-1])
 
     def between(self, first: int, last: int) -> "Record":
         """The samples of a range of rows, as a record of its own."""
         q, time = self.q[first:last], self.time[first:last]
-        before = len(self.told.time) - len(self.time)
-        told = self.told.upto(before + first + len(time), time[0])
-        return Record(time - time[0], q, slope(time, q), told, self.loop)
+        before = len(self.commanded.time) - len(self.time)
+        commanded = self.commanded.upto(before + first + len(time), time[0])
+        return Record(time - time[0], q, slope(time, q), commanded, self.loop)
 
 
 def record_of(log: Log, loop: Loop | None = None) -> Record:
@@ -75,11 +75,11 @@ def record_of(log: Log, loop: Loop | None = None) -> Record:
     torque = None
     if feeds_forward(log, loop):
         torque = np.nan_to_num(np.asarray(log.tau_command, float))
-    return Record(time, q, slope(time, q), Told(time, target, speed, torque), loop)
+    return Record(time, q, slope(time, q), Commanded(time, target, speed, torque), loop)
 
 
 def feeds_forward(log: Log, loop: Loop | None) -> bool:
-    """Whether `tau_command` is a torque beside the loop's, and not what the loop made of its targets.
+    """Whether `tau_command` is a torque added to the loop's, and not what the loop made of its targets.
 
     It is the loop's where four fifths of its variance are kp (q* − q) at all joints that have any.
     """
@@ -148,10 +148,10 @@ def controls(
     kp: Float[np.ndarray, " n"],
     kd: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "K n"]:
-    """What a position loop is told at each step: q* + (kd q̇* + τ_ff)/kp, each as late as the targets."""
-    told = record.told
-    out = step_means(told.time, told.position, h, steps, delay, lag)
-    for more, gain in ((told.velocity, kd / kp), (told.torque, 1.0 / kp)):
+    """What a position loop is commanded at each step: q* + (kd q̇* + τ_ff)/kp, each as late as the targets."""
+    commanded = record.commanded
+    out = step_means(commanded.time, commanded.position, h, steps, delay, lag)
+    for more, gain in ((commanded.velocity, kd / kp), (commanded.torque, 1.0 / kp)):
         if more is not None:
-            out += gain * step_means(told.time, more, h, steps, delay, lag)
+            out += gain * step_means(commanded.time, more, h, steps, delay, lag)
     return out

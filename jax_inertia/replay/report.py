@@ -124,7 +124,7 @@ COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
     "dead_band",
 )  # fmt: skip
-"""Families between what a joint is told and its torque; the others are between torque and motion."""
+"""Families between what a joint is commanded and its torque; the others are between torque and motion."""
 
 
 def _size(s) -> dict[str, Any]:

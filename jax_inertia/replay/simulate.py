@@ -51,7 +51,7 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     data = mujoco.MjData(m.model)
     for b, x in enumerate(some):
         key = np.concatenate([x.delay, x.lag, x.kp, x.kd]).tobytes()
-        if record.told.velocity is None and record.told.torque is None:
+        if record.commanded.velocity is None and record.commanded.torque is None:
             key = np.concatenate([x.delay, x.lag]).tobytes()
         if key not in cache:
             cache = dict(list(cache.items())[-2:])
@@ -90,12 +90,12 @@ def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: f
     fields = [k for k in Numbers._fields if k != "mass"]
     stacked = Numbers(**{k: np.stack([getattr(x, k) for x in some]) for k in fields}, mass={})
     data, now = [mujoco.MjData(m.model)], state
-    told = control[:, :, m.act] / m.gear
+    commanded = control[:, :, m.act] / m.gear
     with rollout.Rollout(nthread=0) as roll:
         for k in range(0, steps, every):
             q, v = now[:, 1 + m.qadr], now[:, 1 + nq + m.dof]
             # Both sides without the encoders' offset.
-            dry = stacked.friction(stacked.torque(told[:, k], q, v), v)
+            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), v)
             for model, own in zip(models, dry, strict=True):
                 model.dof_frictionloss[m.dof] = own
             some_control = np.ascontiguousarray(control[:, k : k + every])

@@ -63,7 +63,7 @@ def actuator_of(spec: MjSpec, joint: str):
 
 
 def add_dead_band(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
-    """An actuator that takes the spring of a joint's position actuator back within ± width; told the same targets.
+    """An actuator that takes the spring of a joint's position actuator back within ± width; of the same targets.
 
     kp dz(e; b) = kp e − clip(kp e, ± kp b): a second position actuator of gain −kp, with a force range. A torque limit
     has to be the joint's then (`actuatorfrcrange`), of both together.

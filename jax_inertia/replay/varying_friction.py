@@ -36,13 +36,13 @@ def law(found: Diagnosis) -> dict[str, dict[str, float]]:
 
 def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, MjData], None]:
     """What sets `dof_frictionloss` as the report's friction_law says; ValueError for a joint that is not there."""
-    told = report["friction_law"]
+    commanded = report["friction_law"]
     known = {model.joint(j).name: j for j in range(model.njnt)}
-    if lacking := [name for name in told if name not in known]:
+    if lacking := [name for name in commanded if name not in known]:
         raise ValueError(f"the model has no joint {lacking[0]!r}, whose friction the report tells")
-    dofs = model.jnt_dofadr[[known[name] for name in told]]
+    dofs = model.jnt_dofadr[[known[name] for name in commanded]]
     keys = ("coulomb", "load", "stiction", "stribeck_velocity")
-    dry, load, stiction, slow = np.array([[x[k] for k in keys] for x in told.values()]).T
+    dry, load, stiction, slow = np.array([[x[k] for k in keys] for x in commanded.values()]).T
 
     def correct(model: MjModel, data: MjData) -> None:
         rest = np.exp(-((data.qvel[dofs] / slow) ** 2))

@@ -80,10 +80,10 @@ def _effect(f: Found) -> dict[str, Any]:
 
 
 def _dry(level: Interval, presliding: float | None) -> dict[str, Any]:
-    """Beside its level the displacement over which it turns round after a reversal, where it has one."""
+    """The level, and the displacement over which it turns round after a reversal, where it has one."""
     turns = presliding is not None and presliding >= 0
-    beside = {"presliding": {"value": presliding, "unit": "rad"}} if turns else {}
-    return _number(level) | beside
+    sliding = {"presliding": {"value": presliding, "unit": "rad"}} if turns else {}
+    return _number(level) | sliding
 
 
 def _number(p: Interval) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Ordinary physics of every joint at once, beside the tolerances of the model: posterior and calibrated model."""
+"""Ordinary physics of every joint at once, with the tolerances of the model: posterior and calibrated model."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ class OrdinaryPhysics(NamedTuple):
 def ordinary_physics(
     residual: Residual, library: tuple[Effect, ...], settings: Settings
 ) -> OrdinaryPhysics:
-    """Fit every joint's friction, rotor inertia and offset at once, tolerances and mild forms of friction beside."""
+    """Fit every joint's friction, rotor inertia and offset at once, with tolerances and mild forms of friction."""
     gap = np.sqrt(
         np.mean(residual.weight * residual.y**2, axis=0)
         / np.maximum(residual.weight.mean(axis=0), 1e-9)
@@ -117,13 +117,13 @@ def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
     for h, part in zip(now.chosen, now.slices, strict=True):
         if isinstance(h.effect, InertialTolerances):
             error = now.mean[part] * h.scale
-            told = 1.0 - np.diag(now.covariance)[part]
+            learned = 1.0 - np.diag(now.covariance)[part]
             kinds, stated = h.effect.kinds(h.count), h.shape[4]
             scale = h.scale.copy()
             for kind in range(3):
                 of = kinds == kind
                 within = np.minimum(error[of] ** 2, (FAR_OFF * scale[of]) ** 2)
-                scale[of] = np.sqrt((stated + within.sum()) / (stated + told[of].sum()))
+                scale[of] = np.sqrt((stated + within.sum()) / (stated + learned[of].sum()))
             h = dataclasses.replace(h, scale=scale)
         out.append(h)
     return tuple(out)
@@ -132,7 +132,7 @@ def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
 def reconsidered(
     residual: Residual, evidence: Evidence, now: Posterior, tried: tuple[Hypothesis, ...], settings
 ) -> Posterior:
-    """Beside what was found: ordinary effects that no robot could have had before, and each presliding again."""
+    """Given what was found: ordinary effects that no robot could have had before, and each presliding again."""
     missing = tuple(h for h in tried if h.key not in {c.key for c in now.chosen})
     now = bounded(residual, evidence, evidence.posterior((*now.chosen, *missing)))
     for h in now.chosen:

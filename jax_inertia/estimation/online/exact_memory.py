@@ -12,7 +12,7 @@ there (Huang, Mourikis and Roumeliotis 2010, of SLAM). Here the belief is the mo
 
     |R π(x) − z|² / 2 + (x − x₀)ᵀ P₀⁻¹ (x − x₀) / 2
 
-with the covariance of its curvature; what no sample saw stays at the prior, exactly. Beside the extended filter:
+with the covariance of its curvature; what no sample saw stays at the prior, exactly. Compared with the extended filter:
 
 - v̇ = (v_k − v_{k−1}) / T is a difference, and the error of v_k comes back with the other sign in the next sample. Its
   error n_k is a state that lasts two samples, known given π by a Kalman filter of its own, whose mean is linear in π:

@@ -1,4 +1,4 @@
-"""Which link took up or put down a load, when, and how sure: a bank of hypotheses beside one filter.
+"""Which link took up or put down a load, when, and how sure: a bank of hypotheses with one filter.
 
     bank = make_load_bank(robot, ["torso", "left_forearm", "right_forearm"], sigma_tau=0.5, load=Load(5.0))
     state = bank.initial()
@@ -19,8 +19,8 @@ the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 19
 coming at `rate` per link these are posterior probabilities. Once one is beyond `threshold`, its links are opened in the
 filter (their covariance grows by the load's), and all others keep resting.
 
-Two things would make such evidence lie. Shocks: "no change" and a load are told apart by samples that may be garbage, a
-mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
+Two things would make such evidence lie. Shocks: "no change" and a load are distinguished by samples that may be garbage,
+a mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
 likely a shock as a load, and a second one is a load. And residuals that are not white: evidence counts the effective
 number of samples, (1 − r) / (1 + r) of them at the correlation r of neighbouring residuals, and their size is that of
 the last seconds where it is above the one stated. The filter takes its samples with the same weights.
@@ -178,8 +178,8 @@ class LoadBank(eqx.Module):
         )
         moved = self._opened(state.filter, best, opened)
         noise = noise.scaled(state.size / (jnp.maximum(weight, 1e-6) * _effective(state)))
-        loud = eqx.tree_at(lambda e: e.noise, own, noise)
-        after, _ = loud.update(moved, regressor, -delta, used, dt)
+        widened = eqx.tree_at(lambda e: e.noise, own, noise)
+        after, _ = widened.update(moved, regressor, -delta, used, dt)
         rest = jnp.where(opened, self.settle, jnp.maximum(state.rest - dt, 0.0))
         state = eqx.tree_at(lambda s: (s.filter, s.rest), state, (after, rest))
         estimate = own.chart.to_pi(after.belief.mean.reshape(-1, 10))
@@ -255,7 +255,7 @@ class LoadBank(eqx.Module):
         each = jax.scipy.special.logsumexp(begun, axis=0)
         total = jax.nn.softmax(jnp.concatenate([jnp.zeros(1, pi.dtype), each]))
         # The sample in which a load arrives holds a part of it, and fits the wrong links: once a change is noticed,
-        # they are told apart by what has come since.
+        # they are distinguished by what has come since.
         since_then = (1.0 - total[0]) * jax.nn.softmax(score[-1])
         links = jnp.where(state.age[-1] > 0, since_then, total[1:])
         best = jnp.argmax(links)
@@ -307,7 +307,7 @@ def make_load_bank(
     the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often a link's load changes,
     `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
     many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
-    for how long links are told apart after a change is noticed, `averaging` [s] over which residuals' size and
+    for how long links are compared after a change is noticed, `averaging` [s] over which residuals' size and
     correlation are taken.
     Raises ValueError for an unknown link, a candidate that is no set of the links, or numbers that cannot be.
 

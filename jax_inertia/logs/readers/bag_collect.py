@@ -194,8 +194,8 @@ class Collected:
             ("angular_velocity", slice(4, 7)),
             ("linear_acceleration", slice(7, 10)),
         ):
-            covariance = getattr(imu, f"{name}_covariance", ())
-            if len(covariance) and covariance[0] == -1.0:
+            covariance = list(getattr(imu, f"{name}_covariance", ()))
+            if covariance[:1] == [-1.0]:
                 values[part] = np.nan
         self._add(self.imu, message, imu.header, values)
 
