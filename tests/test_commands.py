@@ -228,7 +228,7 @@ def test_help_teaches_with_examples_that_parse(command, capsys, monkeypatch):
     assert any(line.startswith(command) for line in lines)
     for name in (name.replace("-", "_") for name in COMMANDS if name != "demo"):
         module = importlib.import_module(f"jax_inertia.cli.{name}")
-        monkeypatch.setattr(module, "run", lambda args: 0)
+        monkeypatch.setattr(module, "run", lambda *given: 0)
     monkeypatch.setattr(demo_command, "run", lambda args: 0)
     assert [main(shlex.split(line)) for line in lines] == [0] * len(lines)
 

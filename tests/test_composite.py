@@ -102,6 +102,7 @@ def run(robot, gain: float, predict: float, seconds: float = 5.0):
     return [np.array(x) for x in zip(*rows, strict=True)]
 
 
+@pytest.mark.slow
 def test_the_lyapunov_function_falls_and_the_load_is_found(robot):
     s, pi, v = run(robot, gain=5.0, predict=1.0)
     # Sampled at 500 Hz, a law in continuous time may rise a little.

@@ -160,7 +160,13 @@ def _measured(chunk: Log) -> Bool[np.ndarray, " n"]:
 
 
 def joined(waiting: Log | None, chunk: Log) -> Log:
-    """Two logs that follow one another as one; raises LogError where they do not, or are not of one log."""
+    """Two logs that follow one another as one; raises LogError where they do not, or are not of one log.
+
+    >>> from jax_inertia.estimation.stream import joined
+    >>> from jax_inertia.robots.pendulum import swing
+    >>> float(joined(swing().between(0.0, 1.0), swing().between(1.01, 2.0)).duration)
+    2.0
+    """
     chunk = dataclasses.replace(chunk, notes=())
     if waiting is None:
         return _rows(chunk, slice(None))

@@ -5,8 +5,8 @@ Joint by joint, over delays of the targets on a grid and then between its points
     τ = kp dz(q*(t − d) − q; w) + kd (q̇*(t − d) − q̇) + τ_ff(t − d) + b
 
 of the rows whose torque is not cut off. q̇ is as logged, or the slope of q; dz is 0 within the dead band ± w. Rows are
-cut off where the torque falls short of what the loop asks for; the remainder there, L − s |q̇|, is the limit. A sample
-of a log at stamp t is taken before the loop acts on it, or after, or the loop is slower: d is known to about a period of
+cut off where the torque falls short of what the loop asks for; the remainder there, L − s |q̇|, is the limit. A row of a
+log at stamp t is taken before the loop acts on it, or after, or the loop is slower: d is known to about a period of
 the loop.
 """
 

@@ -19,8 +19,8 @@ the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 19
 coming at `rate` per link these are posterior probabilities. Once one is beyond `threshold`, its links are opened in the
 filter (their covariance grows by the load's), and all others keep resting.
 
-Two things would make such evidence lie. Shocks: "no change" and a load are distinguished by samples that may be garbage,
-a mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
+Two things would make such evidence lie. Shocks: "no change" and a load are compared by samples that may be garbage, a
+mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
 likely a shock as a load, and a second one is a load. And residuals that are not white: evidence counts the effective
 number of samples, (1 − r) / (1 + r) of them at the correlation r of neighbouring residuals, and their size is that of
 the last seconds where it is above the one stated. The filter takes its samples with the same weights.
