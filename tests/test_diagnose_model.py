@@ -64,7 +64,8 @@ def test_joint_attributes_are_the_equation(effect, torque):
     correction = added(effect)
     assert correction.in_model == (effect,)
     missing = torque_of(mujoco.MjSpec.from_string(ARM)) - torque_of(correction.spec)
-    np.testing.assert_allclose(missing, [0.0, torque], atol=2e-5)
+    # A constant torque is a soft spring's, which changes by a thousandth over a radian.
+    np.testing.assert_allclose(missing, [0.0, torque], rtol=1e-3, atol=2e-5)
 
 
 def test_a_spring_joins_the_one_that_is_there():

@@ -6,8 +6,9 @@ import numpy as np
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.model.mujoco_types import MjSpec
 
-SOFT = 1e-6
-"""Stiffness of the spring that makes a constant torque [N m/rad]: it changes by this over a radian."""
+SOFT = 1e-3
+"""Stiffness of the spring that makes a constant torque, of that torque [1/rad]: so it changes by 0.1 % over a radian,
+far less than a log tells, and the spring is wound to 1000 rad."""
 
 
 def joint_of(spec: MjSpec, effect: Identified):
@@ -53,14 +54,14 @@ def add_friction(joint, level: float) -> None:
 
 
 def wind(spec: MjSpec, joint, stiffness: float, rest: float, torque: float) -> None:
-    """Add −stiffness (q − rest) + torque to a joint's spring; a constant b is a spring of stiffness ε wound to b/ε."""
+    """Add −stiffness (q − rest) + torque to a joint's spring; a constant b is ε |b| wound to ±1/ε."""
     own = float(joint.stiffness[0])
     total = own + stiffness
     moment = own * unit_of(spec, joint) * joint.springref + stiffness * rest + torque
-    if abs(total) < SOFT:
-        total = SOFT
+    if abs(total) < SOFT * abs(moment):
+        total = SOFT * abs(moment)
     joint.stiffness = set_first(joint.stiffness, total)
-    joint.springref = moment / total / unit_of(spec, joint)
+    joint.springref = moment / total / unit_of(spec, joint) if total else 0.0
 
 
 def actuators_of(spec: MjSpec, effect: Identified) -> list:
