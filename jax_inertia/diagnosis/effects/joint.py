@@ -70,7 +70,7 @@ class TorqueBias(_AlongTheJoint):
     source = "a current sensor's or a torque sensor's zero"
     units, share, advice = {"bias": "N m"}, 0.05, advice.BOTH_WAYS
     prior = "0.05 of the joint's peak torque"
-    mjcf = "joint stiffness of 1e-6 N m/rad, wound up by springref"
+    mjcf = "joint stiffness of a thousandth of it a radian, wound up by springref"
 
     def columns(self, context, place, shape):
         return of_row(np.ones(len(context.time)), place)
