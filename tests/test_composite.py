@@ -42,6 +42,7 @@ def wanted(t):
     )
 
 
+@pytest.mark.slow
 def test_the_reference_regressor_is_the_law_s(robot):
     rng = np.random.default_rng(0)
     q, v, a, u = (jnp.asarray(x) for x in rng.normal(size=(4, 2)))

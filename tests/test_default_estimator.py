@@ -153,7 +153,11 @@ def test_a_consistent_sample_is_no_outlier():
 # --- gradients ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gate", [None, 1.0], ids=["default", "no gate"])
+@pytest.mark.parametrize(
+    "gate",
+    [None, pytest.param(1.0, marks=pytest.mark.slow)],
+    ids=["default", "no gate"],
+)
 def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
     """Of the squared error of the mass over a scan of steps, by the noise told and by where the filter starts.
 

@@ -193,6 +193,7 @@ def test_batch_is_loop_and_the_mass_matrix_a_derivative(cases):
     assert np.all(np.linalg.eigvalsh(mass) > 0)
 
 
+@pytest.mark.slow
 def test_vmap_over_any_argument_is_a_loop(cases):
     """Over each array of the robot alone, and of q, v and a: batch axes meet arrays that have none."""
     case = cases("two_trees")

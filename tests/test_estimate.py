@@ -433,6 +433,7 @@ def test_a_log_of_one_sample_needs_its_period():
     )
 
 
+@pytest.mark.slow
 def test_a_filter_is_made_and_differentiated_under_tracing():
     """The mass found, by the torque noise that the filter is told: reverse mode against central differences.
 

@@ -8,6 +8,8 @@ import jax_inertia as ji
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.replay import entry, fit, pipeline
 from jax_inertia.replay.corrected import corrected
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.listing import listed
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
@@ -274,3 +276,22 @@ def test_the_python_entry_takes_a_log_without_torque(tmp_path):
             Log(time=log.time, joint_names=NAMES[:1], qpos=log.qpos, tau=log.qpos),
             ji.load_model(path),
         )
+
+
+@pytest.mark.parametrize(
+    ("total", "family", "size"),
+    [(0.9, "viscous_friction", 0.2), (0.56, "kd_scale", 0.8)],
+    ids=["more than kd", "less than kd"],
+)
+def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family, size):
+    """Of kd 0.7 N m s/rad: a sum of 0.9 is a damping of 0.2, one of 0.56 a kd of 0.8 of what is stated."""
+    number = Parameter("viscous_friction", 0, 0.7, 1.0, 0.0, 5.0)
+    one = np.array([[1e-6]])
+    found = Fit(
+        (number,), np.array([total]), one, one, 100.0, np.zeros((3, 2)), np.zeros((1, 3, 2)), None
+    )
+    (effect,) = listed(found, (), {(0,): 0.8}, LOOP, ["shoulder", "elbow"])
+    assert (effect.family, effect.name) == (family, "shoulder")
+    assert effect.size.value == pytest.approx(size)
+    other = {"viscous_friction", "kd_scale"} - {family}
+    assert {t.family for t in effect.ties if t.exact} == other

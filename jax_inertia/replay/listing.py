@@ -29,10 +29,12 @@ PARAMETERS = {
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
+_SUM = (
+    "kd and damping: their sum is what a replay knows; torque parts them, or a second setting of kd"
+)
 _EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
     "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
-    "viscous_friction": (("kd_scale", "kd and damping: their sum is what a replay knows; torque parts them, or a "
-                          "second setting of kd"),),
+    "viscous_friction": (("kd_scale", _SUM),),
     "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
     "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
 }  # fmt: skip
@@ -94,16 +96,29 @@ def listed(
         if rows in added:
             out.append(_odd(found, added[rows], share, loop, names))
             continue
-        size, nominal = size_of(found, rows[0], loop), whole(p, p.nominal, loop)
-        if p.family in CHANGES:
-            size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
+        family, size, nominal = _named(found, rows[0], loop)
         place = place_of(p.joint, p.body, names)
-        ties = ties_of(p.family, place, found, rows[0], loop, names)
+        ties = ties_of(family, place, found, rows[0], loop, names)
         is_ordinary = p.family in ORDINARY
         out.append(
-            Effect(p.family, *place, ((PARAMETERS[p.family], size),), nominal, min(share, 1.0), is_ordinary, ties)
+            Effect(family, *place, ((PARAMETERS[family], size),), nominal, min(share, 1.0), is_ordinary, ties)
         )  # fmt: skip
     return tuple(out)
+
+
+def _named(found: Fit, k: int, loop: Loop) -> tuple[str, Size, float]:
+    """Family, size and nominal value of one number.
+
+    A replay knows damping + kd. No joint's damping is negative, so a sum below kd is a kd that is less than stated.
+    """
+    p = found.table[k]
+    size, nominal = size_of(found, k, loop), whole(p, p.nominal, loop)
+    if p.family == "viscous_friction" and size.value < 0.0 < loop.kd[p.joint]:
+        scale = (1.0 + x / float(loop.kd[p.joint]) for x in (size.value, size.low, size.high))
+        return "kd_scale", Size(*scale, UNITS["kd_scale"]), 1.0
+    if p.family in CHANGES:
+        size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
+    return p.family, size, nominal
 
 
 def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
@@ -140,7 +155,10 @@ def ties_of(
 ) -> tuple[Tie, ...]:
     """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
     p = found.table[k]
-    out = [Tie(tie, *place, text, True) for tie, text in _EXACT.get(family, ())]
+    exact = _EXACT.get(family, ())
+    if (family, p.family) == ("kd_scale", "viscous_friction"):
+        exact = (("viscous_friction", _SUM),)
+    out = [Tie(tie, *place, text, True) for tie, text in exact]
     out += [Tie(tie, *place, text, False) for tie, text in _IN_PART.get(family, ())]
     sigma = found.sigma
     for i, other in enumerate(found.table):
@@ -163,6 +181,7 @@ def ties_of(
 
 _LATE = {
     "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
+    "kd_scale": "target_delay",
 }  # fmt: skip
 
 
