@@ -114,8 +114,9 @@ def _named(found: Fit, k: int, loop: Loop) -> tuple[str, Size, float]:
     p = found.table[k]
     size, nominal = size_of(found, k, loop), whole(p, p.nominal, loop)
     if p.family == "viscous_friction" and size.value < 0.0 < loop.kd[p.joint]:
-        scale = (1.0 + x / float(loop.kd[p.joint]) for x in (size.value, size.low, size.high))
-        return "kd_scale", Size(*scale, UNITS["kd_scale"]), 1.0
+        kd = float(loop.kd[p.joint])
+        value, low, high = (1.0 + x / kd for x in (size.value, size.low, size.high))
+        return "kd_scale", Size(value, low, high, UNITS["kd_scale"]), 1.0
     if p.family in CHANGES:
         size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
     return p.family, size, nominal
