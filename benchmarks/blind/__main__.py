@@ -60,9 +60,7 @@ def examine(folders: list[Path], out: Path, jobs: int) -> list[dict]:
     """Diagnoses what has no answer yet, and marks all."""
     solve.solve([solve.Task(f, out) for f in folders], out / "work", jobs)
     shutil.rmtree(out / "work", ignore_errors=True)
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        places = [out / "results" / f.name for f in folders]
-        return list(track(pool.map(mixed_marks.mark, folders, places), "scoring", len(folders)))
+    return mixed_marks.mark_all(folders, out, jobs)
 
 
 def main() -> None:

@@ -30,14 +30,9 @@ import mujoco
 import numpy as np
 from baseline_chain import Residual
 from baseline_least_squares import columns
+from cad_truth import TERMS
 from torque_error import needed, read, signals
 
-TERMS = (
-    ("viscous_friction", "damping", "N m s/rad"),
-    ("coulomb_friction", "friction", "N m"),
-    ("armature", "armature", "kg m^2"),
-    ("torque_bias", "bias", "N m"),
-)
 CARRIES = 0.01
 TOOLS = {
     name.replace(" ", "_").replace("-", "_").lower(): f for name, f in baselines.BASELINES.items()

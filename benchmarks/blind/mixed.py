@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +40,6 @@ SHARES = {
     "outside": 0.10,
     "misread": 0.15,
 }
-Robots = dict[str, Callable[[], Robot]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def plan(seed: int, count: int, robots: tuple[str, ...] = (), fix_base: bool = F
 KINDS = {"one_effect": ODD, "bare_odd": ODD, "outside": OUTSIDE, "misread": FAULTS}
 
 
-def library(task: Task) -> Robots:
+def library(task: Task) -> cad.Robots:
     """Robots by name, without friction and rotors."""
     if not task.robots:
         return CAD_ROBOTS

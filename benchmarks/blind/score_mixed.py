@@ -18,8 +18,6 @@ import argparse
 import json
 import shutil
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -44,12 +42,6 @@ def opened(answers: dict, logs: Path, out: Path) -> list[Path]:
     return folders
 
 
-def marked(folders: list[Path], found: Path, jobs: int) -> list[dict]:
-    places = [found / "results" / f.name for f in folders]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(mixed_marks.mark, folders, places))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -71,7 +63,9 @@ def main() -> None:
         raise SystemExit(f"score: {error}") from None
     folders = opened(answers, args.logs, args.out)
     tools = dict(t.partition("=")[::2] for t in args.tool)
-    rows = {name: marked(folders, Path(place), args.jobs) for name, place in tools.items()}
+    rows = {
+        name: mixed_marks.mark_all(folders, Path(place), args.jobs) for name, place in tools.items()
+    }
     first = next(iter(rows))
     head = (
         f"Commitment `{promise}`, published before any log was diagnosed and checked against the answers. Seed "

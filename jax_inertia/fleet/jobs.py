@@ -48,13 +48,13 @@ class Outcome(NamedTuple):
 
 
 def run_here(
-    tasks: Sequence[Task], jobs: int, told: Callable[[Outcome, int], None]
+    tasks: Sequence[Task], jobs: int, on_end: Callable[[Outcome, int], None]
 ) -> list[Outcome]:
-    """All tasks by so many processes at a time; `told` hears of each as it ends, and how many have ended."""
+    """All tasks by so many processes at a time; `on_end` is called with each as it ends and how many have ended."""
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(diagnose, task) for task in tasks]
         try:
-            ended = _in_time((f.result() for f in concurrent.futures.as_completed(waiting)), told)
+            ended = _in_time((f.result() for f in concurrent.futures.as_completed(waiting)), on_end)
         except BaseException:
             # Ctrl-C: what is done stays done, the rest is not begun.
             pool.shutdown(wait=False, cancel_futures=True)
@@ -63,7 +63,7 @@ def run_here(
 
 
 def run_on_dask(
-    tasks: Sequence[Task], address: str, told: Callable[[Outcome, int], None]
+    tasks: Sequence[Task], address: str, on_end: Callable[[Outcome, int], None]
 ) -> list[Outcome]:
     """All tasks on a Dask cluster whose workers see the same files; a task whose worker dies goes to another one.
 
@@ -81,7 +81,7 @@ def run_on_dask(
         futures = [client.submit(diagnose, task, pure=False, retries=ATTEMPTS) for task in tasks]
         of = dict(zip((f.key for f in futures), tasks, strict=True))
         results = (_result(f, of[f.key]) for f in distributed.as_completed(futures))
-        ended = _in_time(results, told)
+        ended = _in_time(results, on_end)
     return _in_order(tasks, ended)
 
 
@@ -93,11 +93,11 @@ def _result(future, task: Task) -> Outcome:
         return Outcome(task, "lost", f"{type(error).__name__}: {error}")
 
 
-def _in_time(results: Iterator[Outcome], told: Callable[[Outcome, int], None]) -> list[Outcome]:
+def _in_time(results: Iterator[Outcome], on_end: Callable[[Outcome, int], None]) -> list[Outcome]:
     ended = []
     for outcome in results:
         ended.append(outcome)
-        told(outcome, len(ended))
+        on_end(outcome, len(ended))
     return ended
 
 

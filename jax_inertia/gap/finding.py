@@ -198,7 +198,7 @@ def effects_of(found: Diagnosis) -> tuple[Identified, ...]:
 
 
 def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
-    """What rollouts of the log need to know beside the findings."""
+    """What rollouts of the log need to know, with the findings."""
     trace = found.trace
     loud = with_torque_noise(log, robot, trace.torque_noise)
     return Known(trace.turning, Erring(trace.time, trace.erring), loud)

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import json
 import re
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import evaluate_cad
-from evaluate_cad import SEEN, keys_of
+from evaluate_cad import SEEN, key, keys_of
+from report_torque import ORDINARY
 
-ORDINARY = ("viscous_friction", "coulomb_friction", "armature", "torque_bias")
 WORDS = {
     "no_gravity": r"gravity",
     "amperes": r"tau-unit|not N m|current",
@@ -32,10 +34,17 @@ SHOWN = 300
 """Characters of what was printed that a row keeps."""
 
 
+def mark_all(folders: list[Path], found: Path, jobs: int) -> list[dict]:
+    """Rows of logs, by what a tool wrote to `found`/results."""
+    places = [found / "results" / f.name for f in folders]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(mark, folders, places))
+
+
 def mark(folder: Path, place: Path) -> dict:
     """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it."""
     truth = json.loads((folder / "truth.json").read_text())
-    report, said = _answer(place)
+    report, said, seconds = _answer(place)
     odd, stratum = truth["odd"], truth["stratum"]
     seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
     row = {
@@ -48,26 +57,22 @@ def mark(folder: Path, place: Path) -> dict:
         "verdict": "refused" if report is None else report["verdict"],
         "confidence": None if report is None else report.get("confidence"),
         "said": said[-SHOWN:],
-        "seconds": _seconds(place),
+        "seconds": seconds,
     }
     listed = [] if report is None else report["effects"]
-    row["listed"] = [[e["family"], e["location"]["name"]] for e in listed]
+    row["listed"] = [list(key(e)) for e in listed]
     if stratum == "misread":
         return row | _of_fault(truth, report, said)
     return row | _of_effects(truth, report, row) | _errors(folder, place, truth, report)
 
 
-def _answer(place: Path) -> tuple[dict | None, str]:
+def _answer(place: Path) -> tuple[dict | None, str, float | None]:
+    """Report, what was printed, and how long it took [s]."""
     file, run = place / "report.json", place / "run.json"
     report = json.loads(file.read_text()) if file.exists() else None
     said = json.loads(run.read_text()) if run.exists() else {}
     text = f"{said.get('console', '')} {said.get('error', '')}"
-    return report, " ".join(text.split())
-
-
-def _seconds(place: Path) -> float | None:
-    run = place / "run.json"
-    return json.loads(run.read_text()).get("seconds") if run.exists() else None
+    return report, " ".join(text.split()), said.get("seconds")
 
 
 def _hidden(truth: dict) -> str:
@@ -94,12 +99,12 @@ def _of_effects(truth: dict, report: dict | None, row: dict) -> dict:
         return {"right": False, "confident_wrong": False, "found": False, "there": []}
     odd, good = truth["odd"], stratum in ("sound", "one_effect")
     declared = keys_of(odd) if odd and odd["family"] != "unknown" else set()
-    present = {(e["family"], e["location"]["name"]) for e in truth["present"]}
+    present = {key(e) for e in truth["present"]}
     there, hits, strange = [], [], []
     for e in report["effects"]:
         hit = bool(keys_of(e) & declared)
         ordinary = e["family"] in ORDINARY or e.get("ordinary", False)
-        known = (ordinary and not good) or (e["family"], e["location"]["name"]) in present
+        known = (ordinary and not good) or key(e) in present
         there.append(hit or known)
         if not ordinary:
             hits.append(hit)

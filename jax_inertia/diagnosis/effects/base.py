@@ -242,7 +242,7 @@ class Effect(abc.ABC):
         raise NotImplementedError(f"{self.name} has no step law")
 
     def step(self, xp: ModuleType, now: Moment, at: Bound, applied: Applied) -> Applied:
-        """What it makes of a moment, beside the effects before it: its `torque` on its rows, if it is no more."""
+        """What it makes of a moment, given the effects before it: its `torque` on its rows, if it is no more."""
         return applied._replace(torque=applied.torque + at.rows * self.torque(xp, now, at))
 
     def memory(self, xp: ModuleType, at: Bound, u: Any) -> Any:
