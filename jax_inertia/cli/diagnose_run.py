@@ -92,9 +92,8 @@ def read(
         raise ValueError(
             f"--exclude {' '.join(unknown)}: no such family; valid: {', '.join(entry.FAMILIES)}"
         )
-    robot = load_model(model)
-    if gains.fix_base:
-        robot = load_model(compile_spec(entry.nominal_spec(model, True), model))
+    held = gains.fix_base
+    robot = load_model(compile_spec(entry.nominal_spec(model, True), model) if held else model)
     paths = (log, *more, *([] if test_log is None else [test_log]))
     options = Options(time_unit=None if conventions is None else conventions.time_unit)
     given = [read_log(path, names=robot, options=options) for path in paths]
