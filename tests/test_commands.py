@@ -99,12 +99,18 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     assert all(f"note: {note}" in told for note in numbers["diagnosis"]["notes"])
 
 
-def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys):
+def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys, monkeypatch):
     """1.9 kg from 4 s to 10 s on a hand of 1.1 kg."""
     _, data, *_ = demo
-    out = tmp_path / "estimates"
+    data = data.resolve()
+    monkeypatch.chdir(tmp_path)
+    out = Path("out/log/estimate")
+    # Of a diagnosis of the same log, whose report has the same name.
+    out.mkdir(parents=True)
+    (out.parent / "report.json").write_text("{}")
     command = ["estimate", str(data / "log.npz"), "--model", str(data / "model.xml")]
-    assert main([*command, "--bodies", "hand", "--out", str(out)]) == 0
+    assert main([*command, "--bodies", "hand"]) == 0
+    assert (out.parent / "report.json").read_text() == "{}"
     printed = capsys.readouterr().out
     assert "mass, filter [kg]" in printed
     assert "bodies changed" in printed

@@ -17,7 +17,7 @@ from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, is_urdf, load_spec, model_path, write_urdf
 from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import changed_inertials, loadable
-from jax_inertia.text.words import chance, number, plain, unit, where
+from jax_inertia.text.words import chance, interval, number, plain, plus_minus, unit, where
 
 
 def write(
@@ -76,13 +76,13 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
     ):
         table.add_column(name)
     for joint, own in found.joints.items():
-        cells = [f"{p.value:.3g} ± {0.5 * (p.high - p.low):.1g}" for p in own.values()]
+        cells = [plus_minus(p.value, p.low, p.high) for p in own.values()]
         before, after = found.checked.per_joint[joint]
         table.add_row(escape(joint), *cells, f"{before:.2g} → {after:.2g}")
     console.print(table)
     for f in found.odd:
         sizes = "; ".join(
-            f"{plain(n)} {number(p.value)} [{number(p.low)}, {number(p.high)}]{unit(p.unit)}"
+            f"{plain(n)} {interval(p.value, p.low, p.high)}{unit(p.unit)}"
             for n, p in f.parameters.items()
         )
         ties = ", ".join(f"{plain(t.family)} at {where(t.place)}" for t in f.equivalent)

@@ -52,7 +52,7 @@ def add_parser(subparsers) -> None:
     add("log", metavar="LOG", type=Path, help=_LOG_HELP)
     add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
     add("--bodies", nargs="+", metavar="B", help="bodies to estimate, by name")
-    add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
+    add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>/estimate)")
 
     write_help = (
         "write the model with the estimated bodies, and with all that was calibrated: a URDF as URDF (and as MJCF, "
@@ -181,7 +181,7 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from jax_inertia.estimation import pipeline
     from jax_inertia.model.write import write_with_inertials
 
-    out = args.out if args.out is not None else folder_for(args.log)
+    out = args.out if args.out is not None else folder_for(args.log) / "estimate"
     written = []
     with stages() as stage:
         inputs = read(args)

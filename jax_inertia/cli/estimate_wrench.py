@@ -33,7 +33,7 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         if name not in _USED and value != parser.get_default(name):
             option = f"--{name.replace('_', '-')}"
             raise ValueError(f"{option} does not go with --wrench, which looks at no joint torques")
-    out = args.out if args.out is not None else folder_for(args.log)
+    out = args.out if args.out is not None else folder_for(args.log) / "estimate"
     asked = {name: getattr(args, name) for name in ("prior_mass", "prior_reach", "cutoff", "rate")}
     with stages() as stage:
         stage("reading")

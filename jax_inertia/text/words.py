@@ -59,3 +59,37 @@ def number(x: float) -> str:
     if x == 0 or 1e-3 <= abs(x) < 1e4:
         return f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}"
     return f"{x:.2g}"
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """A number and its interval, in the digits that the interval leaves it: 0.898 [0.826, 0.970].
+
+    Two digits of the interval's half-width; with no width, or none that is finite, the number alone.
+    """
+    value_to, half = digits(value, low, high)
+    if half is None:
+        return value_to
+    ends = [digits(x, low, high)[0] for x in (low, high)]
+    return f"{value_to} [{ends[0]}, {ends[1]}]"
+
+
+def plus_minus(value: float, low: float, high: float) -> str:
+    """A number ± half of its interval's width, in the digits that the interval leaves it."""
+    value_to, half = digits(value, low, high)
+    return value_to if half is None else f"{value_to} ± {half}"
+
+
+def digits(value: float, low: float, high: float) -> tuple[str, str | None]:
+    """The number and half the width of its interval [low, high], to two digits of that half-width.
+
+    None for the half-width where it is none; `number` where decimals would be too many or none to write.
+    """
+    half = 0.5 * (high - low)
+    if not (np.isfinite(half) and half > 0 and np.isfinite(value)):
+        return number(value), None
+    decimals = 1 - int(np.floor(np.log10(half)))
+    if half >= 1000 or decimals > 6:
+        return number(value), number(half)
+    shown = max(decimals, 0)
+    # Never "-0.00".
+    return f"{round(value, shown) + 0.0:.{shown}f}", f"{half:.{shown}f}"

@@ -9,7 +9,7 @@ from jax_inertia.diagnosis.simulate.corrected import Correction
 from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.logs.log import Log
 from jax_inertia.text.report_page import rendered
-from jax_inertia.text.words import chance, number, percent, plain, where
+from jax_inertia.text.words import chance, interval, number, percent, plain, where
 
 COLUMNS = (
     ("viscous_friction", "viscous friction [N m s/rad]"),
@@ -30,6 +30,7 @@ def page(
 ) -> str:
     """The report as HTML, every name in it escaped; `names`: of log and model."""
     filters = {f.__name__: f for f in (plain, number, percent, chance, where)}
+    filters["interval"] = lambda p: interval(p.value, p.low, p.high)
     worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
     shown = remains != worst and found.remainder.where[remains] > 0
