@@ -29,8 +29,7 @@ def page(
     rolled: Rollouts | None,
 ) -> str:
     """The report as HTML, every name in it escaped; `names`: of log and model."""
-    filters = {f.__name__: f for f in (plain, number, percent, chance, where)}
-    filters["interval"] = lambda p: interval(p.value, p.low, p.high)
+    filters = {f.__name__: f for f in (plain, number, percent, chance, where, interval)}
     worst = max(found.checked.per_joint, key=lambda n: found.checked.per_joint[n][0])
     remains = max(found.remainder.where, key=lambda n: found.remainder.where[n])
     shown = remains != worst and found.remainder.where[remains] > 0
