@@ -310,6 +310,38 @@ def test_fleet_writes_one_table_of_what_there_is(tmp_path, monkeypatch, capsys):
     assert "broken.npz" in page
 
 
+def test_each_log_takes_its_own_robot_s_test_log(tmp_path, monkeypatch, capsys):
+    """Of the same date, else the robot's only one; another content of it is another task."""
+    seen = {}
+
+    def ended(todo, count, told):
+        for task in todo:
+            seen[task.log.stem] = None if task.test_log is None else task.test_log.stem
+            folder_with(task.out, report(0.5))
+        return [Outcome(task, "done") for task in todo]
+
+    monkeypatch.setattr(jobs, "run_here", ended)
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    names = ["left_2026-09-01", "left_2026-10-01", "right_2026-09-01", "third_2026-09-01"]
+    checks = ["left_2026-09-01_check", "left_2026-10-01_check", "right_2026-08-01_check"]
+    for name in checks:
+        (tmp_path / f"{name}.npz").write_text("first")
+    logs = [str(tmp_path / f"{name}.npz") for name in names]
+    given = ["--test-logs", *(str(tmp_path / f"{name}.npz") for name in checks)]
+    base = ["--model", str(tmp_path / "arm.xml"), "--out", str(tmp_path / "out")]
+    assert main(["fleet", *logs, *base, *given]) == 0
+    assert seen == dict(zip(names, [*checks, None], strict=True))
+
+    assert main(["fleet", logs[-1], *base, *given]) == 2
+    assert "no log is of its robot and date" in capsys.readouterr().err
+
+    test = tmp_path / f"{checks[0]}.npz"
+    task = Task(tmp_path / "log.npz", tmp_path / "arm.xml", tmp_path, (), "1", test_log=test)
+    before = jobs._key(task)
+    test.write_text("second")
+    assert jobs._key(task) != before
+
+
 def test_two_logs_of_one_name_are_refused(tmp_path, capsys):
     (tmp_path / "arm.xml").write_text("<mujoco/>")
     logs = [str(tmp_path / part / "arm_2026-01-01.npz") for part in "ab"]

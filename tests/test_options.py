@@ -98,6 +98,7 @@ BAD = {
     "compare": {"--names": ["one", "a b c"], "--out": ["log.npz"]},
     "fleet": {
         "--model": ["no.xml"],
+        "--test-logs": ["no.npz", "model.xml"],
         "--jobs": ["0", "257", "x", "1.5"],
         "--dask": ["nowhere"],
         "--pattern": ["(", "robot"],

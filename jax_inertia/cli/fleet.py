@@ -24,6 +24,9 @@ examples:
   a folder of logs, four at a time
     jax-inertia fleet logs/*.npz --model arm.xml --jobs 4 --out fleet
 
+  with another run of each robot, which only checks
+    jax-inertia fleet logs/*.npz --model arm.xml --test-logs checks/*.npz --jobs 4
+
   names of another form, and options for each diagnosis
     jax-inertia fleet logs/*.csv --model arm.xml --pattern 'SN(?P<robot>\\d+)-(?P<date>\\d{8})' --options '--tau-unit A'
 
@@ -45,6 +48,8 @@ def add_parser(subparsers) -> None:
     add = parser.add_argument
     add("logs", metavar="LOG", nargs="+", type=Path, help="what jax-inertia diagnose reads")
     add("--model", type=Path, required=True, help="MJCF or URDF, of all of them")
+    tests_help = "other runs, which only validate: a log takes its robot's of the same date, else its robot's only one"
+    add("--test-logs", type=Path, nargs="+", default=[], metavar="LOG", help=tests_help)
     add("--jobs", type=_count, default=1, metavar="N", help="logs at a time (default 1)")
     add("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, instead of --jobs")
     pattern_help = "regular expression with the groups robot and date, searched in a log's path"
@@ -86,15 +91,42 @@ def tasks(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "list
 
     model = args.model.resolve() if args.model.exists() else args.model
     out, taken = args.out.resolve(), {}
+    own, options, tests = version("jax-inertia"), tuple(args.options), validating(args, named)
     for log, (robot, _) in zip(args.logs, named, strict=True):
         folder = out / robot / (log.stem.strip(". ") or "log")
         if folder in taken:
             raise ValueError(
                 f"{taken[folder].log} and {log} are both {folder.name} of {robot}; give them names of their own"
             )
-        own = version("jax-inertia")
-        taken[folder] = Task(log.resolve(), model, folder, tuple(args.options), own)
+        test = tests[log]
+        taken[folder] = Task(log.resolve(), model, folder, options, own, test_log=test)
     return list(taken.values())
+
+
+def validating(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "dict[Path, Path | None]":
+    """The test log of each log: of the same robot and date, else the robot's only one, else none.
+
+    ValueError where a file is missing, where a robot has two of one date, and where one has no log that it belongs to.
+    """
+    by_name: dict[tuple[str, str], Path] = {}
+    for test in args.test_logs:
+        if not test.exists():
+            raise ValueError(f"--test-logs {test}: no such file")
+        name = robot_and_date(test, args.pattern)
+        if name in by_name:
+            raise ValueError(f"--test-logs: {by_name[name]} and {test} are both of {' '.join(name)}")
+        by_name[name] = test.resolve()
+    found: dict[Path, Path | None] = {}
+    for log, name in zip(args.logs, named, strict=True):
+        of_robot = [test for (robot, _), test in by_name.items() if robot == name[0]]
+        only = of_robot[0] if len(of_robot) == 1 else None
+        found[log] = by_name.get(name, only)
+    unused = [str(test) for test in by_name.values() if test not in found.values()]
+    if unused:
+        raise ValueError(
+            f"--test-logs {unused[0]}: no log is of its robot and date; robot and date are read from a name by --pattern"
+        )
+    return found
 
 
 def robot_and_date(log: Path, pattern: "re.Pattern[str]") -> tuple[str, str]:

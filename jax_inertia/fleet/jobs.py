@@ -36,6 +36,8 @@ class Task(NamedTuple):
     version: str
     program: tuple[str, ...] = ()
     """Words before the log; empty: `jax-inertia diagnose` of the Python that runs the task."""
+    test_log: Path | None = None
+    """Another motion of the same robot, used only to validate."""
 
 
 class Outcome(NamedTuple):
@@ -113,6 +115,8 @@ def diagnose(task: Task) -> Outcome:
         return Outcome(task, "before")
     program = task.program or (sys.executable, "-m", "jax_inertia", "diagnose")
     command = [*program, str(task.log), "--model", str(task.model), "--out", str(task.out)]
+    if task.test_log is not None:
+        command += ["--test-log", str(task.test_log)]
     status, message, deaths = None, "", 0
     while deaths < ATTEMPTS:
         done = subprocess.run(
@@ -156,8 +160,9 @@ def _environment(task: Task) -> dict[str, str]:
 def _key(task: Task) -> str:
     """Digest of all that the report hangs on."""
     digest = hashlib.sha256()
-    for path in (task.log, task.model):
-        digest.update(_content(path))
+    for path in (task.log, task.model, task.test_log):
+        if path is not None:
+            digest.update(_content(path))
     digest.update(json.dumps([task.options, task.version]).encode())
     return digest.hexdigest()
 
