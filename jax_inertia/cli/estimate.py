@@ -52,7 +52,12 @@ def add_parser(subparsers) -> None:
     add("log", metavar="LOG", type=Path, help=_LOG_HELP)
     add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
     add("--bodies", nargs="+", metavar="B", help="bodies to estimate, by name")
-    add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>/estimate)")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where to write (default: out/<name of LOG>/estimate)",
+    )
 
     write_help = (
         "write the model with the estimated bodies, and with all that was calibrated: a URDF as URDF (and as MJCF, "

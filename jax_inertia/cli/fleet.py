@@ -103,7 +103,9 @@ def tasks(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "list
     return list(taken.values())
 
 
-def validating(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "dict[Path, Path | None]":
+def validating(
+    args: argparse.Namespace, named: "Sequence[tuple[str, str]]"
+) -> "dict[Path, Path | None]":
     """The test log of each log: of the same robot and date, else the robot's only one, else none.
 
     ValueError where a file is missing, where a robot has two of one date, and where one has no log that it belongs to.
@@ -114,7 +116,9 @@ def validating(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> 
             raise ValueError(f"--test-logs {test}: no such file")
         name = robot_and_date(test, args.pattern)
         if name in by_name:
-            raise ValueError(f"--test-logs: {by_name[name]} and {test} are both of {' '.join(name)}")
+            raise ValueError(
+                f"--test-logs: {by_name[name]} and {test} are both of {' '.join(name)}"
+            )
         by_name[name] = test.resolve()
     found: dict[Path, Path | None] = {}
     for log, name in zip(args.logs, named, strict=True):
