@@ -128,7 +128,8 @@ def validating(
     unused = [str(test) for test in by_name.values() if test not in found.values()]
     if unused:
         raise ValueError(
-            f"--test-logs {unused[0]}: no log is of its robot and date; robot and date are read from a name by --pattern"
+            f"--test-logs {unused[0]}: no log is of its robot and date; they are read from a name by "
+            "--pattern"
         )
     return found
 
