@@ -13,6 +13,7 @@ from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.search.discrepancy import LENGTHS, Whitener
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.settings import Settings
@@ -36,7 +37,13 @@ def hypotheses(rng, count):
 
 def log_marginal(evidence, chosen):
     """Of y with every number integrated out, as one Gaussian of all rows."""
-    covariance = np.diag((evidence.variance * evidence.correlation).ravel())
+    covariance = np.zeros((ROWS, JOINTS, ROWS, JOINTS))
+    for j, w in enumerate(evidence.noise.whiteners):
+        size = np.sqrt(evidence.noise.variance[:, j])
+        lag = np.abs(np.subtract.outer(np.arange(ROWS), np.arange(ROWS)))
+        slow = w.share * np.exp(-lag / LENGTHS[w.at[1]])
+        covariance[:, j, :, j] = np.outer(size, size) * (slow + (1 - w.share) * np.eye(ROWS))
+    covariance = covariance.reshape(ROWS * JOINTS, -1)
     for h in chosen:
         wide = np.zeros((ROWS, JOINTS, h.count))
         wide[:, slice(None) if h.row is None else h.row] = h.columns
@@ -51,7 +58,9 @@ def problem():
     chosen = hypotheses(rng, 5)
     y = rng.normal(size=(ROWS, JOINTS)) + chosen[1].columns @ [1.0, -2.0]
     evidence = Evidence(y, np.ones_like(y), np.full(JOINTS, 1e-6))
-    evidence.correlation = np.array([1.0, 2.5])
+    weights = evidence.weight.T
+    whiteners = tuple(Whitener(w, at) for w, at in zip(weights, ((0, 0), (4, 2)), strict=True))
+    evidence.noise = dataclasses.replace(evidence.noise, whiteners=whiteners)
     return evidence, chosen
 
 
@@ -86,10 +95,32 @@ def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
 
 def test_a_row_that_weighs_nothing_tells_nothing(problem):
     evidence, chosen = problem
-    evidence.weight[:10] = 0.0
+    evidence = evidence.without(np.arange(ROWS) < 10)
     before = evidence.posterior(chosen).mean
     evidence.y[:10] = 1e6
     np.testing.assert_allclose(evidence.posterior(chosen).mean, before)
+
+
+def test_the_whole_likelihood_is_that_of_one_gaussian(problem):
+    evidence, (a, b, c, *_) = problem
+    for part in ((a,), (a, b, c)):
+        constant = 0.5 * evidence.y.size * np.log(2 * np.pi)
+        expected = log_marginal(evidence, part) + constant
+        assert evidence.posterior(part).log_evidence == pytest.approx(expected, rel=1e-8)
+
+
+def test_what_is_slow_of_a_residual_is_learned():
+    rng = np.random.default_rng(0)
+    rows = 4000
+    slow = np.zeros(rows)
+    for k in range(1, rows):
+        slow[k] = np.exp(-1 / 30) * slow[k - 1] + np.sqrt(1 - np.exp(-2 / 30)) * rng.normal()
+    white = rng.normal(size=rows)
+    weight = np.ones(rows)
+    found = Whitener(weight).likeliest(2.0 * (np.sqrt(0.8) * slow + np.sqrt(0.2) * white))
+    assert found.share == pytest.approx(0.8, abs=0.11)
+    assert LENGTHS[found.at[1]] == 30.0
+    assert Whitener(weight).likeliest(white).share <= 0.1
 
 
 def rescaled(errors):

@@ -2,6 +2,8 @@
 
     y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
 
+V is learned from what the chosen leave: a variance of every row, and how much of it is slow (`discrepancy`).
+
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
 to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
 deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
@@ -17,11 +19,8 @@ from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search.bank import Bank
-
-MOST_CORRELATED = 0.5
-"""Lag-one correlation of a row's residual that counts as noise: friction's own misfit has less on sound logs, and what
-goes together for longer is an effect that is not yet chosen."""
-
+from jax_inertia.diagnosis.search.discrepancy import Whitener
+from jax_inertia.diagnosis.search.noise import Noise
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Posterior:
@@ -33,6 +32,8 @@ class Posterior:
     covariance: Float[np.ndarray, "p p"]
     fitted: Float[np.ndarray, "R n"]
     """Torque of everything chosen, tolerances included [N m]."""
+    log_evidence: float = np.nan
+    """ln p(y) of all rows with every number marginalised, up to a constant of the log, nats."""
 
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
@@ -67,46 +68,61 @@ class Evidence:
         self.count = count
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)
         """Root mean square of each row's torque residual [N m]."""
-        self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
-        self.correlation = np.ones(y.shape[1])
+        variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
+        self.noise = Noise(variance, tuple(Whitener(w) for w in weight.T))
 
-    def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
-        """Weighted columns of the chosen, per prior standard deviation."""
-        return _scaled(chosen, np.sqrt(self.precision))
+    def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "R n p"]:
+        """Whitened columns of the chosen, per prior standard deviation."""
+        out = np.zeros((*self.y.shape, sum(h.count for h in chosen)))
+        at = 0
+        for h in chosen:
+            whole = slice(None) if h.row is None else h.row
+            out[:, whole, at : at + h.count] = self.noise.whitened(h.scaled, h.row)
+            at += h.count
+        return out
 
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
         out.weight = np.where(part[:, None], 0.0, self.weight)
+        whiteners = (Whitener(w, n.at) for w, n in zip(out.weight.T, self.noise.whiteners, strict=True))
+        out.noise = Noise(self.noise.variance, tuple(whiteners))
         return out
 
-    @property
-    def precision(self) -> Float[np.ndarray, "R n"]:
-        """Inverse variance of each row, divided by how many neighbours say the same."""
-        return self.weight / (self.variance * self.correlation)
+    def independent(self) -> "Evidence":
+        """The same with rows that are independent and count as (1 − ρ)/(1 + ρ) of their number, ρ their lag-one
+        correlation: for what lasts too short for a discrepancy's whole memory."""
+        out = copy.copy(self)
+        rho = np.array([w.lagged for w in self.noise.whiteners])
+        variance = self.noise.variance * (1.0 + rho) / (1.0 - rho)
+        out.noise = Noise(variance, tuple(Whitener(w) for w in self.weight.T))
+        return out
 
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
-        """Given the present variance."""
-        root = np.sqrt(self.precision)
-        columns = _scaled(chosen, root)
+        """Given the present noise."""
+        columns = self.design(chosen).reshape(self.y.size, -1)
+        y = self.noise.residual(self.y).ravel()
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
-        mean = linalg.cho_solve(factor, columns.T @ (root * self.y).ravel())
+        along = columns.T @ y
+        mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
         ends = np.cumsum([h.count for h in chosen])
         slices = tuple(slice(e - h.count, e) for e, h in zip(ends, chosen, strict=True))
         fitted = np.zeros_like(self.y)
         for h, part in zip(chosen, slices, strict=True):
             fitted += h.torque(mean[part], self.y.shape)
-        return Posterior(chosen, slices, mean, covariance, fitted)
+        logdet = self.noise.log_determinant + 2.0 * float(np.log(np.diag(factor[0])).sum())
+        log_evidence = -0.5 * (logdet + float(y @ y) - float(along @ mean))
+        return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
     def learn(self, now: Posterior) -> None:
-        """Variance of each row from what the chosen leave, and from how exact their own equations are.
+        """Noise of each row from what the chosen leave, and from how exact their own equations are.
 
             V_jt = σ_j² + Σₖ fₖ² eₖ(t)²
 
-        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. Residuals
-        that go together over time count as (1 − ρ)/(1 + ρ) of their number, ρ their lag-one correlation.
+        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. How much
+        of it is slow, and over what time, is what makes the residual likeliest.
         """
         left = self.y - now.fitted
         free = sum(h.count for h in now.chosen if h.named) / left.shape[1]
@@ -115,18 +131,20 @@ class Evidence:
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        self.variance = own + form
-        white = left * np.sqrt(self.weight / self.variance)
-        lagged = (white[1:] * white[:-1]).sum(axis=0) / np.maximum((white**2).sum(axis=0), 1e-12)
-        rho = np.clip(lagged, 0.0, MOST_CORRELATED)
-        self.correlation = (1.0 + rho) / (1.0 - rho)
+        variance = own + form
+        white = left / np.sqrt(variance)
+        whiteners = tuple(
+            w.likeliest(x) for w, x in zip(self.noise.whiteners, white.T, strict=True)
+        )
+        scale = np.array([w.fit(x)[1] for w, x in zip(whiteners, white.T, strict=True)])
+        variance = np.maximum(variance * scale**2 * self.count / count, self.least**2)
+        self.noise = Noise(variance, whiteners)
 
     def gains(self, now: Posterior, others: Bank | Sequence[Hypothesis]) -> Float[np.ndarray, " c"]:
         """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
         bank = others if isinstance(others, Bank) else Bank(others)
-        root = np.sqrt(self.precision)
-        base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
-        return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
+        left = self.noise.residual(self.y - now.fitted)
+        return bank.gains(self.noise, self.design(now.chosen), left, now.covariance)
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
@@ -138,16 +156,3 @@ class Evidence:
             out.append(0.5 * (quadratic + logdet))
         return np.array(out)
 
-
-def _scaled(
-    chosen: tuple[Hypothesis, ...], root: Float[np.ndarray, "R n"]
-) -> Float[np.ndarray, "Rn p"]:
-    out = np.zeros((*root.shape, sum(h.count for h in chosen)))
-    at = 0
-    for h in chosen:
-        if h.row is None:
-            out[:, :, at : at + h.count] = h.scaled * root[:, :, None]
-        else:
-            out[:, h.row, at : at + h.count] = h.scaled * root[:, h.row, None]
-        at += h.count
-    return out.reshape(-1, out.shape[-1])

@@ -29,9 +29,11 @@ def windows(
     forces = np.stack(
         [residual.rows_of(Columns(context.force_rows[:, b]))[0] for b in range(count)], axis=1
     )
-    root = np.sqrt(evidence.precision)
+    evidence = evidence.independent()
+    now = evidence.posterior(now.chosen)
+    root = np.sqrt(evidence.weight / evidence.noise.variance)
     left = root * (evidence.y - now.fitted)
-    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
+    base = evidence.design(now.chosen)
     scored = []
     for length in LENGTHS:
         half = 0.5 * length
