@@ -13,7 +13,7 @@ from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.diagnosis.search.discrepancy import LENGTHS, Whitener
+from jax_inertia.diagnosis.search.discrepancy import LENGTHS, SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.settings import Settings
@@ -37,13 +37,7 @@ def hypotheses(rng, count):
 
 def log_marginal(evidence, chosen):
     """Of y with every number integrated out, as one Gaussian of all rows."""
-    covariance = np.zeros((ROWS, JOINTS, ROWS, JOINTS))
-    for j, w in enumerate(evidence.noise.whiteners):
-        size = np.sqrt(evidence.noise.variance[:, j])
-        lag = np.abs(np.subtract.outer(np.arange(ROWS), np.arange(ROWS)))
-        slow = w.share * np.exp(-lag / LENGTHS[w.at[1]])
-        covariance[:, j, :, j] = np.outer(size, size) * (slow + (1 - w.share) * np.eye(ROWS))
-    covariance = covariance.reshape(ROWS * JOINTS, -1)
+    covariance = np.diag((evidence.noise.variance * evidence.noise.repeated).ravel())
     for h in chosen:
         wide = np.zeros((ROWS, JOINTS, h.count))
         wide[:, slice(None) if h.row is None else h.row] = h.columns
@@ -58,9 +52,8 @@ def problem():
     chosen = hypotheses(rng, 5)
     y = rng.normal(size=(ROWS, JOINTS)) + chosen[1].columns @ [1.0, -2.0]
     evidence = Evidence(y, np.ones_like(y), np.full(JOINTS, 1e-6))
-    weights = evidence.weight.T
-    whiteners = tuple(Whitener(w, at) for w, at in zip(weights, ((0, 0), (4, 2)), strict=True))
-    evidence.noise = dataclasses.replace(evidence.noise, whiteners=whiteners)
+    slow = tuple(SlowNoise(w, at) for w, at in zip(evidence.weight.T, ((0, 0), (4, 1)), strict=True))
+    evidence.noise = dataclasses.replace(evidence.noise, slow=slow)
     return evidence, chosen
 
 
@@ -103,10 +96,23 @@ def test_a_row_that_weighs_nothing_tells_nothing(problem):
 
 def test_the_whole_likelihood_is_that_of_one_gaussian(problem):
     evidence, (a, b, c, *_) = problem
-    for part in ((a,), (a, b, c)):
-        constant = 0.5 * evidence.y.size * np.log(2 * np.pi)
-        expected = log_marginal(evidence, part) + constant
-        assert evidence.posterior(part).log_evidence == pytest.approx(expected, rel=1e-8)
+    few, more = (evidence.posterior(x).log_evidence for x in ((a,), (a, b, c)))
+    expected = log_marginal(evidence, (a, b, c)) - log_marginal(evidence, (a,))
+    assert more - few == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_likelihood_of_slow_noise_is_its_gaussian_s():
+    rng, rows = np.random.default_rng(1), 40
+    weight, values = rng.uniform(0.2, 1.0, rows), rng.normal(size=rows)
+    lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+    found, expected = [], []
+    for at in ((0, 0), (3, 1), (7, 4)):
+        noise = SlowNoise(weight, at)
+        c = np.diag((1 - noise.share) / weight) + noise.share * noise.forgotten**lag
+        scale = values @ np.linalg.solve(c, values) / rows
+        expected.append(multivariate_normal(np.zeros(rows), scale * c).logpdf(values))
+        found.append(noise.log_likelihood(values))
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-8)
 
 
 def test_what_is_slow_of_a_residual_is_learned():
@@ -117,10 +123,10 @@ def test_what_is_slow_of_a_residual_is_learned():
         slow[k] = np.exp(-1 / 30) * slow[k - 1] + np.sqrt(1 - np.exp(-2 / 30)) * rng.normal()
     white = rng.normal(size=rows)
     weight = np.ones(rows)
-    found = Whitener(weight).likeliest(2.0 * (np.sqrt(0.8) * slow + np.sqrt(0.2) * white))
+    found = SlowNoise(weight).likeliest(2.0 * (np.sqrt(0.8) * slow + np.sqrt(0.2) * white))
     assert found.share == pytest.approx(0.8, abs=0.11)
     assert LENGTHS[found.at[1]] == 30.0
-    assert Whitener(weight).likeliest(white).share <= 0.1
+    assert SlowNoise(weight).likeliest(white).share <= 0.1
 
 
 def rescaled(errors):

@@ -137,18 +137,37 @@ def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float
 
 
 def borne_out(selection: Selection) -> Selection:
-    """The selection without odd effects of which the log's parts tell different things: they stand in for something.
+    """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
-    The least sure first, one at a time, everything else refitted. Effects that happen once are not asked.
+    Each has to pay its odds where rows count for no more than the residual's memory lets them, by parts of the log that
+    tell the same (`Selection.robust_worth`) and by what the noise would be without it (`Evidence.loss`). The least sure
+    first, one at a time, everything else refitted. Effects that happen once are not asked of the log's parts.
     """
+    evidence = selection.evidence.remembering(selection.posterior)
+    now = evidence.posterior(selection.posterior.chosen)
+    selection = dataclasses.replace(selection, evidence=evidence, posterior=now)
     while True:
-        odd = [h for h in selection.odd if h.family not in PASSING]
-        worths = [selection.robust_worth(h) - h.odds for h in odd]
-        if min(worths, default=0.0) >= 0.0:
+        worths = [_sure_worth(selection, h) - h.odds for h in selection.odd]
+        order = np.argsort(worths)
+        worst = next((selection.odd[k] for k in order if not _pays(selection, selection.odd[k], worths[k])), None)
+        if worst is None:
             return selection
-        worst = odd[int(np.argmin(worths))]
-        rest = tuple(c for c in selection.posterior.chosen if c is not worst)
-        selection = dataclasses.replace(selection, posterior=selection.evidence.posterior(rest))
+        now = evidence.posterior(tuple(c for c in selection.posterior.chosen if c is not worst))
+        evidence = evidence.remembering(now)
+        selection = dataclasses.replace(
+            selection, evidence=evidence, posterior=evidence.posterior(now.chosen)
+        )
+
+
+def _sure_worth(selection: Selection, h: Hypothesis) -> float:
+    if h.family in PASSING:
+        now = selection.posterior
+        return float(selection.evidence.worths(now)[now.chosen.index(h)])
+    return selection.robust_worth(h)
+
+
+def _pays(selection: Selection, h: Hypothesis, worth: float) -> bool:
+    return worth >= 0.0 and selection.evidence.loss(selection.posterior, h) >= h.odds
 
 
 def gated(
@@ -181,6 +200,21 @@ def gated(
         rest = tuple(c for c in now.chosen if c is not odd[worst])
         now = selection.evidence.posterior(rest)
     return dataclasses.replace(selection, posterior=now), tuple(dropped)
+
+
+def carried_over(
+    evidence: Evidence, now: Posterior, judge: OtherRun | HeldOut
+) -> Posterior:
+    """The posterior without effects, ordinary ones too, by which the other run is predicted worse than by the model as
+    it is: the worst first, one at a time, everything else refitted."""
+    nominal = rms(judge.residual.y, judge.residual.weight)
+    while judge.error(now) > nominal:
+        asked = [h for h in now.chosen if not h.effect.marginal and h.family not in PASSING]
+        if not asked:
+            break
+        trials = [evidence.posterior(tuple(c for c in now.chosen if c is not h)) for h in asked]
+        now = min(trials, key=judge.error)
+    return now
 
 
 MOST_RIVALS = 8

@@ -80,11 +80,13 @@ def smallest(s: float, odds: float) -> float:
 
 def information(evidence: Evidence, now: Posterior, h: Hypothesis) -> Float[np.ndarray, " k"]:
     """diag(AᵀA − AᵀX C XᵀA): A the hypothesis' columns per prior standard deviation, X the chosen ones', C their
-    covariance, both whitened."""
-    own, base = evidence.noise.whitened(h.scaled, h.row), evidence.design(now.chosen)
+    covariance, both weighed by the residual's precision."""
+    root = np.sqrt(evidence.precision)
+    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
     if h.row is None:
-        own, x = own.reshape(-1, h.count), base.reshape(-1, base.shape[-1])
+        own = (h.scaled * root[..., None]).reshape(-1, h.count)
+        x = base.reshape(-1, base.shape[-1])
     else:
-        x = base[:, h.row]
+        own, x = h.scaled * root[:, h.row, None], base[:, h.row]
     cross = x.T @ own
     return np.sum(own**2, axis=0) - np.sum(cross * (now.covariance @ cross), axis=0)

@@ -9,7 +9,7 @@ from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, borne_out, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
+from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
@@ -37,7 +37,7 @@ def diagnose(
     """
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
-    library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
+    library = (*(e for e in effects_of(log) if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)
     _require_rows(residual, log)

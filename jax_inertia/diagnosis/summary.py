@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
+from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, carried_over, rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
@@ -46,7 +46,9 @@ def summarised(
     # A shape that names no cause explains nothing: the verdict is about what the causes leave, and so are the numbers.
     causes = evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     causes = bounded(residual, evidence, causes)
-    by_cause = (heldout if other is None else other).check(ordinary, causes)
+    judge = heldout if other is None else other
+    causes = carried_over(evidence, causes, judge)
+    by_cause = judge.check(ordinary, causes)
     told = dataclasses.replace(selection, posterior=causes)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)

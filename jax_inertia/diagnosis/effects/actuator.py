@@ -75,6 +75,16 @@ class TorqueGain(Effect):
         return applied._replace(torque=xp.where(at.rows, at.values["gain"] * tau, tau))
 
 
+class DriveGain(TorqueGain):
+    """The same of every joint whose torque is a motor's current times a constant: each constant is uncertain."""
+
+    ordinary = True
+    source = "torque constants of one drive type; two published sets of one UR10e differ by 13 to 49 %"
+
+    def places(self, context):
+        return Effect.places(self, context)
+
+
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
     sized_by_shape = True

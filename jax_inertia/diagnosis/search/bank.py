@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.search.noise import Noise
 
 
 class Bank:
@@ -19,7 +18,7 @@ class Bank:
         for i, h in enumerate(self.candidates):
             members[h.row, h.count].append(i)
         self._blocks = [
-            (row, count, np.array(at), np.concatenate([self.candidates[i].scaled for i in at], -1))
+            (row, count, np.array(at), np.stack([self.candidates[i].scaled for i in at], axis=-2))
             for (row, count), at in members.items()
         ]
 
@@ -28,23 +27,23 @@ class Bank:
 
     def gains(
         self,
-        noise: Noise,
+        root: Float[np.ndarray, "R n"],
         base: Float[np.ndarray, "R n p"],
         left: Float[np.ndarray, "R n"],
         covariance: Float[np.ndarray, "p p"],
     ) -> Float[np.ndarray, " c"]:
         """½ rᵀ S⁻¹ r − ½ ln |S| of each, nats.
 
-        S = 1 + AᵀA − AᵀX C XᵀA, r = Aᵀ `left`: A the candidate's columns, X those of the chosen (`base`) and
-        `left` what these leave, all whitened by `noise`; C the chosen ones' posterior `covariance`.
+        S = 1 + AᵀA − AᵀX C XᵀA, r = Aᵀ `left`: A the candidate's columns and X those of the chosen (`base`), both
+        times `root`, the square root of the precision; C the chosen ones' posterior `covariance`.
         """
         out = np.full(len(self), -np.inf)
         for row, count, at, columns in self._blocks:
-            own = noise.whitened(columns, row)
             if row is None:
-                own = own.reshape(-1, len(at) * count)
+                own = (columns * root[:, :, None, None]).reshape(-1, len(at) * count)
                 x, rest = base.reshape(-1, base.shape[-1]), left.ravel()
             else:
+                own = (columns * root[:, row, None, None]).reshape(-1, len(at) * count)
                 x, rest = base[:, row], left[:, row]
             cross = x.T @ own
             explained = (covariance @ cross).reshape(len(covariance), len(at), count)

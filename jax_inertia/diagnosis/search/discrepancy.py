@@ -6,7 +6,7 @@ One row's residual, in units of its own standard deviation, is white noise besid
     C_ts = (1 − s) δ_ts / w_t + s φ^|t − s|,    φ = exp(−1/ℓ)
 
 s: share of the variance that is slow; ℓ: rows over which it is forgotten; w: weight of a row. Both are learned by
-marginal likelihood. The slow part's precision is BᵀB, B bidiagonal, so that whitening R rows costs O(R).
+marginal likelihood. The slow part's precision is BᵀB, B bidiagonal, so that R rows cost O(R).
 """
 
 import dataclasses
@@ -28,8 +28,8 @@ UNKNOWN = 1e6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Whitener:
-    """W with W C Wᵀ = 1, of one row of the residual; `at` is a point of the grid (SHARES, LENGTHS)."""
+class SlowNoise:
+    """C of one row of the residual; `at` is a point of the grid (SHARES, LENGTHS)."""
 
     weight: Float[np.ndarray, " R"]
     at: tuple[int, int] = (0, 0)
@@ -40,72 +40,58 @@ class Whitener:
         return SHARES[self.at[0]]
 
     @property
-    def lagged(self) -> float:
-        """Correlation of two rows beside each other."""
-        return self.share * float(np.exp(-1.0 / LENGTHS[self.at[1]]))
+    def forgotten(self) -> float:
+        """φ."""
+        return float(np.exp(-1.0 / LENGTHS[self.at[1]]))
+
+    @property
+    def repeated(self) -> float:
+        """How many rows tell as much as one that is independent, of a torque that varies as the residual does.
+
+        Σₖ c(k)² = 1 + 2 s² φ² / (1 − φ²), c the autocorrelation (Bartlett, J. R. Stat. Soc. 98(3), 1935).
+        """
+        square = self.forgotten**2
+        return 1.0 + 2.0 * self.share**2 * square / (1.0 - square)
 
     @functools.cached_property
     def _live(self) -> Float[np.ndarray, " R"]:
         return 1.0 * (self.weight > UNMEASURED)
 
-    @functools.cached_property
-    def _white(self) -> Float[np.ndarray, " R"]:
-        """Variance of each row's white part."""
-        own = (1.0 - self.share) / np.maximum(self.weight, UNMEASURED)
-        return np.where(self._live > 0, own, UNKNOWN)
-
-    @functools.cached_property
-    def _factor(self):
-        """φ, diagonal of B (R,), and Cholesky's factor of B C Bᵀ = B (white) Bᵀ + 1 as LAPACK's band (2, R)."""
-        phi = float(np.exp(-1.0 / LENGTHS[self.at[1]]))
-        scale = np.full(len(self.weight), 1.0 / np.sqrt(self.share * (1.0 - phi**2)))
-        scale[0] = 1.0 / np.sqrt(self.share)
-        main = scale**2 * self._white + 1.0
-        main[1:] += (scale[1:] * phi) ** 2 * self._white[:-1]
-        below = -phi * scale[1:] * scale[:-1] * self._white[:-1]
-        d, e, _ = lapack.dpttrf(main, below)
-        band = np.zeros((2, len(d)), order="F")
-        band[0] = np.sqrt(d)
-        band[1, :-1] = e * band[0, :-1]
-        return phi, scale, band
-
-    @property
-    def log_determinant(self) -> float:
-        """ln |C|."""
-        if not self.share:
-            return float(np.log(self._white).sum())
-        _, scale, band = self._factor
-        return float(2.0 * np.sum(np.log(band[0]) - np.log(scale)))
-
-    def __call__(self, values: Float[np.ndarray, "R *k"]) -> Float[np.ndarray, "R *k"]:
-        """W times columns."""
-        flat = values.reshape(len(values), -1)
-        if not self.share:
-            return (flat * (self._live / np.sqrt(self._white))[:, None]).reshape(values.shape)
-        phi, scale, band = self._factor
-        moved = np.array(flat * self._live[:, None], order="F")
-        moved[1:] -= phi * moved[:-1].copy()
-        moved *= scale[:, None]
-        out, _ = lapack.dtbtrs(band, moved, uplo="L", overwrite_b=1)
-        return out.reshape(values.shape)
-
-    def fit(self, values: Float[np.ndarray, " R"]) -> tuple[float, float]:
-        """(log likelihood of residuals, their scale that is the likeliest) with C known up to that scale's square."""
+    def log_likelihood(self, values: Float[np.ndarray, " R"]) -> float:
+        """Of residuals in units of their standard deviation, up to one scale of them all, nats."""
         count = max(float(self._live.sum()), 1.0)
-        white = self(values)
-        scale = max(float(white @ white) / count, 1e-300)
-        return -0.5 * (self.log_determinant + count * float(np.log(scale))), float(np.sqrt(scale))
+        white = (1.0 - self.share) / np.maximum(self.weight, UNMEASURED)
+        white = np.where(self._live > 0, white, UNKNOWN)
+        values = values * self._live
+        if not self.share:
+            logdet, energy = float(np.log(white).sum()), float(np.sum(values**2 / white))
+        else:
+            logdet, energy = self._correlated(white, values)
+        return -0.5 * (logdet + count * float(np.log(max(energy, 1e-300) / count)))
 
-    def likeliest(self, values: Float[np.ndarray, " R"]) -> "Whitener":
+    def _correlated(self, white, values) -> tuple[float, float]:
+        """ln |C| and rᵀ C⁻¹ r: of B C Bᵀ = B (white) Bᵀ + 1, which is tridiagonal."""
+        phi = self.forgotten
+        scale = np.full(len(white), 1.0 / np.sqrt(self.share * (1.0 - phi**2)))
+        scale[0] = 1.0 / np.sqrt(self.share)
+        main = scale**2 * white + 1.0
+        main[1:] += (scale[1:] * phi) ** 2 * white[:-1]
+        below = -phi * scale[1:] * scale[:-1] * white[:-1]
+        moved = scale * values
+        moved[1:] -= scale[1:] * phi * values[:-1]
+        d, _, solved, _ = lapack.dptsv(main, below, moved)
+        return float(np.log(d).sum() - 2.0 * np.log(scale).sum()), float(moved @ solved)
+
+    def likeliest(self, values: Float[np.ndarray, " R"]) -> "SlowNoise":
         """The one on the grid under which these residuals are the likeliest, uphill from this one."""
-        best, known = self, {self.at: self.fit(values)[0]}
+        best, known = self, {self.at: self.log_likelihood(values)}
         while True:
             for di, dj in itertools.product((-1, 0, 1), repeat=2):
                 at = best.at[0] + di, best.at[1] + dj
                 inside = 0 <= at[0] < len(SHARES) and 0 <= at[1] < len(LENGTHS)
                 if inside and at not in known:
-                    known[at] = Whitener(self.weight, at).fit(values)[0]
+                    known[at] = SlowNoise(self.weight, at).log_likelihood(values)
             top = max(known, key=known.__getitem__)
             if top == best.at:
                 return best
-            best = Whitener(self.weight, top)
+            best = SlowNoise(self.weight, top)

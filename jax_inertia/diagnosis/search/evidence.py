@@ -1,8 +1,10 @@
 """The one score: log evidence of a linear-Gaussian model of the torque residual, with every number marginalised.
 
-    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
+    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1)
 
-V is learned from what the chosen leave: a variance of every row, and how much of it is slow (`discrepancy`).
+ε is sensor noise and a slow discrepancy: its rows have a variance, and count for as many as are independent of each
+other (`discrepancy`). Their weights stay those of white noise: the discrepancy's own inverse covariance would trust the
+residual's increments, where models err most, before its level.
 
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
 to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
@@ -19,8 +21,12 @@ from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.discrepancy import Whitener
-from jax_inertia.diagnosis.search.noise import Noise
+from jax_inertia.diagnosis.search.discrepancy import SlowNoise
+
+MOST_REPEATED = 3.0
+"""Rows that count as one while hypotheses are searched: friction's own misfit on sound logs goes together for less, and
+what does for longer may be an effect that is not yet chosen."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Posterior:
@@ -33,7 +39,7 @@ class Posterior:
     fitted: Float[np.ndarray, "R n"]
     """Torque of everything chosen, tolerances included [N m]."""
     log_evidence: float = np.nan
-    """ln p(y) of all rows with every number marginalised, up to a constant of the log, nats."""
+    """ln p(y) with every number marginalised, up to a constant of the log, of as many rows as are independent [nats]."""
 
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
@@ -54,6 +60,20 @@ def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
     return form
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """Variance of every row, and what is slow of it."""
+
+    variance: Float[np.ndarray, "R n"]
+    slow: tuple[SlowNoise, ...]
+    most_repeated: float = MOST_REPEATED
+
+    @property
+    def repeated(self) -> Float[np.ndarray, " n"]:
+        """How many neighbours say the same."""
+        return np.minimum([s.repeated for s in self.slow], self.most_repeated)
+
+
 class Evidence:
     """Residual rows with their weights; judges sets of hypotheses."""
 
@@ -69,41 +89,37 @@ class Evidence:
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)
         """Root mean square of each row's torque residual [N m]."""
         variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
-        self.noise = Noise(variance, tuple(Whitener(w) for w in weight.T))
+        self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
 
-    def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "R n p"]:
-        """Whitened columns of the chosen, per prior standard deviation."""
-        out = np.zeros((*self.y.shape, sum(h.count for h in chosen)))
-        at = 0
-        for h in chosen:
-            whole = slice(None) if h.row is None else h.row
-            out[:, whole, at : at + h.count] = self.noise.whitened(h.scaled, h.row)
-            at += h.count
-        return out
+    def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
+        """Weighted columns of the chosen, per prior standard deviation."""
+        return _scaled(chosen, np.sqrt(self.precision))
 
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
         out.weight = np.where(part[:, None], 0.0, self.weight)
-        whiteners = (Whitener(w, n.at) for w, n in zip(out.weight.T, self.noise.whiteners, strict=True))
-        out.noise = Noise(self.noise.variance, tuple(whiteners))
         return out
 
-    def independent(self) -> "Evidence":
-        """The same with rows that are independent and count as (1 − ρ)/(1 + ρ) of their number, ρ their lag-one
-        correlation: for what lasts too short for a discrepancy's whole memory."""
+    def remembering(self, now: Posterior) -> "Evidence":
+        """The same, its noise learned once more with rows that count for no more than their whole memory lets them."""
         out = copy.copy(self)
-        rho = np.array([w.lagged for w in self.noise.whiteners])
-        variance = self.noise.variance * (1.0 + rho) / (1.0 - rho)
-        out.noise = Noise(variance, tuple(Whitener(w) for w in self.weight.T))
+        out.noise = dataclasses.replace(self.noise, most_repeated=np.inf)
+        out.learn(now)
         return out
+
+    @property
+    def precision(self) -> Float[np.ndarray, "R n"]:
+        """Inverse variance of each row, divided by how many neighbours say the same."""
+        return self.weight / (self.noise.variance * self.noise.repeated)
 
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
         """Given the present noise."""
-        columns = self.design(chosen).reshape(self.y.size, -1)
-        y = self.noise.residual(self.y).ravel()
+        root = np.sqrt(self.precision)
+        columns = _scaled(chosen, root)
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
+        y = (root * self.y).ravel()
         along = columns.T @ y
         mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
@@ -112,17 +128,18 @@ class Evidence:
         fitted = np.zeros_like(self.y)
         for h, part in zip(chosen, slices, strict=True):
             fitted += h.torque(mean[part], self.y.shape)
-        logdet = self.noise.log_determinant + 2.0 * float(np.log(np.diag(factor[0])).sum())
+        logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
+        logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
         log_evidence = -0.5 * (logdet + float(y @ y) - float(along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
-    def learn(self, now: Posterior) -> None:
+    def learn(self, now: Posterior, *, memory: bool = True) -> None:
         """Noise of each row from what the chosen leave, and from how exact their own equations are.
 
             V_jt = σ_j² + Σₖ fₖ² eₖ(t)²
 
-        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. How much
-        of it is slow, and over what time, is what makes the residual likeliest.
+        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. With
+        `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
         free = sum(h.count for h in now.chosen if h.named) / left.shape[1]
@@ -131,20 +148,31 @@ class Evidence:
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        variance = own + form
-        white = left / np.sqrt(variance)
-        whiteners = tuple(
-            w.likeliest(x) for w, x in zip(self.noise.whiteners, white.T, strict=True)
-        )
-        scale = np.array([w.fit(x)[1] for w, x in zip(whiteners, white.T, strict=True)])
-        variance = np.maximum(variance * scale**2 * self.count / count, self.least**2)
-        self.noise = Noise(variance, whiteners)
+        variance, slow = own + form, self.noise.slow
+        if memory:
+            white = left / np.sqrt(variance)
+            slow = tuple(s.likeliest(x) for s, x in zip(slow, white.T, strict=True))
+        self.noise = dataclasses.replace(self.noise, variance=variance, slow=slow)
 
     def gains(self, now: Posterior, others: Bank | Sequence[Hypothesis]) -> Float[np.ndarray, " c"]:
         """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
         bank = others if isinstance(others, Bank) else Bank(others)
-        left = self.noise.residual(self.y - now.fitted)
-        return bank.gains(self.noise, self.design(now.chosen), left, now.covariance)
+        root = np.sqrt(self.precision)
+        base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+        return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
+
+    def loss(self, now: Posterior, h: Hypothesis) -> float:
+        """Log evidence lost without one of the chosen, with the variances that are learned then, nats.
+
+        `worths` asks that of the noise that is there with it, which is too small for a fit without.
+        """
+        out = copy.copy(self)
+        rest = now
+        for _ in range(2):
+            rest = out.posterior(tuple(c for c in now.chosen if c is not h))
+            out.learn(rest, memory=False)
+        rest = out.posterior(rest.chosen)
+        return self.posterior(now.chosen).log_evidence - rest.log_evidence
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
@@ -156,3 +184,16 @@ class Evidence:
             out.append(0.5 * (quadratic + logdet))
         return np.array(out)
 
+
+def _scaled(
+    chosen: tuple[Hypothesis, ...], root: Float[np.ndarray, "R n"]
+) -> Float[np.ndarray, "Rn p"]:
+    out = np.zeros((*root.shape, sum(h.count for h in chosen)))
+    at = 0
+    for h in chosen:
+        if h.row is None:
+            out[:, :, at : at + h.count] = h.scaled * root[:, :, None]
+        else:
+            out[:, h.row, at : at + h.count] = h.scaled * root[:, h.row, None]
+        at += h.count
+    return out.reshape(-1, out.shape[-1])

@@ -29,11 +29,9 @@ def windows(
     forces = np.stack(
         [residual.rows_of(Columns(context.force_rows[:, b]))[0] for b in range(count)], axis=1
     )
-    evidence = evidence.independent()
-    now = evidence.posterior(now.chosen)
-    root = np.sqrt(evidence.weight / evidence.noise.variance)
+    root = np.sqrt(evidence.precision)
     left = root * (evidence.y - now.fitted)
-    base = evidence.design(now.chosen)
+    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
     scored = []
     for length in LENGTHS:
         half = 0.5 * length

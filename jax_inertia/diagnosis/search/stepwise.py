@@ -99,22 +99,7 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
         seen.add(_odd_of(after))
         now = after
     now = learned(evidence, now.chosen, 2)
-    return _parsimonious(evidence, _pruned(evidence, bounded(residual, evidence, now)))
-
-
-def _parsimonious(evidence: Evidence, now: Posterior) -> Posterior:
-    """Without odd effects that gain no evidence over the noise that is learned without them, the faintest first."""
-    while True:
-        worths = dict(zip(map(id, now.chosen), evidence.worths(now), strict=True))
-        noise = evidence.noise
-        for h in sorted((h for h in now.chosen if h.is_odd), key=lambda h: worths[id(h)]):
-            rest = learned(evidence, tuple(c for c in now.chosen if c is not h), 2)
-            if _score(rest) >= _score(now):
-                now = rest
-                break
-            evidence.noise = noise
-        else:
-            return now
+    return _pruned(evidence, bounded(residual, evidence, now))
 
 
 def _odd_of(now: Posterior) -> frozenset[tuple]:
@@ -138,37 +123,15 @@ def _best(
 
 
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
-    """One more, the best there is, and which; None where nothing gains.
-
-    Candidates are ranked by the present noise, in which what they explain is still counted; whether one stays is asked
-    of the evidence with the noise that it leaves.
-    """
-    tried: set[tuple[str, str, str]] = set()
-    noise = evidence.noise
+    """One more, the best there is, and which; None where nothing gains."""
     for added, gain in _best(residual, evidence, now, bank, barred):
-        if gain + added.odds <= 0 or len(tried) == TRIALS:
+        if gain <= 0:
             return None
-        if added.key in tried:
-            continue
         after = _with(residual, evidence, now, added)
-        if after is None:
-            barred.add(id(added))
-            continue
-        after = _settled(residual, evidence, after)
-        if _score(after) > _score(now):
-            return after, added
-        tried.add(added.key)
-        evidence.noise = noise
+        if after is not None:
+            return _settled(residual, evidence, after), added
+        barred.add(id(added))
     return None
-
-
-TRIALS = 3
-"""Candidates of which the evidence is asked with the noise that they leave, before a search ends."""
-
-
-def _score(now: Posterior) -> float:
-    """Log evidence less prior odds, nats."""
-    return now.log_evidence - sum(h.odds for h in now.chosen)
 
 
 def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
@@ -183,13 +146,9 @@ def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, 
         if better is not None and better[1] > worth - h.odds + EXCHANGE:
             # Once exchanged, it does not come back: no two take turns.
             barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            noise = evidence.noise
             after = _with(residual, evidence, rest, better[0])
             if after is not None:
-                after = _settled(residual, evidence, after)
-                if _score(after) > _score(now):
-                    return after, better[0]
-            evidence.noise = noise
+                return _settled(residual, evidence, after), better[0]
     return None
 
 
