@@ -74,6 +74,18 @@ def test_deleting_changes_it_by_the_worth(problem):
     np.testing.assert_allclose(evidence.worths(evidence.posterior(chosen)), expected, rtol=1e-8)
 
 
+def test_without_one_is_what_a_fit_without_it_finds(problem):
+    evidence, chosen = problem
+    for h in chosen:
+        found = evidence.posterior(chosen).without(h)
+        fresh = evidence.posterior(tuple(x for x in chosen if x is not h))
+        assert found.chosen == fresh.chosen and found.slices == fresh.slices
+        for name in ("mean", "covariance", "fitted", "log_evidence"):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(fresh, name), rtol=1e-7, atol=1e-9
+            )
+
+
 def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
     """An effect of just that size, and nothing else in the rows."""
     evidence, chosen = problem

@@ -47,7 +47,7 @@ def summarised(
     causes = evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     causes = bounded(residual, evidence, causes)
     judge = heldout if other is None else other
-    causes = carried_over(evidence, causes, judge)
+    causes = carried_over(causes, judge)
     by_cause = judge.check(ordinary, causes)
     told = dataclasses.replace(selection, posterior=causes)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))

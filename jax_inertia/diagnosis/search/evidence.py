@@ -50,6 +50,28 @@ class Posterior:
         """Torque of one hypothesis at its posterior mean [N m]."""
         return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
 
+    def without(self, gone: Hypothesis) -> "Posterior":
+        """The posterior had one not been chosen, the noise being the same: that given that its numbers are zero."""
+        b = self.slices[self.chosen.index(gone)]
+        kept = np.delete(np.arange(len(self.mean)), b)
+        gain = np.linalg.solve(self.covariance[b, b], self.covariance[b, kept]).T
+        mean = self.mean[kept] - gain @ self.mean[b]
+        covariance = self.covariance[np.ix_(kept, kept)] - gain @ self.covariance[b, kept]
+        chosen = tuple(h for h in self.chosen if h is not gone)
+        fitted, slices, at = np.zeros_like(self.fitted), [], 0
+        for h in chosen:
+            slices.append(slice(at, at + h.count))
+            at += h.count
+            fitted += h.torque(mean[slices[-1]], fitted.shape)
+        left = self.log_evidence - worth(self.mean[b], self.covariance[b, b])
+        return Posterior(chosen, tuple(slices), mean, covariance, fitted, left)
+
+
+def worth(mean: Float[np.ndarray, " k"], covariance: Float[np.ndarray, "k k"]) -> float:
+    """Log evidence that numbers bring, in units of their prior standard deviation: Savage–Dickey, nats."""
+    _, logdet = np.linalg.slogdet(covariance)
+    return float(0.5 * (mean @ np.linalg.solve(covariance, mean) + logdet))
+
 
 def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
     """Variance of each row that errors of the chosen effects' own equations leave [N² m²]."""
@@ -167,22 +189,15 @@ class Evidence:
         `worths` asks that of the noise that is there with it, which is too small for a fit without.
         """
         out = copy.copy(self)
-        rest = now
+        rest = now.without(h)
         for _ in range(2):
-            rest = out.posterior(tuple(c for c in now.chosen if c is not h))
             out.learn(rest, memory=False)
-        rest = out.posterior(rest.chosen)
-        return self.posterior(now.chosen).log_evidence - rest.log_evidence
+            rest = out.posterior(rest.chosen)
+        return now.log_evidence - rest.log_evidence
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
-        out = []
-        for part in now.slices:
-            mean, covariance = now.mean[part], now.covariance[part, part]
-            _, logdet = np.linalg.slogdet(covariance)
-            quadratic = mean @ np.linalg.solve(covariance, mean)
-            out.append(0.5 * (quadratic + logdet))
-        return np.array(out)
+        return np.array([worth(now.mean[part], now.covariance[part, part]) for part in now.slices])
 
 
 def _scaled(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, worth
 
 GROUPS = 10
 """Parts of a log for the jackknife."""
@@ -53,8 +53,7 @@ class Selection:
         part = self.posterior.slices[self.posterior.chosen.index(h)]
         mean = self.posterior.mean[part]
         covariance = self.posterior.covariance[part, part] + self.spread[part, part]
-        quadratic = mean @ np.linalg.solve(covariance, mean)
-        return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
+        return worth(mean, covariance)
 
     @property
     def ordinary(self) -> tuple[Hypothesis, ...]:
