@@ -2,16 +2,19 @@
 
 import abc
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
+from jax_inertia.diagnosis.effects.actuator import GainTolerance, TorqueGain
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.logs.schema import TorqueKind
 
 PASSING = frozenset({"push"})
 """Effects that happen once: on another run they are not there."""
@@ -156,20 +159,33 @@ def borne_out(selection: Selection) -> Selection:
     tell the same (`Selection.robust_worth`) and by what the noise would be without it (`Evidence.loss`). The least sure
     first, one at a time, everything else refitted. Effects that happen once are not asked of the log's parts.
     """
-    evidence = selection.evidence.remembering(selection.posterior)
-    now = evidence.posterior(selection.posterior.chosen)
-    selection = dataclasses.replace(selection, evidence=evidence, posterior=now)
+    selection = _remembering(selection, selection.posterior)
     while True:
         worths = [_sure_worth(selection, h) - h.odds for h in selection.odd]
         order = np.argsort(worths)
         worst = next((selection.odd[k] for k in order if not _pays(selection, selection.odd[k], worths[k])), None)
         if worst is None:
             return selection
-        now = selection.posterior.without(worst)
-        evidence = evidence.remembering(now)
-        selection = dataclasses.replace(
-            selection, evidence=evidence, posterior=evidence.posterior(now.chosen)
-        )
+        selection = _remembering(selection, selection.posterior.without(worst))
+
+
+def _remembering(selection: Selection, now: Posterior) -> Selection:
+    """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
+    now = selection.evidence.posterior((*now.chosen, *_uncertain_gains(selection.residual, now)))
+    evidence = selection.evidence.remembering(now)
+    return dataclasses.replace(
+        selection, evidence=evidence, posterior=evidence.posterior(now.chosen)
+    )
+
+
+def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]:
+    """Of each joint whose torque is a current times a constant, unless one is in it: by that its numbers may be off."""
+    if residual.log.tau_kind is TorqueKind.CURRENT:
+        effect = GainTolerance()
+        there = {h.place.name for h in now.chosen if isinstance(h.effect, TorqueGain)}
+        for place in effect.places(residual.context):
+            if place.kind == "joint" and place.name not in there:
+                yield hypothesis(residual, effect, place, (), 0.0)
 
 
 def _sure_worth(selection: Selection, h: Hypothesis) -> float:
@@ -217,10 +233,11 @@ def _asked(now: Posterior) -> list[Hypothesis]:
 
 
 def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:
-    """The posterior without effects, ordinary ones too, by which the other run is predicted worse than by the model as
+    """The posterior without effects, ordinary ones and tolerances too, by which the other run is predicted worse than by the model as
     it is: the worst first, one at a time, everything else refitted."""
     nominal = rms(judge.residual.y, judge.residual.weight)
-    while judge.error(now) > nominal and (asked := _asked(now)):
+    while judge.error(now) > nominal:
+        asked = [h for h in now.chosen if h.family not in PASSING]
         errors = judge.errors_without(now, asked)
         now = now.without(asked[int(np.argmin(errors))])
     return now

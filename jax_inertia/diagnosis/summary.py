@@ -98,7 +98,9 @@ def _at(h: Hypothesis) -> str:
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
     """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
     now, residual = selection.posterior, selection.residual
-    base = next(h for h in now.chosen if h.family == "tolerances")
+    base = next((h for h in now.chosen if h.family == "tolerances"), None)
+    if base is None:
+        return {}
     numbers = now.of(base)[0]
     out, at = {}, 0
     for change, name, pi in inertial_changes(residual.context, base.shape):

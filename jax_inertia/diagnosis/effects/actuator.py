@@ -76,13 +76,16 @@ class TorqueGain(Effect):
 
 
 class DriveGain(TorqueGain):
-    """The same of every joint whose torque is a motor's current times a constant: each constant is uncertain."""
+    """The same where torques are currents times a constant of each motor: that every such constant is uncertain."""
 
-    ordinary = True
+    refines = True
     source = "torque constants of one drive type; two published sets of one UR10e differ by 13 to 49 %"
 
-    def places(self, context):
-        return Effect.places(self, context)
+
+class GainTolerance(TorqueGain):
+    """The same as a tolerance, marginalised at each joint whose gain is not found."""
+
+    name, named, marginal, form_error = "gain_tolerance", False, True, 0.0
 
 
 class TorqueSaturation(Effect):

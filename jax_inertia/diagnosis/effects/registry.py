@@ -58,10 +58,8 @@ EFFECTS: tuple[Effect, ...] = (
     generic.PathOfTorque(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))
-BY_CURRENT: tuple[Effect, ...] = (
-    *(e for e in EFFECTS if e.ordinary),
-    actuator.DriveGain(),
-    *(e for e in EFFECTS if not e.ordinary and not isinstance(e, actuator.TorqueGain)),
+BY_CURRENT: tuple[Effect, ...] = tuple(
+    actuator.DriveGain() if isinstance(e, actuator.TorqueGain) else e for e in EFFECTS
 )
 """The same where torques are currents times constants."""
 DRY_FORMS = tuple(e.name for e in EFFECTS if isinstance(e, dry_friction.DryFriction) and e.refines)

@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 from jaxtyping import Float
+from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
@@ -37,10 +38,16 @@ class Selection:
 
         The delete-a-group jackknife (Kott 2001): what the equations miss goes together over time.
         """
+        evidence, chosen = self.evidence, self.posterior.chosen
         group = np.arange(len(self.residual.y)) * GROUPS // len(self.residual.y)
+        columns = evidence.design(chosen).reshape(*self.residual.y.shape, -1)
+        y = np.sqrt(evidence.precision) * evidence.y
+        parts = [(columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel()) for g in range(GROUPS)]
+        grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
+        gram, whole = np.eye(columns.shape[-1]) + sum(grams), sum(along)
         fits = [
-            self.evidence.without(group == g).posterior(self.posterior.chosen).mean
-            for g in range(GROUPS)
+            linalg.solve(gram - g, whole - a, assume_a="pos")
+            for g, a in zip(grams, along, strict=True)
         ]
         away = np.array(fits) - np.mean(fits, axis=0)
         return (GROUPS - 1) / GROUPS * away.T @ away
