@@ -52,7 +52,9 @@ def problem():
     chosen = hypotheses(rng, 5)
     y = rng.normal(size=(ROWS, JOINTS)) + chosen[1].columns @ [1.0, -2.0]
     evidence = Evidence(y, np.ones_like(y), np.full(JOINTS, 1e-6))
-    slow = tuple(SlowNoise(w, at) for w, at in zip(evidence.weight.T, ((0, 0), (4, 1)), strict=True))
+    slow = tuple(
+        SlowNoise(w, at) for w, at in zip(evidence.weight.T, ((0, 0), (4, 1)), strict=True)
+    )
     evidence.noise = dataclasses.replace(evidence.noise, slow=slow)
     return evidence, chosen
 
@@ -79,7 +81,8 @@ def test_without_one_is_what_a_fit_without_it_finds(problem):
     for h in chosen:
         found = evidence.posterior(chosen).without(h)
         fresh = evidence.posterior(tuple(x for x in chosen if x is not h))
-        assert found.chosen == fresh.chosen and found.slices == fresh.slices
+        assert found.chosen == fresh.chosen
+        assert found.slices == fresh.slices
         for name in ("mean", "covariance", "fitted", "log_evidence"):
             np.testing.assert_allclose(
                 getattr(found, name), getattr(fresh, name), rtol=1e-7, atol=1e-9

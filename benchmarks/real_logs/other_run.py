@@ -99,7 +99,14 @@ RUNS = (
     Run("panda", "Panda, last 30 % of its run", "panda_gaz2019", "panda"),
     Run("lwr4", "LWR4+, train_1 → test_3", "kuka_lwr4_flobaroid", "lwr4"),
     Run("lwr4_repeat", "LWR4+, train_2 → test_3", "kuka_lwr4_flobaroid", "lwr4_repeat"),
-    Run("ur10e", "UR10e, free_1 → free_2, published gains", UR10E, "ur10e", gains=_GAINS, kind="current"),
+    Run(
+        "ur10e",
+        "UR10e, free_1 → free_2, published gains",
+        UR10E,
+        "ur10e",
+        gains=_GAINS,
+        kind="current",
+    ),
     Run("ur10e_raw", "UR10e, free_1 → free_2, amperes", UR10E, "ur10e", raw=True),
     Run(
         "ur10e_payload",

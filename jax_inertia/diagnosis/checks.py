@@ -2,19 +2,16 @@
 
 import abc
 import dataclasses
-from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.actuator import GainTolerance, TorqueGain
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.logs.schema import TorqueKind
 
 PASSING = frozenset({"push"})
 """Effects that happen once: on another run they are not there."""
@@ -152,53 +149,6 @@ def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float
     return np.sqrt((weight * e**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9))
 
 
-def borne_out(selection: Selection) -> Selection:
-    """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
-
-    Each has to pay its odds where rows count for no more than the residual's memory lets them, by parts of the log that
-    tell the same (`Selection.robust_worth`) and by what the noise would be without it (`Evidence.loss`). The least sure
-    first, one at a time, everything else refitted. Effects that happen once are not asked of the log's parts.
-    """
-    selection = _remembering(selection, selection.posterior)
-    while True:
-        worths = [_sure_worth(selection, h) - h.odds for h in selection.odd]
-        order = np.argsort(worths)
-        worst = next((selection.odd[k] for k in order if not _pays(selection, selection.odd[k], worths[k])), None)
-        if worst is None:
-            return selection
-        selection = _remembering(selection, selection.posterior.without(worst))
-
-
-def _remembering(selection: Selection, now: Posterior) -> Selection:
-    """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
-    now = selection.evidence.posterior((*now.chosen, *_uncertain_gains(selection.residual, now)))
-    evidence = selection.evidence.remembering(now)
-    return dataclasses.replace(
-        selection, evidence=evidence, posterior=evidence.posterior(now.chosen)
-    )
-
-
-def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]:
-    """Of each joint whose torque is a current times a constant, unless one is in it: by that its numbers may be off."""
-    if residual.log.tau_kind is TorqueKind.CURRENT:
-        effect = GainTolerance()
-        there = {h.place.name for h in now.chosen if isinstance(h.effect, TorqueGain)}
-        for place in effect.places(residual.context):
-            if place.kind == "joint" and place.name not in there:
-                yield hypothesis(residual, effect, place, (), 0.0)
-
-
-def _sure_worth(selection: Selection, h: Hypothesis) -> float:
-    if h.family in PASSING:
-        now = selection.posterior
-        return float(selection.evidence.worths(now)[now.chosen.index(h)])
-    return selection.robust_worth(h)
-
-
-def _pays(selection: Selection, h: Hypothesis, worth: float) -> bool:
-    return worth >= 0.0 and selection.evidence.loss(selection.posterior, h) >= h.odds
-
-
 def gated(
     selection: Selection, judge: OtherRun | HeldOut, settings: Settings
 ) -> tuple[Selection, tuple[Hypothesis, ...]]:
@@ -230,17 +180,6 @@ def gated(
 def _asked(now: Posterior) -> list[Hypothesis]:
     """Of what is chosen, what should be there on another run."""
     return [h for h in now.chosen if not h.effect.marginal and h.family not in PASSING]
-
-
-def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:
-    """The posterior without effects, ordinary ones and tolerances too, by which the other run is predicted worse than by the model as
-    it is: the worst first, one at a time, everything else refitted."""
-    nominal = rms(judge.residual.y, judge.residual.weight)
-    while judge.error(now) > nominal:
-        asked = [h for h in now.chosen if h.family not in PASSING]
-        errors = judge.errors_without(now, asked)
-        now = now.without(asked[int(np.argmin(errors))])
-    return now
 
 
 MOST_RIVALS = 8

@@ -23,7 +23,7 @@ ORDINARY_NUMBERS = {
 def intervals(
     selection: Selection, h: Hypothesis, mean: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Interval]:
-    """95 % intervals of what is reported, by the delta method; nonlinear numbers by how the evidence falls about them."""
+    """95 % intervals of what is reported, by the delta method; of nonlinear numbers by how the evidence falls."""
     residual = selection.residual
     base = h.numbers(residual, mean)
     slopes = {name: np.zeros(len(mean)) for name in base}

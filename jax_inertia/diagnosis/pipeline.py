@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jax_inertia.diagnosis import summary
-from jax_inertia.diagnosis.checks import HeldOut, OtherRun, borne_out, gated
+from jax_inertia.diagnosis.causes import borne_out, remembering
+from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
@@ -45,9 +46,12 @@ def diagnose(
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
-    everything, dropped = gated(selection, heldout if other is None else other, settings)
-    selection = borne_out(everything)
-    found = summary.summarised(selection, everything.posterior, heldout, other, dropped, settings)
+    judge = heldout if other is None else other
+    gate, dropped = gated(selection, judge, settings)
+    whole = remembering(gate, gate.posterior)
+    everything = min(gate.posterior, whole.posterior, key=judge.error)
+    selection = borne_out(whole)
+    found = summary.summarised(selection, everything, heldout, other, dropped, settings)
     progress("what this log would have shown")
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
     return dataclasses.replace(

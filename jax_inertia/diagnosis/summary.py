@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, carried_over, rms
+from jax_inertia.diagnosis.causes import carried_over
+from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
@@ -38,8 +39,6 @@ def summarised(
     now, evidence, residual = selection.posterior, selection.evidence, selection.residual
     names = residual.context.row_names
     ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
-    own = heldout.check(ordinary, everything)
-    test = None if other is None else other.check(ordinary, everything)
     shares = {id(h): share(selection, h) for h in now.chosen}
     likely, doubtful = effects(selection, shares, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
@@ -49,6 +48,10 @@ def summarised(
     judge = heldout if other is None else other
     causes = carried_over(causes, judge)
     by_cause = judge.check(ordinary, causes)
+    # Shapes are there to predict: where the causes do it better, they are not.
+    everything = min(everything, causes, key=judge.error)
+    own = heldout.check(ordinary, everything)
+    test = None if other is None else other.check(ordinary, everything)
     told = dataclasses.replace(selection, posterior=causes)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)

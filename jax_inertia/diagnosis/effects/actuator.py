@@ -79,7 +79,9 @@ class DriveGain(TorqueGain):
     """The same where torques are currents times a constant of each motor: that every such constant is uncertain."""
 
     refines = True
-    source = "torque constants of one drive type; two published sets of one UR10e differ by 13 to 49 %"
+    source = (
+        "torque constants of one drive type; two published sets of one UR10e differ by 13 to 49 %"
+    )
 
 
 class GainTolerance(TorqueGain):

@@ -39,7 +39,7 @@ class Posterior:
     fitted: Float[np.ndarray, "R n"]
     """Torque of everything chosen, tolerances included [N m]."""
     log_evidence: float = np.nan
-    """ln p(y) with every number marginalised, up to a constant of the log, of as many rows as are independent [nats]."""
+    """ln p(y), every number marginalised, of as many rows as are independent; up to a constant of the log [nats]."""
 
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
@@ -184,16 +184,19 @@ class Evidence:
         return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
 
     def loss(self, now: Posterior, h: Hypothesis) -> float:
-        """Log evidence lost without one of the chosen, with the variances that are learned then, nats.
+        """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.
 
-        `worths` asks that of the noise that is there with it, which is too small for a fit without.
+        Variances are learned with it and without; the memory is that of the residual without it, the discrepancy that
+        it has to be better than. (`worths` asks the same of the noise that is there with it.)
         """
-        out = copy.copy(self)
+        alone, beside = copy.copy(self), copy.copy(self)
         rest = now.without(h)
         for _ in range(2):
-            out.learn(rest, memory=False)
-            rest = out.posterior(rest.chosen)
-        return now.log_evidence - rest.log_evidence
+            alone.learn(rest)
+            rest = alone.posterior(rest.chosen)
+        beside.noise = dataclasses.replace(self.noise, slow=alone.noise.slow)
+        beside.learn(now, memory=False)
+        return beside.posterior(now.chosen).log_evidence - rest.log_evidence
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""

@@ -42,7 +42,10 @@ class Selection:
         group = np.arange(len(self.residual.y)) * GROUPS // len(self.residual.y)
         columns = evidence.design(chosen).reshape(*self.residual.y.shape, -1)
         y = np.sqrt(evidence.precision) * evidence.y
-        parts = [(columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel()) for g in range(GROUPS)]
+        parts = [
+            (columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel())
+            for g in range(GROUPS)
+        ]
         grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
         gram, whole = np.eye(columns.shape[-1]) + sum(grams), sum(along)
         fits = [
