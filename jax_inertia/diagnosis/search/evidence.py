@@ -214,4 +214,4 @@ def _scaled(
         else:
             out[:, h.row, at : at + h.count] = h.scaled * root[:, h.row, None]
         at += h.count
-    return out.reshape(-1, out.shape[-1])
+    return out.reshape(root.size, out.shape[-1])
