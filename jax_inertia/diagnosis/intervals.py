@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
@@ -103,7 +104,7 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
             numbers[:, part] = _nearest(selection, h, forms) * forms.scale
     mean = numbers @ now.mean
     covariance = numbers @ (now.covariance + selection.spread) @ numbers.T
-    return mean, covariance + _systematic(h, mean)
+    return mean, covariance + _systematic(selection, h)
 
 
 def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarray:
@@ -115,10 +116,21 @@ def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarr
     return solved[[both.index(h)]]
 
 
-def _systematic(h: Hypothesis, mean: np.ndarray) -> np.ndarray:
-    """Covariance of a friction's number by its own equation: a law of another form has no one level."""
-    known_to = FORM_TOLERANCE if h.family in FRICTION else 0.0
-    return np.diag((known_to * mean) ** 2)
+def _systematic(selection: Selection, h: Hypothesis) -> np.ndarray:
+    """Covariance of a friction's number by its own equation: a law of another form has no one level and no one slope.
+
+    By how far such a law's torque may be off (`FORM_TOLERANCE` of the joint's whole friction), in the number's unit.
+    """
+    if h.family not in FRICTION:
+        return np.zeros((h.count, h.count))
+    now, row = selection.posterior, h.place.index
+    weight = selection.residual.weight[:, [row]]
+    own = [
+        c for c in now.chosen if c.family in (*FRICTION, "friction_forms") and c.place == h.place
+    ]
+    whole = rms(sum(now.torque(c) for c in own)[:, [row]], weight)
+    per_unit = max(rms(h.columns, weight), 1e-12)
+    return np.diag([(FORM_TOLERANCE * whole / per_unit) ** 2])
 
 
 def added(p: Interval, level: Interval) -> Interval:

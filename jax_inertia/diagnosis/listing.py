@@ -45,7 +45,7 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     mean, covariance = selection.posterior.of(h)
     distinct = abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0])
     row = h.place.index
-    attribute = ORDINARY_NUMBERS.get(h.family, (None,))[0]
+    attribute = ORDINARY_NUMBERS[h.family][0]
     own = 0.0 if attribute is None else float(getattr(selection.residual.context, attribute)[row])
     if abs(mean[0]) < settings.ordinary_tolerance * own:
         return False
