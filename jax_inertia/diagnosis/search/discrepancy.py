@@ -1,6 +1,6 @@
 """Slow discrepancy: what no equation says exactly errs alike for a while, so its rows are not independent samples.
 
-One row's residual, in units of its own standard deviation, is white noise beside an Ornstein–Uhlenbeck process
+One row's residual, in units of its own standard deviation, is white noise and an Ornstein–Uhlenbeck process
 (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, sec. B.2):
 
     C_ts = (1 − s) δ_ts / w_t + s φ^|t − s|,    φ = exp(−1/ℓ)

@@ -112,6 +112,7 @@ class Evidence:
         """Root mean square of each row's torque residual [N m]."""
         variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
         self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
+        self._last: tuple[Posterior, Noise, np.ndarray] | None = None
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
@@ -120,7 +121,7 @@ class Evidence:
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
-        out.weight = np.where(part[:, None], 0.0, self.weight)
+        out.weight, out._last = np.where(part[:, None], 0.0, self.weight), None
         return out
 
     def remembering(self, now: Posterior) -> "Evidence":
@@ -180,8 +181,11 @@ class Evidence:
         """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
         bank = others if isinstance(others, Bank) else Bank(others)
         root = np.sqrt(self.precision)
-        base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
-        return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
+        # Asked of one posterior many times over, where numbers between a grid's points are searched.
+        if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
+            base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+            self._last = now, self.noise, base
+        return bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
 
     def loss(self, now: Posterior, h: Hypothesis) -> float:
         """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.
