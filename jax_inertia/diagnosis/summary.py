@@ -96,7 +96,7 @@ def summarised(
 def _causes(
     selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun
 ) -> Posterior:
-    """What the verdict is about, and whose numbers are told: a shape that names no cause explains nothing."""
+    """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing."""
     now = selection.posterior
     causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     return carried_over(bounded(selection.residual, selection.evidence, causes), judge)
