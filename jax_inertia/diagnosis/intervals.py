@@ -125,10 +125,9 @@ def _systematic(selection: Selection, h: Hypothesis) -> np.ndarray:
         return np.zeros((h.count, h.count))
     now, row = selection.posterior, h.place.index
     weight = selection.residual.weight[:, [row]]
-    own = [
-        c for c in now.chosen if c.family in (*FRICTION, "friction_forms") and c.place == h.place
-    ]
-    whole = rms(sum(now.torque(c) for c in own)[:, [row]], weight)
+    laws = (*FRICTION, "friction_forms")
+    own = [now.torque(c) for c in now.chosen if c.family in laws and c.place == h.place]
+    whole = rms(np.sum(own, axis=0)[:, [row]], weight)
     per_unit = max(rms(h.columns, weight), 1e-12)
     return np.diag([(FORM_TOLERANCE * whole / per_unit) ** 2])
 

@@ -15,7 +15,7 @@ import itertools
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import lapack
+from scipy.linalg import get_lapack_funcs
 
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96, 0.99)
 """Grid of s."""
@@ -79,7 +79,8 @@ class SlowNoise:
         below = -phi * scale[1:] * scale[:-1] * white[:-1]
         moved = scale * values
         moved[1:] -= scale[1:] * phi * values[:-1]
-        d, _, solved, _ = lapack.dptsv(main, below, moved)
+        (tridiagonal,) = get_lapack_funcs(("ptsv",), (main, below, moved))
+        d, _, solved, _ = tridiagonal(main, below, moved)
         return float(np.log(d).sum() - 2.0 * np.log(scale).sum()), float(moved @ solved)
 
     def likeliest(self, values: Float[np.ndarray, " R"]) -> "SlowNoise":
