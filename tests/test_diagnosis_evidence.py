@@ -13,6 +13,7 @@ from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.search.discrepancy import LENGTHS, SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.settings import Settings
@@ -36,7 +37,7 @@ def hypotheses(rng, count):
 
 def log_marginal(evidence, chosen):
     """Of y with every number integrated out, as one Gaussian of all rows."""
-    covariance = np.diag((evidence.variance * evidence.correlation).ravel())
+    covariance = np.diag((evidence.noise.variance * evidence.noise.repeated).ravel())
     for h in chosen:
         wide = np.zeros((ROWS, JOINTS, h.count))
         wide[:, slice(None) if h.row is None else h.row] = h.columns
@@ -51,7 +52,10 @@ def problem():
     chosen = hypotheses(rng, 5)
     y = rng.normal(size=(ROWS, JOINTS)) + chosen[1].columns @ [1.0, -2.0]
     evidence = Evidence(y, np.ones_like(y), np.full(JOINTS, 1e-6))
-    evidence.correlation = np.array([1.0, 2.5])
+    slow = tuple(
+        SlowNoise(w, at) for w, at in zip(evidence.weight.T, ((0, 0), (4, 1)), strict=True)
+    )
+    evidence.noise = dataclasses.replace(evidence.noise, slow=slow)
     return evidence, chosen
 
 
@@ -72,6 +76,19 @@ def test_deleting_changes_it_by_the_worth(problem):
     np.testing.assert_allclose(evidence.worths(evidence.posterior(chosen)), expected, rtol=1e-8)
 
 
+def test_without_one_is_what_a_fit_without_it_finds(problem):
+    evidence, chosen = problem
+    for h in chosen:
+        found = evidence.posterior(chosen).without(h)
+        fresh = evidence.posterior(tuple(x for x in chosen if x is not h))
+        assert found.chosen == fresh.chosen
+        assert found.slices == fresh.slices
+        for name in ("mean", "covariance", "fitted", "log_evidence"):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(fresh, name), rtol=1e-7, atol=1e-9
+            )
+
+
 def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
     """An effect of just that size, and nothing else in the rows."""
     evidence, chosen = problem
@@ -86,10 +103,45 @@ def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
 
 def test_a_row_that_weighs_nothing_tells_nothing(problem):
     evidence, chosen = problem
-    evidence.weight[:10] = 0.0
+    evidence = evidence.without(np.arange(ROWS) < 10)
     before = evidence.posterior(chosen).mean
     evidence.y[:10] = 1e6
     np.testing.assert_allclose(evidence.posterior(chosen).mean, before)
+
+
+def test_the_whole_likelihood_is_that_of_one_gaussian(problem):
+    evidence, (a, b, c, *_) = problem
+    few, more = (evidence.posterior(x).log_evidence for x in ((a,), (a, b, c)))
+    expected = log_marginal(evidence, (a, b, c)) - log_marginal(evidence, (a,))
+    assert more - few == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_likelihood_of_slow_noise_is_its_gaussian_s():
+    rng, rows = np.random.default_rng(1), 40
+    weight, values = rng.uniform(0.2, 1.0, rows), rng.normal(size=rows)
+    lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+    found, expected = [], []
+    for at in ((0, 0), (3, 1), (7, 4)):
+        noise = SlowNoise(weight, at)
+        c = np.diag((1 - noise.share) / weight) + noise.share * noise.forgotten**lag
+        scale = values @ np.linalg.solve(c, values) / rows
+        expected.append(multivariate_normal(np.zeros(rows), scale * c).logpdf(values))
+        found.append(noise.log_likelihood(values))
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-8)
+
+
+def test_what_is_slow_of_a_residual_is_learned():
+    rng = np.random.default_rng(0)
+    rows = 4000
+    slow = np.zeros(rows)
+    for k in range(1, rows):
+        slow[k] = np.exp(-1 / 30) * slow[k - 1] + np.sqrt(1 - np.exp(-2 / 30)) * rng.normal()
+    white = rng.normal(size=rows)
+    weight = np.ones(rows)
+    found = SlowNoise(weight).likeliest(2.0 * (np.sqrt(0.8) * slow + np.sqrt(0.2) * white))
+    assert found.share == pytest.approx(0.8, abs=0.11)
+    assert LENGTHS[found.at[1]] == 30.0
+    assert SlowNoise(weight).likeliest(white).share <= 0.1
 
 
 def rescaled(errors):

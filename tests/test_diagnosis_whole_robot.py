@@ -209,7 +209,24 @@ def test_a_motor_at_its_supply_s_voltage(robot):
     named = {first.family, *(t.family for t in first.equivalent)}
     assert "torque_speed" in named
     if first.family == "torque_speed":
-        assert first.parameters["limit"].value == pytest.approx(5.0, rel=0.1)
+        limit = first.parameters["limit"]
+        assert limit.value == pytest.approx(5.0, rel=0.1)
+        # Nonlinear numbers are no surer than the evidence about them.
+        assert limit.low < limit.value < limit.high
+
+
+def test_a_mass_is_as_uncertain_as_the_gains_of_motors_whose_currents_were_logged(robot):
+    def mass(kind):
+        logs = []
+        for seed, (t, q, v, a) in MOTIONS.items():
+            tau = needed(with_load(), q, v, a) + ordinary(v, a)
+            logs.append(dataclasses.replace(log_of(t, q, tau, seed), tau_kind=kind))
+        diagnosis = diagnose(robot, logs[0], test_log=logs[1])
+        return next(f for f in diagnosis.odd if f.family == "payload").parameters["mass"]
+
+    sensor, current = mass("sensor"), mass("current")
+    assert current.low < 0.8 < current.high
+    assert current.high - current.low > 1.3 * (sensor.high - sensor.low)
 
 
 def test_a_report_is_json_of_the_contract(plain):

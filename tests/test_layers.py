@@ -39,13 +39,13 @@ ORDER: dict[str, str] = {
         plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis search
-        detectability checks verdict report intervals calibration_state listing summary pipeline""",
+        detectability checks causes verdict report intervals calibration_state listing summary pipeline""",
     "diagnosis.features": "derivatives band two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction encoder
         environment external_force generic inertial tolerances transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
     "diagnosis.report": "wording next_motion detectable_sizes drawing figures json_values json_report page",
-    "diagnosis.search": "bank evidence pushes candidates ordinary selection stepwise",
+    "diagnosis.search": "bank discrepancy evidence pushes candidates ordinary selection stepwise",
 }
 UNORDERED = {"gap"}
 RANK = {folder: {n: i for i, n in enumerate(text.split())} for folder, text in ORDER.items()}

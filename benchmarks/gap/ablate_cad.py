@@ -33,7 +33,7 @@ def rules() -> dict[str, Callable[[], contextlib.ExitStack]]:
     """By name, a context in which one rule is off; imported late, so that each process reads JAX's settings first."""
     from jax_inertia.diagnosis import pipeline
     from jax_inertia.diagnosis.effects import registry
-    from jax_inertia.diagnosis.search import evidence, ordinary, stepwise
+    from jax_inertia.diagnosis.search import discrepancy, ordinary, stepwise
 
     def patched(*changes: tuple[object, str, object]) -> Callable[[], contextlib.ExitStack]:
         def enter() -> contextlib.ExitStack:
@@ -69,7 +69,9 @@ def rules() -> dict[str, Callable[[], contextlib.ExitStack]]:
             (stepwise, "reconsidered", lambda residual, evidence, now, tried, settings: now)
         ),
         "equations taken for exact": patched((Hypothesis, "form_error", property(exact))),
-        "rows independent": patched((evidence, "MOST_CORRELATED", 0.0)),
+        "rows independent": patched(
+            (discrepancy.SlowNoise, "likeliest", lambda self, values: self)
+        ),
         "no exchange": patched((stepwise, "_exchanged", lambda *a: None)),
         "grid not refined": patched((stepwise, "_refined", lambda residual, evidence, now: now)),
         "no generic alternatives": patched((pipeline, "EFFECTS", generic)),

@@ -57,6 +57,8 @@ class Run:
     """Share of `log` that is fitted, the rest being judged."""
     gains: np.ndarray | None = None
     """N m for each unit logged; None leaves the log as it is."""
+    kind: str = ""
+    """Where the torque comes from; empty leaves what the log says."""
     raw: bool = False
     held: bool = False
     """Torques are commands that hold until the next row."""
@@ -81,6 +83,8 @@ class Run:
             log = {k: x for k, x in log.items() if k in keep}
             if self.gains is not None:
                 log["tau"], log["tau_unit"] = log["tau"] * self.gains, np.array("N m")
+            if self.kind:
+                log["tau_kind"] = np.array(self.kind)
             np.savez(out / f"{name}.npz", allow_pickle=False, **log)
         return files.model, out / "log.npz", out / "other.npz"
 
@@ -95,7 +99,14 @@ RUNS = (
     Run("panda", "Panda, last 30 % of its run", "panda_gaz2019", "panda"),
     Run("lwr4", "LWR4+, train_1 → test_3", "kuka_lwr4_flobaroid", "lwr4"),
     Run("lwr4_repeat", "LWR4+, train_2 → test_3", "kuka_lwr4_flobaroid", "lwr4_repeat"),
-    Run("ur10e", "UR10e, free_1 → free_2, published gains", UR10E, "ur10e", gains=_GAINS),
+    Run(
+        "ur10e",
+        "UR10e, free_1 → free_2, published gains",
+        UR10E,
+        "ur10e",
+        gains=_GAINS,
+        kind="current",
+    ),
     Run("ur10e_raw", "UR10e, free_1 → free_2, amperes", UR10E, "ur10e", raw=True),
     Run(
         "ur10e_payload",
@@ -105,6 +116,7 @@ RUNS = (
         "dev_pair_payload",
         split=0.6,
         gains=_GAINS,
+        kind="current",
     ),
     Run(
         "ur10e_no_load",
@@ -114,6 +126,7 @@ RUNS = (
         "dev_pair_free",
         split=0.6,
         gains=_GAINS,
+        kind="current",
     ),
     Run("double_pendulum", "double pendulum C1, train_00 → test_08", DFKI, "double_pendulum"),
     Run(

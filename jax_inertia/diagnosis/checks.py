@@ -60,6 +60,10 @@ class _Run(abc.ABC):
         """Residual after, rms over moving rows [N m]."""
         return rms(self.left(now), self.residual.weight)
 
+    def errors_without(self, now: Posterior, asked: list[Hypothesis]) -> list[float]:
+        """Residual after without each of some that are chosen, everything else refitted [N m]."""
+        return [self.error(now.without(h)) for h in asked]
+
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""
         y, weight = self.residual.y, self.residual.weight
@@ -113,12 +117,21 @@ class HeldOut(_Run):
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of each stretch, fitted to the others."""
-        y, out = self.residual.y, np.zeros_like(self.residual.y)
-        for k in np.unique(self.fold):
-            others = self.evidence.without(self.fold == k).posterior(now.chosen)
-            part = self.fold == k
-            out[part] = (y - others.fitted)[part]
-        return out
+        return self._left(self._fits(now))
+
+    def errors_without(self, now, asked):
+        fits = self._fits(now)
+        without = ([fit.without(h) for fit in fits] for h in asked)
+        return [rms(self._left(x), self.residual.weight) for x in without]
+
+    def _fits(self, now: Posterior) -> list[Posterior]:
+        """To all stretches but one, for each."""
+        folds = range(int(self.fold[-1]) + 1)
+        return [self.evidence.without(self.fold == k).posterior(now.chosen) for k in folds]
+
+    def _left(self, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
+        fitted = np.array([fit.fitted for fit in fits])[self.fold, np.arange(len(self.fold))]
+        return self.residual.y - fitted
 
 
 def expected(residual: Residual, evidence: Evidence, now: Posterior) -> Float[np.ndarray, " n"]:
@@ -136,51 +149,37 @@ def rows(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> Float
     return np.sqrt((weight * e**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9))
 
 
-def borne_out(selection: Selection) -> Selection:
-    """The selection without odd effects of which the log's parts tell different things: they stand in for something.
-
-    The least sure first, one at a time, everything else refitted. Effects that happen once are not asked.
-    """
-    while True:
-        odd = [h for h in selection.odd if h.family not in PASSING]
-        worths = [selection.robust_worth(h) - h.odds for h in odd]
-        if min(worths, default=0.0) >= 0.0:
-            return selection
-        worst = odd[int(np.argmin(worths))]
-        rest = tuple(c for c in selection.posterior.chosen if c is not worst)
-        selection = dataclasses.replace(selection, posterior=selection.evidence.posterior(rest))
-
-
 def gated(
     selection: Selection, judge: OtherRun | HeldOut, settings: Settings
 ) -> tuple[Selection, tuple[Hypothesis, ...]]:
-    """The selection without odd effects that do not carry over to the other run, and those removed.
+    """The selection without effects that do not carry over to the other run, and those removed.
 
-    The worst first, one at a time, everything else refitted: where an effect alone raises the other run's error by
-    `gate`, and while all odd effects together do worse than the ordinary ones by as much. Effects that happen once are
-    not asked.
+    The worst first, one at a time, everything else refitted: where an effect alone, an ordinary one too, raises the
+    other run's error by `gate`, and while all odd effects together do worse than the ordinary ones by as much. Effects
+    that happen once are not asked.
     """
     now, dropped = selection.posterior, []
     ordinary = judge.error(
         selection.evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
     )
     while True:
-        odd = [h for h in now.chosen if h.is_odd and h.family not in PASSING]
-        if not odd:
-            break
+        asked = _asked(now)
+        errors = dict(zip(map(id, asked), judge.errors_without(now, asked), strict=True))
         error = judge.error(now)
-        trials = []
-        for h in odd:
-            rest = tuple(c for c in now.chosen if c is not h)
-            trials.append(judge.error(selection.evidence.posterior(rest)))
-        worst = int(np.argmin(trials))
-        harms = trials[worst] < error * (1.0 - settings.gate)
-        if not harms and not (error > (1.0 + settings.gate) * ordinary and trials[worst] < error):
-            break
-        dropped.append(odd[worst])
-        rest = tuple(c for c in now.chosen if c is not odd[worst])
-        now = selection.evidence.posterior(rest)
-    return dataclasses.replace(selection, posterior=now), tuple(dropped)
+        worst = min(asked, key=lambda h: errors[id(h)], default=None)
+        if worst is None or errors[id(worst)] >= error * (1.0 - settings.gate):
+            odd = [h for h in asked if h.is_odd]
+            worst = min(odd, key=lambda h: errors[id(h)], default=None)
+            together = error > (1.0 + settings.gate) * ordinary
+            if worst is None or not together or errors[id(worst)] >= error:
+                return dataclasses.replace(selection, posterior=now), tuple(dropped)
+        dropped.append(worst)
+        now = now.without(worst)
+
+
+def _asked(now: Posterior) -> list[Hypothesis]:
+    """Of what is chosen, what should be there on another run."""
+    return [h for h in now.chosen if not h.effect.marginal and h.family not in PASSING]
 
 
 MOST_RIVALS = 8
@@ -203,7 +202,7 @@ class Rival:
 def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
     """Best shape of each other family and place, in the place of `h`, those within reach first."""
     now, evidence = selection.posterior, selection.evidence
-    rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+    rest = now.without(h)
     others, taken = selection.named.candidates, {c.key for c in now.chosen}
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
     gains = evidence.gains(rest, selection.named) - np.array([c.odds for c in others])

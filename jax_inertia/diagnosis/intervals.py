@@ -1,10 +1,14 @@
 """Numbers of effects with 95 % intervals: of each that is listed, and of every joint's ordinary physics."""
 
+import dataclasses
+from collections.abc import Iterator
+
 import numpy as np
 
+from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
-from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.search.ordinary import FRICTION
 from jax_inertia.diagnosis.search.selection import Selection
 
@@ -20,7 +24,7 @@ ORDINARY_NUMBERS = {
 def intervals(
     selection: Selection, h: Hypothesis, mean: np.ndarray, covariance: np.ndarray
 ) -> dict[str, Interval]:
-    """95 % intervals of what is reported, by the delta method."""
+    """95 % intervals of what is reported, by the delta method; of nonlinear numbers by how the evidence falls."""
     residual = selection.residual
     base = h.numbers(residual, mean)
     slopes = {name: np.zeros(len(mean)) for name in base}
@@ -30,12 +34,56 @@ def intervals(
         up, down = h.numbers(residual, mean + step), h.numbers(residual, mean - step)
         for name in base:
             slopes[name][k] = (up[name].value - down[name].value) / (2 * step[k])
+    own = {name: slopes[name] @ covariance @ slopes[name] for name in base}
+    for k, spread in nonlinear_spread(selection, h):
+        up, down = (moved(h, k, x).numbers(residual, mean) for x in (spread, -spread))
+        for name in base:
+            own[name] += (0.5 * (up[name].value - down[name].value)) ** 2
     out = {}
     for name, p in base.items():
-        half = 1.96 * float(np.sqrt(max(slopes[name] @ covariance @ slopes[name], 0.0)))
+        half = 1.96 * float(np.sqrt(max(own[name], 0.0)))
         low = max(p.value - half, min(p.least, p.value))
         out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor)
     return out
+
+
+def moved(h: Hypothesis, k: int, by: float) -> Hypothesis:
+    """The same with its `k`-th nonlinear number moved, columns as they were."""
+    shape = (*h.shape[:k], h.shape[k] + by, *h.shape[k + 1 :])
+    return dataclasses.replace(h, shape=shape)
+
+
+FALL = 0.5
+"""Nats that the evidence falls at one standard deviation."""
+FIRST = 1.0 / 64.0
+"""Of a search's step, at which a fall is first asked for: to there the search goes."""
+
+
+def nonlinear_spread(selection: Selection, h: Hypothesis) -> Iterator[tuple[int, float]]:
+    """Each nonlinear number that is searched between the grid's points, and its standard deviation, in its unit.
+
+    A parabola through the evidence at the number and as far to both sides as it takes to fall (Laplace 1774), all else
+    marginalised; no more than twice the grid's spacing.
+    """
+    if not h.is_odd or h.effect.secant or h not in selection.posterior.chosen:
+        return
+    residual, evidence = selection.residual, selection.evidence
+    rest = selection.posterior.without(h)
+    top = float(evidence.gains(rest, (h,))[0])
+    for k, step in enumerate(h.effect.steps(residual.context, h.place, h.shape)):
+        if not step:
+            continue
+        by = FIRST * step
+        while True:
+            sides = [x for x in (by, -by) if (h.shape[k] + x) * h.shape[k] > 0]
+            shapes = [moved(h, k, x).shape for x in sides]
+            trials = tuple(hypothesis(residual, h.effect, h.place, x, h.odds) for x in shapes)
+            gains = evidence.gains(rest, trials)
+            fall = top - float(np.mean(np.where(np.isfinite(gains), gains, -np.inf)))
+            if fall >= FALL or by >= 2.0 * step:
+                break
+            by *= 2.0
+        yield k, by * float(np.sqrt(FALL / max(fall, FALL)))
 
 
 def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +104,7 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
             numbers[:, part] = _nearest(selection, h, forms) * forms.scale
     mean = numbers @ now.mean
     covariance = numbers @ (now.covariance + selection.spread) @ numbers.T
-    return mean, covariance + _systematic(h, mean)
+    return mean, covariance + _systematic(selection, h)
 
 
 def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarray:
@@ -68,10 +116,20 @@ def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarr
     return solved[[both.index(h)]]
 
 
-def _systematic(h: Hypothesis, mean: np.ndarray) -> np.ndarray:
-    """Covariance of a friction's number by its own equation: a law of another form has no one level."""
-    known_to = FORM_TOLERANCE if h.family in FRICTION else 0.0
-    return np.diag((known_to * mean) ** 2)
+def _systematic(selection: Selection, h: Hypothesis) -> np.ndarray:
+    """Covariance of a friction's number by its own equation: a law of another form has no one level and no one slope.
+
+    By how far such a law's torque may be off (`FORM_TOLERANCE` of the joint's whole friction), in the number's unit.
+    """
+    if h.family not in FRICTION:
+        return np.zeros((h.count, h.count))
+    now, row = selection.posterior, h.place.index
+    weight = selection.residual.weight[:, [row]]
+    laws = (*FRICTION, "friction_forms")
+    own = [now.torque(c) for c in now.chosen if c.family in laws and c.place == h.place]
+    whole = rms(np.sum(own, axis=0)[:, [row]], weight)
+    per_unit = max(rms(h.columns, weight), 1e-12)
+    return np.diag([(FORM_TOLERANCE * whole / per_unit) ** 2])
 
 
 def added(p: Interval, level: Interval) -> Interval:

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jax_inertia.diagnosis import summary
-from jax_inertia.diagnosis.checks import HeldOut, OtherRun, borne_out, gated
+from jax_inertia.diagnosis.causes import borne_out, remembering
+from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES
+from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
@@ -37,7 +38,7 @@ def diagnose(
     """
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
-    library = (*(e for e in EFFECTS if e.name not in exclude), *extra)
+    library = (*(e for e in effects_of(log) if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)
     _require_rows(residual, log)
@@ -45,9 +46,12 @@ def diagnose(
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
-    everything, dropped = gated(selection, heldout if other is None else other, settings)
-    selection = borne_out(everything)
-    found = summary.summarised(selection, everything.posterior, heldout, other, dropped, settings)
+    judge = heldout if other is None else other
+    gate, dropped = gated(selection, judge, settings)
+    whole = remembering(gate, gate.posterior)
+    everything = min(gate.posterior, whole.posterior, key=judge.error)
+    selection = borne_out(whole)
+    found = summary.summarised(selection, everything, heldout, other, dropped, settings)
     progress("what this log would have shown")
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
     return dataclasses.replace(

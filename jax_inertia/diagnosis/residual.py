@@ -31,6 +31,21 @@ class Ordinary:
     """kg m²."""
 
 
+class _Calibrated(Context):
+    """What effects are made of on a model with friction and rotor inertia beyond `nominal`'s."""
+
+    def __init__(self, prepared: Prepared, nominal: Context):
+        super().__init__(prepared)
+        self._nominal = nominal
+
+    @functools.cached_property
+    def sensitivity(self):
+        """∂/∂q, ∂/∂v, ∂/∂a: the nominal model's, and those of what is beyond it, which are diagonal."""
+        dq, dv, da = self._nominal.sensitivity
+        damping = self.damping - self._nominal.damping
+        return dq, dv + np.diag(damping), da + np.diag(self.armature - self._nominal.armature)
+
+
 class Residual:
     """R rows of n generalised coordinates; made once per log, never changed."""
 
@@ -65,7 +80,7 @@ class Residual:
             inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
             dry=self.prepared.dry + dry,
         )
-        out.beside = Context(prepared)
+        out.beside = _Calibrated(prepared, c)
         return out
 
     def context_of(self, effect: Effect) -> Context:

@@ -1,17 +1,20 @@
 """From a selection and its checks to what is reported: effects with intervals, the joints' table, the remainder."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
+from jax_inertia.diagnosis.causes import carried_over
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
+from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import joint_numbers
+from jax_inertia.diagnosis.intervals import intervals, joint_numbers, reported
 from jax_inertia.diagnosis.listing import as_listed, effects, share
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
@@ -38,15 +41,16 @@ def summarised(
     now, evidence, residual = selection.posterior, selection.evidence, selection.residual
     names = residual.context.row_names
     ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
-    own = heldout.check(ordinary, everything)
-    test = None if other is None else other.check(ordinary, everything)
     shares = {id(h): share(selection, h) for h in now.chosen}
     likely, doubtful = effects(selection, shares, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
-    # A shape that names no cause explains nothing: the verdict is about what the causes leave, and so are the numbers.
-    causes = evidence.posterior(tuple(h for h in now.chosen if h not in generic))
-    causes = bounded(residual, evidence, causes)
-    by_cause = (heldout if other is None else other).check(ordinary, causes)
+    judge = heldout if other is None else other
+    causes = _causes(selection, generic, judge)
+    by_cause = judge.check(ordinary, causes)
+    # Shapes are there to predict: where the causes do it better, they are not.
+    everything = min(everything, causes, key=judge.error)
+    own = heldout.check(ordinary, everything)
+    test = None if other is None else other.check(ordinary, everything)
     told = dataclasses.replace(selection, posterior=causes)
     bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
@@ -83,10 +87,19 @@ def summarised(
         per_joint_rms=dict(zip(names, gap.tolist(), strict=True)),
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(told),
-        notes=(*_flags(told, joints), *notes),
+        notes=(*_flags(told, joints), *_gains(told, settings), *notes),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
     )
+
+
+def _causes(
+    selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun
+) -> Posterior:
+    """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing."""
+    now = selection.posterior
+    causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
+    return carried_over(bounded(selection.residual, selection.evidence, causes), judge)
 
 
 def _at(h: Hypothesis) -> str:
@@ -96,7 +109,9 @@ def _at(h: Hypothesis) -> str:
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
     """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
     now, residual = selection.posterior, selection.residual
-    base = next(h for h in now.chosen if h.family == "tolerances")
+    base = next((h for h in now.chosen if h.family == "tolerances"), None)
+    if base is None:
+        return {}
     numbers = now.of(base)[0]
     out, at = {}, 0
     for change, name, pi in inertial_changes(residual.context, base.shape):
@@ -144,6 +159,19 @@ def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tupl
                 "it fits, and is no rotor's"
             )
     return tuple(out)
+
+
+def _gains(selection: Selection, settings: Settings) -> Iterator[str]:
+    """Torque constants that are distinct from what the log's torques were computed with."""
+    for h in selection.posterior.chosen:
+        if isinstance(h.effect, GainTolerance):
+            mean, covariance = reported(selection, h)
+            if abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]):
+                gain = intervals(selection, h, mean, covariance)["gain"]
+                yield (
+                    f"the motor of {h.place.name} gives {gain.value:.3g} [{gain.low:.3g}, {gain.high:.3g}] times the "
+                    "torque that its current was taken for"
+                )
 
 
 def _remainder(check: Check, names: tuple[str, ...], generic: list[Hypothesis]) -> Remainder:

@@ -35,7 +35,7 @@ def without_outliers(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
             continue
         size = np.nan_to_num(np.abs(residual))
         peak = (size > OUT * spread) & (size >= ndimage.maximum_filter1d(size, 5))
-        for k in np.flatnonzero(peak[REACH:-REACH]) + REACH:
+        for k in _mendable(column, np.flatnonzero(peak[REACH:-REACH]) + REACH, FITS * spread):
             near = column[k - REACH : k + REACH + 1]
             for struck, (felt, change) in _SUSPECTS.items():
                 mended = near.copy()
@@ -46,9 +46,25 @@ def without_outliers(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
     return out
 
 
+def _mendable(column: np.ndarray, peaks: np.ndarray, fits: float) -> np.ndarray:
+    """Peaks that can be mended, and those so near to one that they may be once it is.
+
+    A log has thousands of peaks that are motion, so all are asked at once.
+    """
+    windows = column[peaks[:, None] + np.arange(-REACH, REACH + 1)]
+    residual = windows @ _RESIDUAL.T
+    mends = np.zeros(len(peaks), bool)
+    for struck, (felt, change) in _SUSPECTS.items():
+        after = residual[:, felt] @ (np.eye(len(felt)) - _felt(struck)[felt] @ change).T
+        mends |= np.all(np.abs(after) < fits, axis=1)
+    # Windows that touch what another mends are of one group.
+    group = np.cumsum(np.diff(peaks, prepend=peaks[:1]) > REACH + APART)
+    return peaks[np.isin(group, group[mends])]
+
+
 def _suspected(struck: tuple[int, ...]) -> tuple[np.ndarray, Float[np.ndarray, "s r"]]:
     """Whose residuals struck samples of a window are felt in, and their change from those that leaves the least."""
-    effect = np.stack([_residual(x) for x in np.eye(2 * REACH + 1)[list(struck)]], axis=1)
+    effect = _felt(struck)
     felt = np.flatnonzero(np.any(effect != 0, axis=1))
     return felt, np.linalg.pinv(effect[felt])
 
@@ -66,6 +82,15 @@ def _quantum(x: np.ndarray) -> float:
     still = np.mean(steps == 0.0)
     moved = steps[steps > 0]
     return float(moved.min()) if still > 0.02 and moved.size else 0.0
+
+
+_RESIDUAL = np.stack([_residual(x) for x in np.eye(2 * REACH + 1)], axis=1)
+"""r of a window's samples, as a matrix."""
+
+
+def _felt(struck: tuple[int, ...]) -> np.ndarray:
+    """Change of a window's r by each struck sample."""
+    return _RESIDUAL[:, list(struck)]
 
 
 _SUSPECTS = {

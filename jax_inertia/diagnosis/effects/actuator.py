@@ -75,6 +75,21 @@ class TorqueGain(Effect):
         return applied._replace(torque=xp.where(at.rows, at.values["gain"] * tau, tau))
 
 
+class DriveGain(TorqueGain):
+    """The same where torques are currents times a constant of each motor: that every such constant is uncertain."""
+
+    refines = True
+    source = (
+        "torque constants of one drive type; two published sets of one UR10e differ by 13 to 49 %"
+    )
+
+
+class GainTolerance(TorqueGain):
+    """The same as a tolerance, marginalised at each joint whose gain is not found."""
+
+    name, named, marginal, form_error = "gain_tolerance", False, True, 0.0
+
+
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
     sized_by_shape = True

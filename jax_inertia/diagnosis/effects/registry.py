@@ -14,6 +14,8 @@ from jax_inertia.diagnosis.effects import (
     transmission,
 )
 from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.logs.log import Log
+from jax_inertia.logs.schema import TorqueKind
 
 EFFECTS: tuple[Effect, ...] = (
     joint.ViscousFriction(),
@@ -56,8 +58,17 @@ EFFECTS: tuple[Effect, ...] = (
     generic.PathOfTorque(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))
+BY_CURRENT: tuple[Effect, ...] = tuple(
+    actuator.DriveGain() if isinstance(e, actuator.TorqueGain) else e for e in EFFECTS
+)
+"""The same where torques are currents times constants."""
 DRY_FORMS = tuple(e.name for e in EFFECTS if isinstance(e, dry_friction.DryFriction) and e.refines)
 """Laws of dry friction that hold its level too."""
+
+
+def effects_of(log: Log) -> tuple[Effect, ...]:
+    """Effects that a log's torques may show."""
+    return BY_CURRENT if log.tau_kind is TorqueKind.CURRENT else EFFECTS
 
 
 def known(family: str, extra: Sequence[Effect] = ()) -> Effect | None:

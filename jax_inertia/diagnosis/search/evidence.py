@@ -1,6 +1,10 @@
 """The one score: log evidence of a linear-Gaussian model of the torque residual, with every number marginalised.
 
-    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
+    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1)
+
+ε is sensor noise and a slow discrepancy: its rows have a variance, and count for as many as are independent of each
+other (`discrepancy`). Their weights stay those of white noise: the discrepancy's own inverse covariance would trust the
+residual's increments, where models err most, before its level.
 
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
 to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
@@ -17,10 +21,11 @@ from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 
-MOST_CORRELATED = 0.5
-"""Lag-one correlation of a row's residual that counts as noise: friction's own misfit has less on sound logs, and what
-goes together for longer is an effect that is not yet chosen."""
+MOST_REPEATED = 3.0
+"""Rows that count as one while hypotheses are searched: friction's own misfit on sound logs goes together for less, and
+what does for longer may be an effect that is not yet chosen."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -33,6 +38,8 @@ class Posterior:
     covariance: Float[np.ndarray, "p p"]
     fitted: Float[np.ndarray, "R n"]
     """Torque of everything chosen, tolerances included [N m]."""
+    log_evidence: float = np.nan
+    """ln p(y), every number marginalised, of as many rows as are independent; up to a constant of the log [nats]."""
 
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
@@ -43,6 +50,28 @@ class Posterior:
         """Torque of one hypothesis at its posterior mean [N m]."""
         return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
 
+    def without(self, gone: Hypothesis) -> "Posterior":
+        """The posterior had one not been chosen, the noise being the same: that given that its numbers are zero."""
+        b = self.slices[self.chosen.index(gone)]
+        kept = np.delete(np.arange(len(self.mean)), b)
+        gain = np.linalg.solve(self.covariance[b, b], self.covariance[b, kept]).T
+        mean = self.mean[kept] - gain @ self.mean[b]
+        covariance = self.covariance[np.ix_(kept, kept)] - gain @ self.covariance[b, kept]
+        chosen = tuple(h for h in self.chosen if h is not gone)
+        fitted, slices, at = np.zeros_like(self.fitted), [], 0
+        for h in chosen:
+            slices.append(slice(at, at + h.count))
+            at += h.count
+            fitted += h.torque(mean[slices[-1]], fitted.shape)
+        left = self.log_evidence - worth(self.mean[b], self.covariance[b, b])
+        return Posterior(chosen, tuple(slices), mean, covariance, fitted, left)
+
+
+def worth(mean: Float[np.ndarray, " k"], covariance: Float[np.ndarray, "k k"]) -> float:
+    """Log evidence that numbers bring, in units of their prior standard deviation: Savage–Dickey, nats."""
+    _, logdet = np.linalg.slogdet(covariance)
+    return float(0.5 * (mean @ np.linalg.solve(covariance, mean) + logdet))
+
 
 def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
     """Variance of each row that errors of the chosen effects' own equations leave [N² m²]."""
@@ -51,6 +80,20 @@ def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
         if h.form_error:
             form += (h.form_error * now.torque(h)) ** 2
     return form
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """Variance of every row, and what is slow of it."""
+
+    variance: Float[np.ndarray, "R n"]
+    slow: tuple[SlowNoise, ...]
+    most_repeated: float = MOST_REPEATED
+
+    @property
+    def repeated(self) -> Float[np.ndarray, " n"]:
+        """How many neighbours say the same."""
+        return np.minimum([s.repeated for s in self.slow], self.most_repeated)
 
 
 class Evidence:
@@ -67,8 +110,9 @@ class Evidence:
         self.count = count
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)
         """Root mean square of each row's torque residual [N m]."""
-        self.variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
-        self.correlation = np.ones(y.shape[1])
+        variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
+        self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
+        self._last: tuple[Posterior, Noise, np.ndarray] | None = None
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
@@ -77,36 +121,48 @@ class Evidence:
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
-        out.weight = np.where(part[:, None], 0.0, self.weight)
+        out.weight, out._last = np.where(part[:, None], 0.0, self.weight), None
+        return out
+
+    def remembering(self, now: Posterior) -> "Evidence":
+        """The same, its noise learned once more with rows that count for no more than their whole memory lets them."""
+        out = copy.copy(self)
+        out.noise = dataclasses.replace(self.noise, most_repeated=np.inf)
+        out.learn(now)
         return out
 
     @property
     def precision(self) -> Float[np.ndarray, "R n"]:
         """Inverse variance of each row, divided by how many neighbours say the same."""
-        return self.weight / (self.variance * self.correlation)
+        return self.weight / (self.noise.variance * self.noise.repeated)
 
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
-        """Given the present variance."""
+        """Given the present noise."""
         root = np.sqrt(self.precision)
         columns = _scaled(chosen, root)
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
-        mean = linalg.cho_solve(factor, columns.T @ (root * self.y).ravel())
+        y = (root * self.y).ravel()
+        along = columns.T @ y
+        mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
         ends = np.cumsum([h.count for h in chosen])
         slices = tuple(slice(e - h.count, e) for e, h in zip(ends, chosen, strict=True))
         fitted = np.zeros_like(self.y)
         for h, part in zip(chosen, slices, strict=True):
             fitted += h.torque(mean[part], self.y.shape)
-        return Posterior(chosen, slices, mean, covariance, fitted)
+        logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
+        logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
+        log_evidence = -0.5 * (logdet + float(y @ y) - float(along @ mean))
+        return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
-    def learn(self, now: Posterior) -> None:
-        """Variance of each row from what the chosen leave, and from how exact their own equations are.
+    def learn(self, now: Posterior, *, memory: bool = True) -> None:
+        """Noise of each row from what the chosen leave, and from how exact their own equations are.
 
             V_jt = σ_j² + Σₖ fₖ² eₖ(t)²
 
-        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. Residuals
-        that go together over time count as (1 − ρ)/(1 + ρ) of their number, ρ their lag-one correlation.
+        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. With
+        `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
         free = sum(h.count for h in now.chosen if h.named) / left.shape[1]
@@ -115,28 +171,40 @@ class Evidence:
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        self.variance = own + form
-        white = left * np.sqrt(self.weight / self.variance)
-        lagged = (white[1:] * white[:-1]).sum(axis=0) / np.maximum((white**2).sum(axis=0), 1e-12)
-        rho = np.clip(lagged, 0.0, MOST_CORRELATED)
-        self.correlation = (1.0 + rho) / (1.0 - rho)
+        variance, slow = own + form, self.noise.slow
+        if memory:
+            white = left / np.sqrt(variance)
+            slow = tuple(s.likeliest(x) for s, x in zip(slow, white.T, strict=True))
+        self.noise = dataclasses.replace(self.noise, variance=variance, slow=slow)
 
     def gains(self, now: Posterior, others: Bank | Sequence[Hypothesis]) -> Float[np.ndarray, " c"]:
         """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
         bank = others if isinstance(others, Bank) else Bank(others)
         root = np.sqrt(self.precision)
-        base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
-        return bank.gains(root, base, root * (self.y - now.fitted), now.covariance)
+        # Asked of one posterior many times over, where numbers between a grid's points are searched.
+        if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
+            base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+            self._last = now, self.noise, base
+        return bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
+
+    def loss(self, now: Posterior, h: Hypothesis) -> float:
+        """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.
+
+        Variances are learned with it and without; the memory is that of the residual without it, the discrepancy that
+        it has to be better than. (`worths` asks the same of the noise that is there with it.)
+        """
+        alone, beside = copy.copy(self), copy.copy(self)
+        rest = now.without(h)
+        for _ in range(2):
+            alone.learn(rest)
+            rest = alone.posterior(rest.chosen)
+        beside.noise = dataclasses.replace(self.noise, slow=alone.noise.slow)
+        beside.learn(now, memory=False)
+        return beside.posterior(now.chosen).log_evidence - rest.log_evidence
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
-        out = []
-        for part in now.slices:
-            mean, covariance = now.mean[part], now.covariance[part, part]
-            _, logdet = np.linalg.slogdet(covariance)
-            quadratic = mean @ np.linalg.solve(covariance, mean)
-            out.append(0.5 * (quadratic + logdet))
-        return np.array(out)
+        return np.array([worth(now.mean[part], now.covariance[part, part]) for part in now.slices])
 
 
 def _scaled(
@@ -150,4 +218,4 @@ def _scaled(
         else:
             out[:, h.row, at : at + h.count] = h.scaled * root[:, h.row, None]
         at += h.count
-    return out.reshape(-1, out.shape[-1])
+    return out.reshape(root.size, out.shape[-1])

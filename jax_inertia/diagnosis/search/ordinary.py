@@ -90,7 +90,7 @@ def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior
         # One at a time: what drives at one joint may stand in for what does at another.
         sure = [abs(float(now.of(h)[0][0] / np.sqrt(now.of(h)[1][0, 0]))) for h in wrong]
         worst = wrong[int(np.argmax(sure))]
-        now = evidence.posterior(tuple(h for h in now.chosen if h is not worst))
+        now = now.without(worst)
 
 
 def learned(evidence: Evidence, chosen: tuple[Hypothesis, ...], rounds: int) -> Posterior:
@@ -138,7 +138,7 @@ def reconsidered(
     for h in now.chosen:
         if not isinstance(h.effect, CoulombFriction):
             continue
-        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        rest = now.without(h)
         best = _turning(residual, evidence, rest, h.effect, h.place, settings)
         if best.shape != h.shape and bool(np.diff(evidence.gains(rest, (h, best)))[0] > ANOTHER):
             now = evidence.posterior((*rest.chosen, best))

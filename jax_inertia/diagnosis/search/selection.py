@@ -5,11 +5,12 @@ import functools
 
 import numpy as np
 from jaxtyping import Float
+from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, worth
 
 GROUPS = 10
 """Parts of a log for the jackknife."""
@@ -37,10 +38,19 @@ class Selection:
 
         The delete-a-group jackknife (Kott 2001): what the equations miss goes together over time.
         """
+        evidence, chosen = self.evidence, self.posterior.chosen
         group = np.arange(len(self.residual.y)) * GROUPS // len(self.residual.y)
-        fits = [
-            self.evidence.without(group == g).posterior(self.posterior.chosen).mean
+        columns = evidence.design(chosen).reshape(*self.residual.y.shape, -1)
+        y = np.sqrt(evidence.precision) * evidence.y
+        parts = [
+            (columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel())
             for g in range(GROUPS)
+        ]
+        grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
+        gram, whole = np.eye(columns.shape[-1]) + sum(grams), sum(along)
+        fits = [
+            linalg.solve(gram - g, whole - a, assume_a="pos")
+            for g, a in zip(grams, along, strict=True)
         ]
         away = np.array(fits) - np.mean(fits, axis=0)
         return (GROUPS - 1) / GROUPS * away.T @ away
@@ -53,8 +63,7 @@ class Selection:
         part = self.posterior.slices[self.posterior.chosen.index(h)]
         mean = self.posterior.mean[part]
         covariance = self.posterior.covariance[part, part] + self.spread[part, part]
-        quadratic = mean @ np.linalg.solve(covariance, mean)
-        return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
+        return worth(mean, covariance)
 
     @property
     def ordinary(self) -> tuple[Hypothesis, ...]:

@@ -64,7 +64,7 @@ def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
         steps = h.effect.steps(residual.context, h.place, h.shape)
         if not steps:
             continue
-        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        rest = now.without(h)
         best, gain = h, float(evidence.gains(rest, (h,))[0])
         for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
             for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
@@ -140,7 +140,7 @@ def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, 
     for h, worth in zip(now.chosen, worths, strict=True):
         if not h.is_odd:
             continue
-        rest = evidence.posterior(tuple(c for c in now.chosen if c is not h))
+        rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, rest, bank, barred | own), None)
         if better is not None and better[1] > worth - h.odds + EXCHANGE:
@@ -218,5 +218,4 @@ def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
         ]
         if not loss or min(loss)[0] >= -1.0:
             return now
-        out = min(loss)[1]
-        now = evidence.posterior(tuple(h for k, h in enumerate(now.chosen) if k != out))
+        now = now.without(now.chosen[min(loss)[1]])

@@ -1,0 +1,90 @@
+"""What is listed as a cause: better than a slow discrepancy in its place, and than nothing on the other run."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jax_inertia.diagnosis.causes import carried_over
+from jax_inertia.diagnosis.checks import OtherRun, rms
+from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.joint import JointSpring
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.evidence import Evidence
+
+ROWS = 500
+
+
+def spring(column):
+    place = Place("joint", "elbow", 0)
+    return Hypothesis(JointSpring(), place, (), column[:, None], 0, np.array([3.0]), 8.0)
+
+
+def judged(y, h):
+    """Evidence of one row's residual, its noise learned with the whole memory, and the posterior with `h`."""
+    evidence = Evidence(y[:, None], np.ones((ROWS, 1)), np.array([1e-3]))
+    evidence.learn(evidence.posterior((h,)))
+    evidence = evidence.remembering(evidence.posterior((h,)))
+    return evidence, evidence.posterior((h,))
+
+
+@pytest.fixture
+def motion():
+    return np.sin(np.arange(ROWS) / 8.0)
+
+
+def walk(memory, seed):
+    """An Ornstein-Uhlenbeck process of variance one."""
+    rng, out = np.random.default_rng(seed), np.zeros(ROWS)
+    keep = np.exp(-1.0 / memory)
+    for k in range(1, ROWS):
+        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * rng.normal()
+    return out
+
+
+def test_what_is_there_pays_for_itself_beside_a_slow_discrepancy(motion):
+    h = spring(motion)
+    evidence, now = judged(2.0 * motion + 0.3 * walk(30.0, 0), h)
+    assert evidence.loss(now, h) > 2 * h.odds
+
+
+def test_what_follows_a_slow_discrepancy_by_chance_does_not(motion):
+    """Of many slow misfits, the shapes that fit one by chance have worths far above their odds, and no evidence."""
+    worths, losses = [], []
+    for seed in range(20):
+        slow = walk(60.0, seed)
+        h = spring(walk(60.0, 100 + seed))
+        noisy = slow + 0.05 * np.random.default_rng(seed).normal(size=ROWS)
+        evidence, now = judged(noisy, h)
+        losses.append(evidence.loss(now, h))
+        evidence.noise = dataclasses.replace(evidence.noise, most_repeated=1.0)
+        worths.append(evidence.worths(evidence.posterior((h,)))[0])
+    assert np.sum(np.array(worths) > 8.0) >= 5
+    assert np.sum(np.array(losses) > 8.0) <= 1
+
+
+class _Rows(Residual):
+    """Rows of one number each, all of them measured."""
+
+    def __init__(self, y):
+        self.y = y
+        self.weight = np.ones_like(y)
+
+
+class _Itself(OtherRun):
+    """A run on which every hypothesis has the columns that it has on the first."""
+
+    def _here(self, h):
+        return h
+
+
+def test_causes_that_make_the_other_run_worse_than_no_cause_are_none(motion):
+    h = spring(motion)
+    evidence, now = judged(motion + 0.1 * walk(30.0, 0), h)
+    for sign, kept in ((1.0, (h,)), (-1.0, ())):
+        rows = _Rows(sign * evidence.y)
+        other = _Itself(rows, evidence)
+        left = carried_over(now, other)
+        assert left.chosen == kept
+        assert other.error(left) <= rms(rows.y, rows.weight)
