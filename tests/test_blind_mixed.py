@@ -15,8 +15,11 @@ for folder in ("blind", "gap"):
     sys.path.insert(0, str(BENCHMARKS / folder))
 
 import mixed  # noqa: E402
+import pace_positions  # noqa: E402
+import position  # noqa: E402
+import seal  # noqa: E402
 from check import inverse_dynamics  # noqa: E402
-from exam import mixed_marks, mixed_page  # noqa: E402
+from exam import mixed_marks, mixed_page, position_marks  # noqa: E402
 from misread import FAULTS, misread, mount  # noqa: E402
 from own_robot import Unsuitable, own_robot  # noqa: E402
 
@@ -211,16 +214,137 @@ def test_marks_of_faults(report, said, right):
     )
 
 
-def test_the_summary_is_json_and_counts_what_was_asked():
+def test_the_summary_holds_each_number_with_its_bounds():
     rows = [
-        {"stratum": "bare_odd", "asked": k < 8, "found": k < 6, "first": k < 5, "there": [True],
-         "confident_wrong": False, "right": True, "verdict": "explained", "confidence": 0.95,
-         "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
+        {"stratum": "bare_odd", "log": f"cad{k}", "hidden": "payload at hand", "asked": k < 8, "found": k < 6,
+         "first": k < 5, "there": [True], "confident_wrong": False, "right": True, "verdict": "explained",
+         "confidence": 0.95, "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
         for k in range(10)
     ]  # fmt: skip
-    made = mixed_page.summary(rows)
+    told = [
+        {"stratum": "position", "log": f"told{k}", "hidden": "nothing" if k == 3 else "dead_band at a", "asked": True,
+         "named": [] if k == 3 else [True, k > 0], "found": k > 0, "there": [True], "confident_wrong": False,
+         "right": k > 0, "verdict": "explained", "confidence": 0.95, "replay": {"nominal": 1.0, "tool": 0.1 + k}}
+        for k in range(4)
+    ]  # fmt: skip
+    pace = [{"stratum": "position", "log": f"told{k}", "replay": {"tool": 2.0}} for k in range(4)]
+    made = mixed_page.summary(rows + told, pace)
     json.dumps(made)
+    numbers = {
+        "one_effect_family", "cad_after_before", "cad_precision", "cad_odd", "position_replay_vs_pace",
+        "position_family", "sound_no_gap", "wrong_and_confident", "confidence_error",
+    }  # fmt: skip
+    assert set(made) == {"logs"} | {f"{n}{end}" for n in numbers for end in ("", "_low", "_high")}
     assert made["cad_odd"] == 6 / 8
     assert made["cad_after_before"] == pytest.approx(0.1)
-    assert made["cad_no_worse_than_least_squares"] == 1.0
-    assert made["confidence_error"] == pytest.approx(0.05)
+    assert made["confidence_error"] == pytest.approx(abs(0.95 - 13 / 14))
+    assert made["position_family"] == 5 / 6
+    assert made["position_replay_vs_pace"] == pytest.approx(1.1 / 2.0)  # the sound one is not asked
+    assert made["sound_no_gap"] == 1.0
+    for name in numbers - {"one_effect_family"}:
+        assert made[f"{name}_low"] <= made[name] <= made[f"{name}_high"]
+    assert "closed-loop replay" in mixed_page.page(rows + told, pace, "title")
+
+
+def told(kind: str, *effects: dict, sigmas: float = 10.0) -> dict:
+    seen = [e | {"visibility": {"sigmas": sigmas}} for e in effects]
+    return {"stratum": "position", "kind": kind, "effects": seen}
+
+
+DEAD, LATE = effect("dead_band", "a"), effect("target_delay", "global", "global")
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict", "listed", "right", "wrong"),
+    [
+        (told("sound"), "no_gap", [], True, False),
+        (told("sound"), "explained", [effect("armature", "a")], False, True),
+        (told("ordinary"), "explained", [effect("armature", "a")], True, False),
+        (told("ordinary"), "explained", [DEAD], False, True),
+        (told("single", DEAD), "explained", [effect("armature", "a"), DEAD], True, False),
+        (told("single", DEAD), "partly", [effect("backlash", "a") | {"equivalent": [DEAD]}], True, False),
+        (told("single", DEAD), "explained", [effect("dead_band", "b")], False, True),
+        (told("single", DEAD, sigmas=1.0), "explained", [], True, False),
+        (told("pair", DEAD, LATE), "explained", [DEAD], False, True),
+        (told("pair", DEAD, LATE), "partly", [DEAD], False, False),
+        (told("pair", DEAD, LATE), "explained", [DEAD, LATE], True, False),
+        (told("alone", LATE), "explained", [LATE], True, False),
+    ],
+)  # fmt: skip
+def test_marks_of_positions(hidden, verdict, listed, right, wrong):
+    made = position_marks.of_effects(hidden, {"verdict": verdict, "effects": listed})
+    assert (made["right"], made["confident_wrong"]) == (right, wrong)
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory):
+    """Logs of the one-joint rig: sound, and with a dead band that friction accompanies; their folders."""
+    home = tmp_path_factory.mktemp("rigs")
+    out = {}
+    for kind, number in (("sound", 18), ("single", 3 + 6 * 4)):
+        made = position.make(number, [5], torque=False)
+        assert made.truth["robot"] == "rig"
+        assert made.truth["kind"] == kind
+        folder = home / kind
+        folder.mkdir()
+        (folder / "nominal.xml").write_text(made.nominal)
+        (folder / "truth.json").write_text(json.dumps(made.truth | {"stratum": "position"}))
+        for name, log in (("log", made.log), ("test", made.test)):
+            np.savez(folder / f"{name}.npz", **log)
+        out[kind] = folder
+    return out
+
+
+def test_position_logs_hold_targets_and_no_torque(rigs):
+    with np.load(rigs["single"] / "log.npz") as log:
+        assert set(log.files) == {"time", "joint_names", "qpos", "qpos_target", "kp", "kd"}
+    truth = json.loads((rigs["single"] / "truth.json").read_text())
+    [hidden] = truth["effects"]
+    assert hidden["location"] == {"kind": "joint", "name": "hinge"}
+    assert hidden["visibility"]["sigmas"] > 1.0
+
+
+def test_a_sound_robot_replays_as_its_nominal_model(rigs, tmp_path):
+    """Within the encoder's count and the loop's hold, by an engine that shares no step with the generator's loop."""
+    found = position_marks.errors(rigs["sound"], tmp_path)
+    assert found["tool"] == found["nominal"] < 2e-3
+
+
+def test_the_pace_like_fit_hands_back_a_model_that_replays(rigs, tmp_path):
+    folder = rigs["single"]
+    with np.load(folder / "log.npz") as file:
+        log = {k: file[k] for k in file.files}
+    report, xml = pace_positions.answer(folder, log)
+    (tmp_path / "corrected.xml").write_text(xml)
+    found = position_marks.errors(folder, tmp_path)
+    assert found["tool"] < 0.5 * found["nominal"]
+    assert {e["family"] for e in report["effects"]} & {"armature", "coulomb_friction"}
+
+
+def test_some_rows_of_a_log_are_kept_with_what_has_no_rows():
+    log = {
+        "time": np.arange(10.0),
+        "qpos": np.ones((10, 2)),
+        "sigma_tau": np.ones(2),
+        "tau_kind": np.array("current"),
+    }
+    out = mixed.kept(log, 4)
+    assert out["time"].tolist() == [0.0, 4.0, 8.0]
+    assert out["qpos"].shape == (3, 2)
+    assert out["sigma_tau"].shape == (2,)
+    assert str(out["tau_kind"]) == "current"
+
+
+def test_an_own_robot_gets_a_position_loop(scara):
+    robot = position.told_positions(own_robot(scara))
+    assert robot.joints == ("turn", "fold", "lift")
+    assert np.all(robot.kp > 0)
+    assert np.all(robot.kd > 0)
+    assert np.all(robot.swing > 0)
+
+
+def test_logs_of_a_set_are_named_by_its_seed():
+    names = seal.names_of(b"seed", 500)
+    assert len(set(names)) == 500
+    assert names[:7] == seal.names_of(b"seed", 7)
+    assert set(names).isdisjoint(seal.names_of(b"other", 500))

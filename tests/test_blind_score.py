@@ -218,7 +218,7 @@ def test_the_rivals_know_friction_where_it_is(draw, tmp_path):
         assert (found["family"], found["location"]["name"]) == ("coulomb_friction", place)
 
 
-def nearly_two(words, count, shares):
+def nearly_two(words, count, robots):
     """A payload, and nothing."""
     base = dataclasses.replace(SETTING, duration=5.0, test_duration=3.0)
     return [

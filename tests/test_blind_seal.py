@@ -40,7 +40,7 @@ SHORT = Setting(
 )
 
 
-def three(words, count, shares):
+def three(words, count, robots):
     """One log without a gap, one with payload, one with what no library has; in this order."""
     kinds = [("none", ()), ("single", ("payload",)), ("unknown", ("quadratic_friction",))]
     return [

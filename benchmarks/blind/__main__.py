@@ -3,9 +3,10 @@
     python -m benchmarks.blind --model my_robot.xml [--n 12] [--seed 1] [--jobs 2] [--out FOLDER] [--fix-base]
 
 Makes logs of robots like the model (`mixed.py`: sound ones, one effect on a good model, robots as they are bought
-with and without an odd effect, effects that no library has, logs that mean something else), diagnoses each by the
-public command in a process that can open nothing else, and writes OUT/RESULTS.md, rows.json and summary.json. Without
---model: the generator's own robots. A second call goes on where the first was stopped.
+with and without an odd effect, effects that no library has, logs that mean something else, robots that are told
+positions), diagnoses each by the public command in a process that can open nothing else, and writes OUT/RESULTS.md,
+rows.json and summary.json; settings.json holds what makes the same logs again. Without --model: the generator's own
+robots. A second call goes on where the first was stopped.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import hashlib
 import json
 import shutil
 import sys
@@ -27,7 +29,10 @@ HERE = Path(__file__).resolve().parent
 for folder in (HERE, HERE.parent / "gap"):
     sys.path.append(str(folder))
 
+import adapters  # noqa: E402
+import checkout  # noqa: E402
 import mixed  # noqa: E402
+import position  # noqa: E402
 import solve  # noqa: E402
 from exam import mixed_marks, mixed_page  # noqa: E402
 from own_robot import Unsuitable, own_robot  # noqa: E402
@@ -54,6 +59,18 @@ def generate(tasks: list[mixed.Task], logs: Path, jobs: int) -> list[Path]:
     for line in skipped:
         print(f"left out: {line}")
     return [f for f in folders if (f / "truth.json").exists()]
+
+
+def pace_like(folders: list[Path], out: Path, jobs: int) -> list[dict]:
+    """Rows of the PACE-like fit on the logs of positions without torque."""
+    told = [f for f in folders if json.loads((f / "truth.json").read_text())["stratum"] == PACED]
+    if not told:
+        return []
+    adapters.answer_all(told, out / "pace_like", "pace_like", jobs)
+    return mixed_marks.mark_all(told, out / "pace_like", jobs)
+
+
+PACED = position.STRATA[0]
 
 
 def examine(folders: list[Path], out: Path, jobs: int) -> list[dict]:
@@ -83,18 +100,28 @@ def main() -> None:
             own_robot(path, args.fix_base)
         except Unsuitable as error:
             parser.error(str(error))
-    settings = {"models": [str(p.resolve()) for p in args.model], "seed": args.seed, "n": args.n}
+    settings = {
+        "models": {
+            str(p.resolve()): hashlib.sha256(p.read_bytes()).hexdigest() for p in args.model
+        },
+        "fix_base": args.fix_base,
+        "seed": args.seed,
+        "n": args.n,
+        "commit": checkout.commit(),
+    }
     kept = args.out / "settings.json"
     if kept.exists() and json.loads(kept.read_text()) != settings:
         parser.error(f"{args.out} holds another check ({kept.name}); choose another --out")
     args.out.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(settings, indent=1))
     tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base)
-    rows = examine(generate(tasks, args.out / "logs", args.jobs), args.out, args.jobs)
+    folders = generate(tasks, args.out / "logs", args.jobs)
+    rows = examine(folders, args.out, args.jobs)
+    pace = pace_like(folders, args.out, args.jobs)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
-    (args.out / "summary.json").write_text(json.dumps(mixed_page.summary(rows), indent=1))
+    (args.out / "summary.json").write_text(json.dumps(mixed_page.summary(rows, pace), indent=1))
     names = ", ".join(p.name for p in args.model) or "the generator's robots"
-    text = mixed_page.page(rows, f"Blind check of {len(rows)} logs: {names}")
+    text = mixed_page.page(rows, pace, f"Blind check of {len(rows)} logs: {names}")
     (args.out / "RESULTS.md").write_text(text)
     Console().print(Markdown(text))
 

@@ -4,7 +4,8 @@
 
 `least_squares`: viscous and dry friction, rotor inertia and offset of every joint and every body's mass at once
 (`gap/baseline_least_squares`); a term that carries a hundredth of what the fit explains is listed. The others are
-those of `gap/baselines.py`. None can refuse a log, and all are `explained` where they list anything.
+those of `gap/baselines.py`; of logs without torque `pace_like` is the fit of closed-loop replays
+(`pace_positions.py`), and the others refuse those. All are `explained` where they list anything.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 import baselines
 import mujoco
 import numpy as np
+import pace_positions
 from baseline_chain import Residual
 from baseline_least_squares import columns
 from cad_truth import TERMS
@@ -87,7 +89,12 @@ def _as_report(model: mujoco.MjModel, theta: np.ndarray, carried: np.ndarray) ->
 def report(folder: Path, tool: str) -> tuple[dict, str | None]:
     """report.json, and corrected.xml where the tool has one."""
     corrected = None
-    if tool == "least_squares":
+    log = read(folder / "log.npz")
+    if "tau" not in log:
+        if tool != "pace_like":
+            raise ValueError("the log has no torque")
+        made, corrected = pace_positions.answer(folder, log)
+    elif tool == "least_squares":
         made, corrected = least_squares(folder)
     else:
         made = {"effects": TOOLS[tool](Residual.read(folder))}
@@ -119,6 +126,15 @@ def answer(folder: Path, out: Path, tool: str) -> None:
     part.rename(place)
 
 
+def answer_all(folders: list[Path], out: Path, tool: str, jobs: int) -> None:
+    """A report for every log that has none yet."""
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = [pool.submit(answer, f, out, tool) for f in folders]
+        for done in as_completed(running):
+            done.result()
+    shutil.rmtree(out / "parts", ignore_errors=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -129,11 +145,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     folders = sorted(p for p in args.logs.iterdir() if (p / "log.npz").exists())
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        running = [pool.submit(answer, f, args.out, args.tool) for f in folders]
-        for done in as_completed(running):
-            done.result()
-    shutil.rmtree(args.out / "parts", ignore_errors=True)
+    answer_all(folders, args.out, args.tool, args.jobs)
 
 
 if __name__ == "__main__":

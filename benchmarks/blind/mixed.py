@@ -8,8 +8,12 @@
 | `bare_odd` | the same | and one effect more |
 | `outside` | the same | and one that no library has |
 | `misread` | the same | the log means something else than the model (`gap/misread.py`) |
+| `position` | bodies alone | a robot that is told positions, no torque: nothing, friction and more, effects |
+| `position_torque` | the same | the same, with the torques of its motors |
 
-Robots are `gap/cad_robots`, or any that one names (`gap/own_robot`). A log depends on the seed and its index alone.
+Robots are `gap/cad_robots` and `replay/robots`, or any that one names (`gap/own_robot`). Some logs are of an ordinary
+motion, and some keep 20, 50 or 100 rows a second of a loop that is faster. A log depends on the seed and its index
+alone.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 import cad
+import position
 from cad_draw import ODD, OUTSIDE
 from cad_robots import CAD_ROBOTS, bare
 from many import write_folder
@@ -33,13 +38,18 @@ from own_robot import own_robot, rated_torque
 from robots import Robot
 
 SHARES = {
-    "sound": 0.15,
-    "one_effect": 0.15,
-    "bare": 0.15,
-    "bare_odd": 0.30,
-    "outside": 0.10,
-    "misread": 0.15,
+    "sound": 0.10,
+    "one_effect": 0.14,
+    "bare": 0.12,
+    "bare_odd": 0.24,
+    "outside": 0.09,
+    "misread": 0.11,
+    "position": 0.14,
+    "position_torque": 0.06,
 }
+SLOW, ORDINARY = 0.3, 0.25
+"""Shares of logs that keep some rows of the loop alone, and whose motion is an ordinary one."""
+RATES = (20, 50, 100)
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class Task:
 
     stratum: str
     kind: str
-    """Family, mechanism or fault; nothing in strata without one."""
+    """Family, mechanism or fault; nothing in strata without one, and of positions the generator's number."""
     seed: int
     index: int
     robots: tuple[str, ...] = ()
@@ -67,11 +77,14 @@ def plan(seed: int, count: int, robots: tuple[str, ...] = (), fix_base: bool = F
         names.append(max(behind, key=lambda s: behind[s]))
     names = [str(x) for x in rng.permutation(names)]
     turns = {s: list(rng.permutation(kinds)) for s, kinds in KINDS.items()}
+    first = int(rng.integers(2520))
     tasks = []
     for index, stratum in enumerate(names):
         kinds = turns.get(stratum)
         before = names[:index].count(stratum)
         kind = str(kinds[before % len(kinds)]) if kinds else ""
+        if stratum in position.STRATA:
+            kind = str(first + before)
         tasks.append(Task(stratum, kind, seed, index, robots, fix_base))
     return tasks
 
@@ -96,7 +109,16 @@ def _own(path: Path, fix_base: bool) -> Robot:
 
 def make(task: Task) -> cad.Made:
     """Both logs, the nominal model and the truth. RuntimeError where no draw of the effect keeps the loop stable."""
+    if task.stratum in position.STRATA:
+        return _of_positions(task)
     setting = cad.draw_setting(task.seed, task.index, library(task))
+    rng = np.random.default_rng([*setting.seed, 10])
+    if rng.random() < ORDINARY:
+        setting.kinds = ("ordinary", "exciting")
+    slow = int(rng.choice(RATES)) if rng.random() < SLOW else None
+    if slow:
+        # Of a row that is kept, the torque until the next one is not known.
+        setting.options["tau_kind"] = "current"
     setting.good = task.stratum in ("sound", "one_effect")
     kind = task.kind
     if kind == "joint_coupling" and len(setting.robot.joints) < 2:
@@ -107,6 +129,9 @@ def make(task: Task) -> cad.Made:
     if fault == "turned_mount":
         setting.mount = mount(setting.robot, np.random.default_rng([*setting.seed, 8]))
     made = cad.simulated(setting, "" if fault else kind)
+    if slow:
+        made.log, made.test = (kept(x, setting.rate // slow) for x in (made.log, made.test))
+        made.truth["rate_hz"] = setting.rate / (setting.rate // slow)
     if fault:
         seed = [*setting.seed, 9]
         made.log, made.test = (
@@ -114,6 +139,26 @@ def make(task: Task) -> cad.Made:
         )
     made.truth |= {"stratum": task.stratum, "fault": fault}
     return made
+
+
+def _of_positions(task: Task) -> cad.Made:
+    number, bought = int(task.kind), None
+    if task.robots:
+        robots = library(task)
+        bought = robots[f"own{number % len(robots)}"]()
+    torque = task.stratum == "position_torque"
+    made = position.make(number, [task.seed, POSITION, task.index], torque, bought)
+    made.truth["stratum"] = task.stratum
+    return made
+
+
+POSITION = 30  # in the seeds
+
+
+def kept(log: dict[str, np.ndarray], every: int) -> dict[str, np.ndarray]:
+    """Each so many rows of what has rows."""
+    rows = len(log["time"])
+    return {k: x[::every] if x.ndim and len(x) == rows else x for k, x in log.items()}
 
 
 def write(task: Task, folder: Path) -> None:

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
+import checkout
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
@@ -256,15 +257,11 @@ def _note_run(out: Path, jobs: int, exclude: list[str]) -> None:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             versions[name] = None
-    here = Path(__file__).parent
-    git = subprocess.run(
-        ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True
-    )
     runs.append(
         {
             "began": time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime()),
             "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "commit": git.stdout.strip() or os.environ.get("GIT_COMMIT", "unknown"),
+            "commit": checkout.commit(),
             "package": version(),
             "python": platform.python_version(),
             "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",

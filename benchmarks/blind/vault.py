@@ -50,10 +50,13 @@ def seal(answers: dict, folder: Path) -> str:
     return promise
 
 
-def unseal(folder: Path, promise: str, logs: Path | None, key: Path | None = None) -> dict:
+def unseal(
+    folder: Path, promise: str, logs: Path | None, key: Path | None = None, part: bool = False
+) -> dict:
     """The answers, after commitment and every log have been checked; `SealBroken` with one line otherwise.
 
-    `promise` is the commitment as published before any diagnosis, not the copy beside the answers.
+    `part`: logs may be missing. `promise` is the commitment as published before any diagnosis, not the copy beside the
+    answers.
     """
     from cryptography.fernet import Fernet, InvalidToken
 
@@ -69,17 +72,17 @@ def unseal(folder: Path, promise: str, logs: Path | None, key: Path | None = Non
     except InvalidToken:
         raise SealBroken(f"{folder / ANSWERS}: not sealed with this key") from None
     if logs is not None:
-        check_logs(answers, logs)
+        check_logs(answers, logs, part)
     return answers
 
 
-def check_logs(answers: dict, logs: Path) -> None:
-    """`SealBroken` where a log is missing, added or changed since it was sealed."""
+def check_logs(answers: dict, logs: Path, part: bool = False) -> None:
+    """`SealBroken` where a log is missing (unless `part`), added or changed since it was sealed."""
     held = {p.name for p in logs.iterdir() if p.is_dir()}
     told = set(answers["logs"])
-    if held != told:
+    if held - told or (told - held and not part):
         odd = sorted(held ^ told)
         raise SealBroken(f"{logs}: {len(odd)} logs missing or foreign, such as {odd[0]}")
-    for name, entry in answers["logs"].items():
-        if fingerprint(logs / name) != entry["sha256"]:
+    for name in sorted(held):
+        if fingerprint(logs / name) != answers["logs"][name]["sha256"]:
             raise SealBroken(f"{logs / name}: changed since it was sealed")

@@ -211,7 +211,6 @@ def draw_hidden(s: Setting, kind: str, attempt: int) -> Hidden:
 class Made:
     """One robot's log and other motion, the model a diagnosis gets, and the truth."""
 
-    setting: Setting
     log: dict[str, np.ndarray]
     test: dict[str, np.ndarray]
     nominal: str
@@ -239,7 +238,7 @@ def simulated(s: Setting, kind: str) -> Made:
         if s.good:
             nominal = good_model(s.robot, hidden, np.random.default_rng([*s.seed, 7]))
         logs = to_contract(s, log, noise), to_contract(s, test, noise)
-        return Made(s, *logs, nominal, truth)
+        return Made(*logs, nominal, truth)
     raise RuntimeError(f"log {s.seed[-1]}: {kind or 'none'} on {s.robot.name}: {reason}")
 
 
@@ -296,7 +295,7 @@ def write(out: Path, seed: int, index: int) -> str:
     if (folder / "truth.json").exists():
         return "there already"
     made = make(seed, index)
-    s, truth = made.setting, made.truth
+    truth = made.truth
     texts = {"nominal.xml": made.nominal, "truth.json": json.dumps(truth, indent=1)}
     write_folder(folder, made.log, made.test, texts)
     odd = truth["odd"]
@@ -306,7 +305,7 @@ def write(out: Path, seed: int, index: int) -> str:
         if odd
         else "none"
     )
-    return f"{s.robot.name} {s.rate} Hz {told} ({time.time() - begun:.1f} s)"
+    return f"{truth['robot']} {truth['rate_hz']} Hz {told} ({time.time() - begun:.1f} s)"
 
 
 def main() -> None:

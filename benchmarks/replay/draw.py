@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from plant import Truth
-from robots import Robot
+from replay.plant import Truth
+from replay.robots import Robot
 
 KINDS = ("sound", "ordinary", "single", "single", "single", "pair")
 ODD = (

@@ -15,13 +15,19 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
 import json
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from draw import ALONE, KINDS, ODD, add, ordinary
-from plant import Truth, Unstable, simulate, targets
-from robots import ROBOTS, Robot
+
+# Under its package's name: beside other benchmarks `plant` and `robots` are others.
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
+from replay.draw import ALONE, KINDS, ODD, add, ordinary
+from replay.plant import Truth, Unstable, simulate, targets
+from replay.robots import ROBOTS, Robot
 
 ATTEMPTS = 12
 _TOLD = 0.02
@@ -49,6 +55,42 @@ def nominal_run(
     )
 
 
+@dataclass
+class Drawn:
+    """A robot with all that is hidden in it, and what it is told."""
+
+    robot: Robot
+    kind: str
+    truths: list[Truth]
+    """Before the first odd effect, and after each."""
+    entries: list[dict]
+    """The odd effects, as truth.json has them."""
+    told: tuple[np.ndarray, np.ndarray]
+    loop_hz: int
+    log_hz: int
+    counts: float
+
+    def log(self, which: int, effects: int | None = None) -> dict[str, np.ndarray]:
+        """The log of motion 0 or 1, of the robot with its first `effects` odd effects, else all; `Unstable`."""
+        truth = self.truths[-1 if effects is None else effects]
+        rates = self.loop_hz, self.log_hz
+        return simulate(self.robot, truth, self.told[which], _TOLD, *rates, self.counts)
+
+    def said(self) -> dict:
+        """What truth.json holds."""
+        numbers = {k: v.tolist() for k, v in vars(self.truths[-1]).items() if k != "mass"}
+        return {
+            "robot": self.robot.name, "kind": self.kind, "loop_hz": self.loop_hz, "log_hz": self.log_hz,
+            "effects": self.entries,
+            "numbers": {k: [x if np.isfinite(x) else None for x in v] for k, v in numbers.items()},
+        }  # fmt: skip
+
+
+def without_torque(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The log of a drive that says none."""
+    return {k: v for k, v in log.items() if k != "tau"}
+
+
 def one(number: int, seed: int, out: Path) -> None:
     """Write one folder, unless it is there."""
     folder = out / f"{number:05d}"
@@ -58,55 +100,48 @@ def one(number: int, seed: int, out: Path) -> None:
         rng = np.random.default_rng([seed, number, attempt])
         try:
             made = drawn(number, rng)
+            logs = [made.log(which) for which in (0, 1)]
         except Unstable:
             continue
         folder.mkdir(parents=True, exist_ok=True)
-        robot, logs, truth = made
-        (folder / "nominal.xml").write_text(robot.xml)
+        (folder / "nominal.xml").write_text(made.robot.xml)
         for name, log in zip(("log", "test"), logs, strict=True):
-            np.savez(folder / f"{name}.npz", **log)
-        (folder / "truth.json").write_text(json.dumps(truth, indent=1))
+            np.savez(folder / f"{name}.npz", **(without_torque(log) if number % 4 else log))
+        (folder / "truth.json").write_text(json.dumps(made.said(), indent=1))
         return
     raise Unstable(f"log {number}: every attempt flew off")
 
 
-def drawn(number: int, rng: np.random.Generator):
-    """(robot, log and test log, what is hidden)."""
+def drawn(number: int, rng: np.random.Generator, robot: Robot | None = None) -> Drawn:
+    """What log `number` holds, on the robot whose turn it is, or on another."""
     kind = KINDS[number % len(KINDS)]
-    robot = ROBOTS[("leg", "arm", "quadruped", "rig")[(number // len(KINDS) + number) % 4]]()
-    seconds = 8.0 if robot.name == "quadruped" else 14.0
-    told = [targets(robot, seconds, rng, _TOLD) for _ in range(2)]
+    if robot is None:
+        turn = (number // len(KINDS) + number) % 4
+        robot = ROBOTS[("leg", "arm", "quadruped", "rig")[turn]]()
+    seconds = 8.0 if len(robot.joints) > 7 else 14.0
+    told = targets(robot, seconds, rng, _TOLD), targets(robot, seconds, rng, _TOLD)
     asked, fastest, typical, inertia = nominal_run(robot, told[0])
-    truth, entries = Truth.sound(robot), []
+    truth, effects = Truth.sound(robot), []
     if kind == "single" and number % 3 == 1 and rng.random() < 0.5:
-        truth, entry = add(robot, truth, str(rng.choice(ALONE)), asked, fastest, typical, rng)
-        entries.append(entry)
+        effects = [str(rng.choice(ALONE))]
         kind = "alone"
-    elif kind != "sound":
-        truth = ordinary(robot, truth, typical, inertia, rng)
-    count = {"single": 1, "pair": 2}.get(kind, 0)
-    families = rng.permutation(ODD)[:count]
-    if kind == "single":
-        families = [ODD[(number // 2) % len(ODD)]]
-    for family in families:
-        truth, entry = add(robot, truth, str(family), asked, fastest, typical, rng)
+    else:
+        if kind != "sound":
+            truth = ordinary(robot, truth, typical, inertia, rng)
+        effects = [str(x) for x in rng.permutation(ODD)[: {"single": 1, "pair": 2}.get(kind, 0)]]
+        if kind == "single":
+            effects = [ODD[(number // 2) % len(ODD)]]
+    truths, entries = [truth], []
+    for family in effects:
+        truth, entry = add(robot, truths[-1], family, asked, fastest, typical, rng)
+        truths.append(truth)
         entries.append(entry)
-    loop_hz, log_hz = (
-        int(rng.choice([500, 1000])),
-        int(rng.choice([200, 500]) if robot.name != "arm" else 100),
-    )
+    if kind == "alone":
+        rng.permutation(ODD)  # As of every other log: what is drawn after it keeps its place.
+    loop_hz = int(rng.choice([500, 1000]))
+    log_hz = int(rng.choice([200, 500]) if robot.name != "arm" else 100)
     counts = 2 * np.pi / 2 ** (12 if robot.name == "arm" else 14)
-    logs = []
-    for x in told:
-        log = simulate(robot, truth, x, _TOLD, loop_hz, log_hz, counts)
-        log = {k: v for k, v in log.items() if k != "tau"} if number % 4 else log
-        logs.append(log)
-    numbers = {k: v.tolist() for k, v in vars(truth).items() if k != "mass"}
-    said = {
-        "robot": robot.name, "kind": kind, "loop_hz": loop_hz, "log_hz": log_hz, "effects": entries,
-        "numbers": {k: [x if np.isfinite(x) else None for x in v] for k, v in numbers.items()},
-    }  # fmt: skip
-    return robot, logs, said
+    return Drawn(robot, kind, truths, entries, told, loop_hz, log_hz, counts)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
-from robots import Robot
+from replay.robots import Robot
 
 STEP = 5e-4
 _INNER = 4  # Steps of a motor behind play in one of MuJoCo's.

@@ -18,6 +18,8 @@ import evaluate_cad
 from evaluate_cad import SEEN, key, keys_of
 from report_torque import ORDINARY
 
+from exam import position_marks
+
 WORDS = {
     "no_gravity": r"gravity",
     "amperes": r"tau-unit|not N m|current",
@@ -45,22 +47,25 @@ def mark(folder: Path, place: Path) -> dict:
     """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it."""
     truth = json.loads((folder / "truth.json").read_text())
     report, said, seconds = _answer(place)
-    odd, stratum = truth["odd"], truth["stratum"]
-    seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
     row = {
         "log": folder.name,
-        "stratum": stratum,
+        "stratum": truth["stratum"],
         "robot": truth["robot"],
-        "hidden": _hidden(truth),
-        "sigmas": odd["visibility"]["sigmas"] if odd else 0.0,
-        "asked": seen if stratum in ("one_effect", "bare_odd", "outside") else True,
         "verdict": "refused" if report is None else report["verdict"],
         "confidence": None if report is None else report.get("confidence"),
         "said": said[-SHOWN:],
         "seconds": seconds,
     }
-    listed = [] if report is None else report["effects"]
-    row["listed"] = [list(key(e)) for e in listed]
+    if truth["stratum"] in position_marks.STRATA:
+        return row | position_marks.marks(folder, place, truth, report)
+    odd, stratum = truth["odd"], truth["stratum"]
+    seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
+    row |= {
+        "hidden": _hidden(truth),
+        "sigmas": odd["visibility"]["sigmas"] if odd else 0.0,
+        "asked": seen if stratum in ("one_effect", "bare_odd", "outside") else True,
+        "listed": [] if report is None else [list(key(e)) for e in report["effects"]],
+    }
     if stratum == "misread":
         return row | _of_fault(truth, report, said)
     return row | _of_effects(truth, report, row) | _errors(folder, place, truth, report)
