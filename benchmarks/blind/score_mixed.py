@@ -5,7 +5,7 @@
 
 Each tool's folder holds results/NAME/report.json (PROTOCOL.md); the one called pace_like is what the first tool's
 closed-loop replays are compared with. Writes OUT/RESULTS.md (wrong rows of the first tool), OUT/LEADERBOARD.md,
-OUT/confidence.png and OUT/rows.json. With --part LOGS may hold some of the logs alone: those that the first tool has an
+OUT/confidence.png and OUT/rows.json. With --part LOGS may hold some of the logs alone: those that every tool has an
 answer to are scored, and the rows of OUT/rows.json kept. NumPy, MuJoCo and matplotlib; nothing of the package.
 """
 
@@ -72,9 +72,10 @@ def main() -> None:
     kept: dict[str, list[dict]] = {name: [] for name in tools}
     if args.part:
         names = [n for n in names if (args.logs / n).exists()]
-        names = [n for n in names if (tools[first] / "results" / n).exists()]
+        names = [n for n in names if all((p / "results" / n).exists() for p in tools.values())]
         if (args.out / "rows.json").exists():
             kept |= json.loads((args.out / "rows.json").read_text())
+    args.out.mkdir(parents=True, exist_ok=True)
     folders = opened(answers, names, args.logs, args.out)
     rows = {name: mixed_marks.mark_all(folders, place, args.jobs) for name, place in tools.items()}
     for name, some in rows.items():
