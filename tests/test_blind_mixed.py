@@ -218,13 +218,15 @@ def test_the_summary_holds_each_number_with_its_bounds():
     rows = [
         {"stratum": "bare_odd", "log": f"cad{k}", "hidden": "payload at hand", "asked": k < 8, "found": k < 6,
          "first": k < 5, "there": [True], "confident_wrong": False, "right": True, "verdict": "explained",
-         "confidence": 0.95, "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
+         "robot": "r", "listed": [], "sigmas": 9.0, "said": "", "confidence": 0.95,
+         "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
         for k in range(10)
     ]  # fmt: skip
     told = [
         {"stratum": "position", "log": f"told{k}", "hidden": "nothing" if k == 3 else "dead_band at a", "asked": True,
          "named": [] if k == 3 else [True, k > 0], "found": k > 0, "there": [True], "confident_wrong": False,
-         "right": k > 0, "verdict": "explained", "confidence": 0.95, "replay": {"nominal": 1.0, "tool": 0.1 + k}}
+         "right": k > 0, "verdict": "explained", "robot": "r", "listed": [], "sigmas": 9.0, "said": "",
+         "confidence": 0.95, "replay": {"nominal": 1.0, "tool": 0.1 + k}}
         for k in range(4)
     ]  # fmt: skip
     pace = [{"stratum": "position", "log": f"told{k}", "replay": {"tool": 2.0}} for k in range(4)]
@@ -281,7 +283,7 @@ def rigs(tmp_path_factory):
     """Logs of the one-joint rig: sound, and with a dead band that friction accompanies; their folders."""
     home = tmp_path_factory.mktemp("rigs")
     out = {}
-    for kind, number in (("sound", 18), ("single", 3 + 6 * 4)):
+    for kind, number in (("sound", 6), ("single", 44)):
         made = position.make(number, [5], torque=False)
         assert made.truth["robot"] == "rig"
         assert made.truth["kind"] == kind

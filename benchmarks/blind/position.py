@@ -13,7 +13,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-sys.path += [str(Path(__file__).resolve().parents[1] / x) for x in (".", "gap")]
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 from cad import Made
 from replay.generate import ATTEMPTS, Drawn, drawn, without_torque
