@@ -307,9 +307,9 @@ def test_position_logs_hold_targets_and_no_torque(rigs):
 
 
 def test_a_sound_robot_replays_as_its_nominal_model(rigs, tmp_path):
-    """Within the encoder's count and the loop's hold, by an engine that shares no step with the generator's loop."""
+    """Within what a loop's hold of a millisecond is at some rad/s, which a loop without hold does not know."""
     found = position_marks.errors(rigs["sound"], tmp_path)
-    assert found["tool"] == found["nominal"] < 2e-3
+    assert found["tool"] == found["nominal"] < 3e-3
 
 
 def test_the_pace_like_fit_hands_back_a_model_that_replays(rigs, tmp_path):

@@ -35,6 +35,9 @@ def make(number: int, seed: list[int], torque: bool, bought: Bought | None = Non
     for attempt in range(ATTEMPTS):
         try:
             one = drawn(number, np.random.default_rng([*seed, attempt]), robot)
+            if torque:
+                # A torque is held from its row to the next, as the protocol says of commanded ones.
+                one.log_hz = one.loop_hz
             logs = [one.log(which) for which in (0, 1)]
             truth = described(one, logs[0])
         except Unstable:
