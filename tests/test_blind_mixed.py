@@ -18,6 +18,7 @@ import mixed  # noqa: E402
 import pace_positions  # noqa: E402
 import position  # noqa: E402
 import seal  # noqa: E402
+import vault  # noqa: E402
 from check import inverse_dynamics  # noqa: E402
 from exam import mixed_marks, mixed_page, position_marks  # noqa: E402
 from misread import FAULTS, misread, mount  # noqa: E402
@@ -350,3 +351,21 @@ def test_logs_of_a_set_are_named_by_its_seed():
     assert len(set(names)) == 500
     assert names[:7] == seal.names_of(b"seed", 7)
     assert set(names).isdisjoint(seal.names_of(b"other", 500))
+
+
+def test_part_of_a_set_is_checked_log_by_log(tmp_path):
+    for name in ("aa", "bb"):
+        (tmp_path / name).mkdir()
+        for file in vault.FILES:
+            (tmp_path / name / file).write_text(name + file)
+    answers = {"logs": {n: {"sha256": vault.fingerprint(tmp_path / n)} for n in ("aa", "bb")}}
+    answers["logs"]["cc"] = {"sha256": ""}
+    vault.check_logs(answers, tmp_path, part=True)
+    with pytest.raises(vault.SealBroken, match="missing or foreign"):
+        vault.check_logs(answers, tmp_path)
+    (tmp_path / "bb" / vault.FILES[0]).write_text("changed")
+    with pytest.raises(vault.SealBroken, match="changed"):
+        vault.check_logs(answers, tmp_path, part=True)
+    (tmp_path / "dd").mkdir()
+    with pytest.raises(vault.SealBroken, match="missing or foreign"):
+        vault.check_logs(answers, tmp_path, part=True)
