@@ -1,13 +1,14 @@
 """The position-controlled robots of a mixed examination: those of `../replay`, or one's own with a position loop.
 
 Log `number` of a stratum goes the generator's own round: sound, ordinary physics alone, one odd effect or number
-(three of six), two. What theory calls the same there is stated, and how visible each effect is: its rms on the joint
-that shows it best, over what the encoder and a clock of a millisecond leave unsaid.
+(three of six), two. What theory calls the same there is stated, and how visible each effect is: what ordinary numbers
+of its joint cannot absorb, over what the encoder and a clock of a millisecond leave unsaid.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -18,12 +19,12 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 from cad import Made
 from replay.generate import ATTEMPTS, Drawn, drawn, without_torque
-from replay.plant import Unstable
+from replay.plant import Truth, Unstable
 from replay.robots import Robot
 from robots import Robot as Bought
 
 STRATA = ("position", "position_torque")
-CLOCK = 1e-3  # s
+CLOCK, SEEN_IN, ALIKE = 1e-3, 6.0, 1.0  # s
 AT_RATED = 0.2  # rad by which a joint lags that needs its rated torque
 SLOWEST, FASTEST = 12.0, 60.0  # rad/s: bandwidths of a loop
 SWING = 0.4  # of the range, either way
@@ -57,7 +58,7 @@ def described(one: Drawn, log: dict[str, np.ndarray]) -> dict:
         kind, name = entry.pop("kind"), entry.pop("name")
         entry["location"] = {"kind": kind, "name": name}
         entry["equivalent"] = equivalents(entry, one.robot)
-        entry["visibility"] = {"sigmas": sigmas(before, after, one.counts)}
+        entry["visibility"] = {"sigmas": sigmas(one, k, before, after)}
         after = before
     return truth
 
@@ -76,12 +77,45 @@ def equivalents(entry: dict, robot: Robot) -> list[dict]:
     return []
 
 
-def sigmas(before: dict, after: dict, counts: float) -> float:
-    """Rms of what an effect changes, over what is uncertain there, on the joint that shows it best."""
-    change = np.sqrt(np.mean((after["qpos"] - before["qpos"]) ** 2, axis=0))
-    speed = np.gradient(after["qpos"], after["time"], axis=0)
-    loose = np.hypot(counts / np.sqrt(12.0), CLOCK * np.sqrt(np.mean(speed**2, axis=0)))
-    return float((change / loose).max())
+def sigmas(one: Drawn, k: int, before: dict, after: dict) -> float:
+    """Of effect `k`: the change that no ordinary number of its joint makes, over what is uncertain there.
+
+    As `cad_truth` has it: what is uncertain is alike over a second, so that a log has as many samples as seconds.
+    """
+    rows = np.flatnonzero(after["time"] < SEEN_IN)
+    was, now, time = before["qpos"][rows], after["qpos"][rows], after["time"][rows]
+    change, speed = now - was, np.gradient(now, time, axis=0)
+    loose = np.hypot(one.counts / np.sqrt(12.0), CLOCK * np.sqrt(np.mean(speed**2, axis=0)))
+    steps = _ordinary_steps(one, k)
+    like = [(one.run(x, 0, SEEN_IN)["qpos"][rows] - was) / loose for x in steps]
+    columns = np.stack([x.ravel() for x in like], axis=1)
+    y = (change / loose).ravel()
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    independent = (after["time"][-1] - after["time"][0]) / ALIKE
+    return float(np.sqrt(np.mean(left.reshape(change.shape) ** 2, axis=0).sum() * independent))
+
+
+def _ordinary_steps(one: Drawn, k: int) -> list[Truth]:
+    """The robot before effect `k` with each ordinary number of that joint a little off, but the effect's own."""
+    truth, entry, robot = one.truths[k], one.entries[k], one.robot
+    names = {"joint": robot.joints, "body": robot.bodies}.get(entry["location"]["kind"], ())
+    j = names.index(entry["location"]["name"]) if names else 0
+    kp, kd = robot.kp[j], robot.kd[j]
+    steps = {
+        "armature": ("armature", 0.1 * kd**2 / kp),
+        "viscous_friction": ("damping", 0.1 * kd),
+        "coulomb_friction": ("dry", 0.01 * kp),
+        "encoder_offset": ("offset", 0.01),
+        "kp_scale": ("kp", 0.05 * kp),
+        "target_delay": ("delay", 0.003),
+    }
+    out = []
+    for family, (name, step) in steps.items():
+        if family != entry["family"]:
+            whole = getattr(truth, name).copy()
+            whole[j] += step
+            out.append(replace(truth, **{name: whole}))
+    return out
 
 
 def told_positions(bought: Bought) -> Robot:

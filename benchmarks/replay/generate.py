@@ -72,9 +72,14 @@ class Drawn:
 
     def log(self, which: int, effects: int | None = None) -> dict[str, np.ndarray]:
         """The log of motion 0 or 1, of the robot with its first `effects` odd effects, else all; `Unstable`."""
-        truth = self.truths[-1 if effects is None else effects]
+        return self.run(self.truths[-1 if effects is None else effects], which)
+
+    def run(self, truth: Truth, which: int, seconds: float = np.inf) -> dict[str, np.ndarray]:
+        """The same of any robot, the first `seconds` of it; `Unstable`."""
+        told = self.told[which]
+        told = told[: int(min(seconds / _TOLD, len(told) - 1)) + 1]
         rates = self.loop_hz, self.log_hz
-        return simulate(self.robot, truth, self.told[which], _TOLD, *rates, self.counts)
+        return simulate(self.robot, truth, told, _TOLD, *rates, self.counts)
 
     def said(self) -> dict:
         """What truth.json holds."""
