@@ -48,7 +48,9 @@ def summarised(
     causes = bounded(residual, evidence, causes)
     by_cause = (heldout if other is None else other).check(ordinary, causes)
     told = dataclasses.replace(selection, posterior=causes)
-    bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
+    # What needs no finding: tolerances, friction's mild forms, and ordinary numbers too small to be listed.
+    listed = {id(h) for h, _ in likely}
+    bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     judged = verdict(by_cause, tolerated, bool(likely), settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]

@@ -252,3 +252,28 @@ class FrictionForms(Effect):
 
     def numbers(self, context, place, shape, theta):
         return {}
+
+
+class StatedFriction(Effect):
+    """How dry friction that the model states turns round: a model's turns at once, a bristle's over its presliding.
+
+    y = F (sign(q̇) − z), F the model's own level: θ = 1 where all of it turns as z does. Marginalised, as no model
+    states how soon (Dahl 1968). Shape: presliding displacement [rad] and way, as of the joint's dry friction.
+    """
+
+    name, equation, named, marginal = "stated_friction", "F (sign(q̇) − z)", False, True
+    form_error = 0.0
+
+    def places(self, context):
+        return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
+
+    def columns(self, context, place, shape):
+        row = place.index
+        turned = context.side[:, row] - direction(context, row, *shape)
+        return of_row(float(context.frictionloss[row]) * turned, place)
+
+    def scale(self, context, place, shape):
+        return np.ones(1)
+
+    def numbers(self, context, place, shape, theta):
+        return {}
