@@ -1,7 +1,5 @@
 """What stands out of noise in the motion's own band: numbers drawn as whitened noise has them, and logs by MuJoCo C."""
 
-import types
-
 import mujoco
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from arm_log import ARM, simulate
 
 from jax_inertia import load_model
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Strangeness, strangeness
@@ -31,15 +28,6 @@ class Drawn(Evidence):
 
     def charged(self, y):
         return y.ravel()
-
-
-class Drawing(Candidate):
-    """An effect of which nothing but its torque is known, and how wrong its equation may be."""
-
-    effect = np.zeros(0)
-
-    def __init__(self, effect: np.ndarray, form_error: float):
-        self.effect, self.family = effect.ravel(), types.SimpleNamespace(form_error=form_error)
 
 
 def noise(seed: int, draws: int) -> np.ndarray:
@@ -90,8 +78,8 @@ def test_what_effects_leave_of_what_was_there(replicas, drawn, form_error, share
     cause = np.zeros_like(x)
     cause[:, 7] = 8.0 * np.sin(np.arange(MODES))
     slow = Slow.of(Drawn(x + cause), replicas, True)
-    effect = Drawing(drawn * cause, form_error)
-    missed = slow.missed((x + cause).ravel() - effect.effect, [effect])
+    left = (x + cause).ravel() - drawn * cause.ravel()
+    missed = slow.missed(left, [form_error * drawn * cause.ravel()])
     if share is None:
         assert missed is None
         return

@@ -46,6 +46,7 @@ def summarised(
     # A shape that names no cause explains nothing: the verdict is about what the causes leave, and so are the numbers.
     causes = evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     causes = bounded(residual, evidence, causes)
+    likely = [(h, f) for h, f in likely if h in causes.chosen]
     by_cause = (heldout if other is None else other).check(ordinary, causes)
     told = dataclasses.replace(selection, posterior=causes)
     # What needs no finding: tolerances, friction's mild forms, and ordinary numbers too small to be listed.
@@ -54,8 +55,11 @@ def summarised(
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     judged = verdict(by_cause, tolerated, bool(likely), settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
-    found = as_listed(told, [(h, f) for h, f in likely if h in causes.chosen], trust)
-    sure = confidence(by_cause, judged, [f.probability for f in found if not f.ordinary], settings)
+    found = as_listed(told, likely, trust)
+    judged_keys = {h.key for h in (*everything.chosen, *dropped)}
+    another = selection.odds_of_another(causes, judged_keys)
+    odd = [f.probability for f in found if not f.ordinary]
+    sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
     gap = evidence.gap
     chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))

@@ -1,9 +1,9 @@
 """The one score: log evidence of a linear-Gaussian model of the torque residual, with every number marginalised.
 
-    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
+    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(sₖ μₖ, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
 
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
-to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
+to its standard deviation; μ: zero, but for effects that are all there or not at all. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
 deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
 """
 
@@ -91,7 +91,8 @@ class Evidence:
         columns = _scaled(chosen, root)
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
-        mean = linalg.cho_solve(factor, columns.T @ (root * self.y).ravel())
+        told = columns.T @ (root * self.y).ravel()
+        mean = linalg.cho_solve(factor, told + prior_mean(chosen))
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
         ends = np.cumsum([h.count for h in chosen])
         slices = tuple(slice(e - h.count, e) for e, h in zip(ends, chosen, strict=True))
@@ -130,13 +131,21 @@ class Evidence:
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
-        out = []
-        for part in now.slices:
-            mean, covariance = now.mean[part], now.covariance[part, part]
-            _, logdet = np.linalg.slogdet(covariance)
-            quadratic = mean @ np.linalg.solve(covariance, mean)
-            out.append(0.5 * (quadratic + logdet))
-        return np.array(out)
+        every = zip(now.chosen, now.slices, strict=True)
+        return np.array([worth(h, now.mean[p], now.covariance[p, p]) for h, p in every])
+
+
+def worth(
+    h: Hypothesis, mean: Float[np.ndarray, " k"], covariance: Float[np.ndarray, "k k"]
+) -> float:
+    """ln p(z = 0) before the data less after, at posterior mean and covariance of z = θ / scale [nats]."""
+    quadratic = mean @ np.linalg.solve(covariance, mean) - h.prior_mean @ h.prior_mean
+    return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
+
+
+def prior_mean(chosen: Sequence[Hypothesis]) -> Float[np.ndarray, " p"]:
+    """Prior mean of every number of the chosen, per prior standard deviation."""
+    return np.concatenate([h.prior_mean for h in chosen]) if chosen else np.zeros(0)
 
 
 def _scaled(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Columns, Effect, Place
+from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import (
     CoulombFriction,
     FrictionForms,
@@ -187,17 +187,17 @@ def _one_joints_dry(c: Hypothesis, dry: Hypothesis) -> bool:
 
 
 def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> list[Hypothesis]:
-    """Mild forms of each joint's friction, in proportion to its ordinary friction, the model's own included."""
+    """Mild forms of each joint's friction, in proportion to its ordinary friction."""
     out = []
-    effect, context = FrictionForms(), residual.context
-    for name, row in context.joint_dofs.items():
-        stated = context.damping[row] * context.v[:, row] + residual.prepared.dry[:, row]
-        own = -residual.rows_of(Columns(stated[:, None], row))[0][:, 0]
-        for h in now.chosen:
-            if h.family in FRICTION and h.place.index == row and h.place.kind == "joint":
-                own = own + now.torque(h)[:, row]
-        level = float(np.sqrt(np.mean(own**2)))
-        if level > 0.0:
+    effect = FrictionForms()
+    for name, row in residual.context.joint_dofs.items():
+        own = [
+            now.torque(h)[:, row]
+            for h in now.chosen
+            if h.family in FRICTION and h.place.index == row and h.place.kind == "joint"
+        ]
+        if own:
+            level = float(np.sqrt(np.mean(sum(own) ** 2)))
             place = Place("joint", name, row)
             out.append(make(residual, effect, place, (presliding.get(row, 0.0), level), settings))
     return out

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Collection
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, worth
 
 GROUPS = 10
 """Parts of a log for the jackknife."""
@@ -53,8 +54,20 @@ class Selection:
         part = self.posterior.slices[self.posterior.chosen.index(h)]
         mean = self.posterior.mean[part]
         covariance = self.posterior.covariance[part, part] + self.spread[part, part]
-        quadratic = mean @ np.linalg.solve(covariance, mean)
-        return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
+        return worth(h, mean, covariance)
+
+    def odds_of_another(self, now: Posterior, judged: Collection[tuple[str, str, str]]) -> float:
+        """Odds that one more named effect is there beside `now`, anywhere; `judged`: families and places that are out.
+
+        Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
+        large as the noise the evidence says neither that it is there nor that it is not.
+        """
+        gains = self.evidence.gains(now, self.named)
+        best: dict[tuple[str, str, str], float] = {}
+        for c, gain in zip(self.named.candidates, gains, strict=True):
+            if c.key not in judged and np.isfinite(gain):
+                best[c.key] = max(best.get(c.key, -np.inf), float(gain) - c.odds)
+        return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
 
     @property
     def ordinary(self) -> tuple[Hypothesis, ...]:
