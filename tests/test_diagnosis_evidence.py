@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 
 from jax_inertia.diagnosis.checks import Check
 from jax_inertia.diagnosis.detectability import information, smallest
-from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.actuator import TorqueSaturation
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis

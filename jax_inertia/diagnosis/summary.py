@@ -56,8 +56,9 @@ def summarised(
     judged = verdict(by_cause, tolerated, bool(likely), settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, likely, trust)
-    judged_keys = {h.key for h in (*everything.chosen, *dropped)}
-    another = selection.odds_of_another(causes, judged_keys)
+    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
+    before = dataclasses.replace(selection, posterior=everything)
+    another = before.odds_of_another(causes, gone, dropped)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)

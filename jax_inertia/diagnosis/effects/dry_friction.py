@@ -283,7 +283,9 @@ class StatedFriction(Effect):
         ]
         top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
         bent = float(context.damping[row]) * np.abs(v) * v / top
-        return of_row(np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place)
+        return of_row(
+            np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place
+        )
 
     def scale(self, context, place, shape):
         turning, form = TURNING_TOLERANCE, STATED_TOLERANCE

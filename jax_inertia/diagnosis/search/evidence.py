@@ -3,8 +3,9 @@
     y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(sₖ μₖ, diag sₖ²),   z ~ N(0, 1),   ε ~ N(0, V)
 
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
-to its standard deviation; μ: zero, but for effects that are all there or not at all. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
-deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
+to its standard deviation; μ: zero, but for effects that are all there or not at all. Add and delete of a group have
+closed forms (Tipping and Faul 2003, fast marginal likelihood; deletion by the Savage–Dickey ratio, Dickey 1971).
+Columns here are scaled by their prior standard deviation.
 """
 
 import copy

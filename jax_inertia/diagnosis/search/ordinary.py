@@ -73,9 +73,7 @@ def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 
-def _turning(
-    residual, evidence, now: Posterior, dry, place, settings
-) -> tuple[Hypothesis, ...]:
+def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[Hypothesis, ...]:
     """The joint's dry friction with the presliding displacement of most evidence, the model's own beside it."""
     shapes = list(dry.shapes(residual.context, place))
     tried = [_alike(residual, dry, place, shape, settings) for shape in shapes]

@@ -56,16 +56,20 @@ class Selection:
         covariance = self.posterior.covariance[part, part] + self.spread[part, part]
         return worth(h, mean, covariance)
 
-    def odds_of_another(self, now: Posterior, judged: Collection[tuple[str, str, str]]) -> float:
-        """Odds that one more named effect is there beside `now`, anywhere; `judged`: families and places that are out.
+    def odds_of_another(
+        self, now: Posterior, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
+    ) -> float:
+        """Odds that one more named effect is there beside `now`, anywhere; `gone`: chosen here, and not stated.
 
         Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
-        large as the noise the evidence says neither that it is there nor that it is not.
+        large as the noise the evidence says neither that it is there nor that it is not. Of those that are gone the
+        evidence is the one by which they went, `robust_worth`; those that another run `refuted` do not count.
         """
+        best = {h.key: self.robust_worth(h) - h.odds for h in gone}
+        chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
         gains = self.evidence.gains(now, self.named)
-        best: dict[tuple[str, str, str], float] = {}
         for c, gain in zip(self.named.candidates, gains, strict=True):
-            if c.key not in judged and np.isfinite(gain):
+            if c.key not in chosen and np.isfinite(gain):
                 best[c.key] = max(best.get(c.key, -np.inf), float(gain) - c.odds)
         return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
 
