@@ -58,7 +58,7 @@ def summarised(
     found = as_listed(told, likely, trust)
     gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
     before = dataclasses.replace(selection, posterior=everything)
-    another = before.odds_of_another(causes, gone, dropped)
+    another = before.odds_of_another(gone, dropped)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)

@@ -57,9 +57,9 @@ class Selection:
         return worth(h, mean, covariance)
 
     def odds_of_another(
-        self, now: Posterior, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
+        self, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
     ) -> float:
-        """Odds that one more named effect is there beside `now`, anywhere; `gone`: chosen here, and not stated.
+        """Odds that one more named effect is there beside the chosen, anywhere; `gone`: chosen, and not stated.
 
         Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
         large as the noise the evidence says neither that it is there nor that it is not. Of those that are gone the
@@ -67,7 +67,7 @@ class Selection:
         """
         best = {h.key: self.robust_worth(h) - h.odds for h in gone}
         chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
-        gains = self.evidence.gains(now, self.named)
+        gains = self.evidence.gains(self.posterior, self.named)
         for c, gain in zip(self.named.candidates, gains, strict=True):
             if c.key not in chosen and np.isfinite(gain):
                 best[c.key] = max(best.get(c.key, -np.inf), float(gain) - c.odds)
