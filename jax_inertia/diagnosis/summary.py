@@ -56,9 +56,7 @@ def summarised(
     judged = verdict(by_cause, tolerated, bool(likely), settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, likely, trust)
-    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
-    before = dataclasses.replace(selection, posterior=everything)
-    another = before.odds_of_another(gone, dropped)
+    another = _odds_of_another(selection, everything, causes, dropped)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
@@ -67,11 +65,6 @@ def summarised(
     energy = evidence.gap**2 * evidence.count
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints = joint_numbers(told)
-    notes = tuple(
-        f"{h.family.replace('_', ' ')}{_at(h)} fits this log but not the other run; left out"
-        for h in dropped
-        if h.named
-    )
     return Diagnosis(
         verdict=judged,
         confidence=sure,
@@ -90,9 +83,25 @@ def summarised(
         per_joint_rms=dict(zip(names, gap.tolist(), strict=True)),
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(told),
-        notes=(*_flags(told, joints), *notes),
+        notes=(*_flags(told, joints), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
+    )
+
+
+def _odds_of_another(selection, everything: Posterior, causes: Posterior, dropped) -> float:
+    """Odds that a named effect is there that is not among the causes."""
+    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
+    before = dataclasses.replace(selection, posterior=everything)
+    return before.odds_of_another(gone, dropped)
+
+
+def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:
+    """A line for each effect that the other run refuted."""
+    return tuple(
+        f"{h.family.replace('_', ' ')}{_at(h)} fits this log but not the other run; left out"
+        for h in dropped
+        if h.named
     )
 
 
