@@ -1,11 +1,13 @@
 """What stands out of noise in the motion's own band: numbers drawn as whitened noise has them, and logs by MuJoCo C."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 from arm_log import ARM, simulate
 
-from jax_inertia import load_model
+from jax_inertia import load_model, read_log
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.slow import Slow
@@ -147,3 +149,18 @@ def test_what_a_loud_friction_hides_is_not_explained_by_it():
     assert families & {"asymmetric_coulomb", "coulomb_friction"}
     if found.verdict is Verdict.EXPLAINED:
         assert "gravity_tilt" in families
+
+
+OVERLAP = Path(__file__).parents[2] / "shared" / "cases" / "18-three-right-called-unknown"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not OVERLAP.is_dir(), reason="cases (../shared/cases) are not here")
+def test_effects_that_overlap_are_no_reason_to_doubt_them():
+    """Each alone they explain 1.7 times what they do together, and each number is right."""
+    found = diagnose(load_model(str(OVERLAP / "nominal.xml")), read_log(str(OVERLAP / "log.npz")))
+    assert found.verdict is Verdict.EXPLAINED
+    sizes = {f.family: f.parameters for f in found.findings}
+    assert sizes["coulomb_friction"]["coulomb"].value == pytest.approx(4.0, rel=0.02)
+    assert sizes["viscous_friction"]["damping"].value == pytest.approx(2.0, rel=0.02)
+    assert sizes["payload"]["mass"].value == pytest.approx(0.5, rel=0.02)
