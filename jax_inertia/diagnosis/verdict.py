@@ -35,7 +35,7 @@ def confidence(
 ) -> float:
     """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts.
 
-    A verdict that claims to be whole needs that no other effect is there; `another`: odds that one is.
+    What is explained needs that no other effect is there; `another`: odds that one is.
     """
     sure = min(probabilities, default=0.99)
     ratio = max(check.unexplained, 1e-6) / settings.explained
@@ -46,6 +46,6 @@ def confidence(
         sure = max(sure, 0.5)
     else:
         border = 0.95
-    if given in (Verdict.EXPLAINED, Verdict.NO_GAP):
+    if given is Verdict.EXPLAINED:
         sure /= 1.0 + another
     return float(np.clip(sure * max(border, 0.5), 0.05, 0.99))
