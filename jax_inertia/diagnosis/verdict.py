@@ -41,11 +41,10 @@ def confidence(
     ratio = max(check.unexplained, 1e-6) / settings.explained
     if given is Verdict.EXPLAINED:
         border = 1.0 / (1.0 + ratio**2)
+        sure /= 1.0 + another
     elif given is Verdict.PARTLY:
         border = ratio**2 / (1.0 + ratio**2)
         sure = max(sure, 0.5)
     else:
         border = 0.95
-    if given is Verdict.EXPLAINED:
-        sure /= 1.0 + another
     return float(np.clip(sure * max(border, 0.5), 0.05, 0.99))
