@@ -74,7 +74,7 @@ def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
 
 
 def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[Hypothesis, ...]:
-    """The joint's dry friction with the presliding displacement of most evidence, the model's own beside it."""
+    """The joint's dry friction with the presliding displacement of most evidence, with the model's own."""
     shapes = list(dry.shapes(residual.context, place))
     tried = [_alike(residual, dry, place, shape, settings) for shape in shapes]
     gains = evidence.gains(now, [joined(both) for both in tried])

@@ -59,7 +59,7 @@ class Selection:
     def odds_of_another(
         self, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
     ) -> float:
-        """Odds that one more named effect is there beside the chosen, anywhere; `gone`: chosen, and not stated.
+        """Odds that one more named effect is there given the chosen, anywhere; `gone`: chosen, and not stated.
 
         Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
         large as the noise the evidence says neither that it is there nor that it is not. Of those that are gone the
