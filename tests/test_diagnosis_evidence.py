@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from jax_inertia.diagnosis.checks import Check
 from jax_inertia.diagnosis.detectability import information, smallest
+from jax_inertia.diagnosis.effects.actuator import TorqueSaturation
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
@@ -29,21 +30,24 @@ def hypotheses(rng, count):
         shape = (ROWS, 2) if row is not None else (ROWS, JOINTS, 2)
         place = Place("joint", f"j{k}", k % JOINTS)
         scale = rng.uniform(0.3, 3.0, 2)
-        out.append(
-            Hypothesis(ViscousFriction(), place, (), rng.normal(size=shape), row, scale, 0.0)
-        )
+        # One in three is all there or not at all: θ = 1, give or take.
+        effect = ViscousFriction() if k % 3 else TorqueSaturation()
+        out.append(Hypothesis(effect, place, (), rng.normal(size=shape), row, scale, 0.0))
     return tuple(out)
 
 
 def log_marginal(evidence, chosen):
     """Of y with every number integrated out, as one Gaussian of all rows."""
     covariance = np.diag((evidence.noise.variance * evidence.noise.repeated).ravel())
+    mean = np.zeros(ROWS * JOINTS)
     for h in chosen:
         wide = np.zeros((ROWS, JOINTS, h.count))
         wide[:, slice(None) if h.row is None else h.row] = h.columns
         flat = wide.reshape(-1, h.count) * h.scale
         covariance = covariance + flat @ flat.T
-    return multivariate_normal(np.zeros(ROWS * JOINTS), covariance).logpdf(evidence.y.ravel())
+        if h.effect.sized_by_shape:
+            mean = mean + wide.reshape(-1, h.count) @ np.ones(h.count)
+    return multivariate_normal(mean, covariance).logpdf(evidence.y.ravel())
 
 
 @pytest.fixture
@@ -92,7 +96,11 @@ def test_without_one_is_what_a_fit_without_it_finds(problem):
 def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
     """An effect of just that size, and nothing else in the rows."""
     evidence, chosen = problem
-    for h in hypotheses(np.random.default_rng(8), 4):
+    chosen, others = (
+        tuple(dataclasses.replace(h, effect=ViscousFriction()) for h in some)
+        for some in (chosen, hypotheses(np.random.default_rng(8), 4))
+    )
+    for h in others:
         one = dataclasses.replace(h, columns=h.columns[..., :1], scale=h.scale[:1])
         now = evidence.posterior(chosen)
         z = smallest(float(information(evidence, now, one)[0]), odds=8.0)

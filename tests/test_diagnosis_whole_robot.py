@@ -91,6 +91,32 @@ def test_a_sound_robot_has_no_gap(robot):
     assert sound.found == ()
 
 
+def bristle(seed: int, presliding: float, finer: int = 20) -> np.ndarray:
+    """Direction of LuGre's friction along a motion, −1 to 1, exact over steps: ż = (q̇ − |q̇| z) / presliding."""
+    t, _, v, _ = motion(seed, rate=200.0 * finer)
+    z, out = np.sign(v[0]), np.empty_like(v)
+    for k, dt in enumerate(np.diff(t, prepend=t[0])):
+        side = np.sign(v[k])
+        z = side + (z - side) * np.exp(-np.abs(v[k]) * dt / presliding)
+        out[k] = z
+    return out[::finer]
+
+
+def test_a_stated_friction_that_is_a_bristle_in_truth_is_no_gap():
+    model = mujoco.MjModel.from_xml_string(NOMINAL)
+    model.dof_damping[:], model.dof_armature[:] = 1.05 * VISCOUS, ARMATURE
+    model.dof_frictionloss[:] = COULOMB
+    logs = []
+    for seed, (t, q, v, a) in MOTIONS.items():
+        level = COULOMB * (1.0 + 0.05 * np.exp(-((v / 0.03) ** 2)))
+        friction = VISCOUS * v + level * bristle(seed, 1.5e-3) + ARMATURE * a
+        logs.append(log_of(t, q, NEEDED[seed] + friction, seed))
+    sound = diagnose(load_model(model), logs[0], test_log=logs[1])
+    assert sound.found == ()
+    assert sound.verdict == "no_gap"
+    assert sound.as_bought < 0
+
+
 def with_load():
     spec = mujoco.MjSpec.from_string(NOMINAL)
     load = spec.body("hand").add_body(name="load", pos=[0.03, 0.0, -0.1])

@@ -12,14 +12,13 @@ from jax_inertia import load_model
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.gap.candidate import Candidate
-from jax_inertia.gap.doubt import better_than, entangled
+from jax_inertia.gap.doubt import better_than
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.locate import _closed, windows
 from jax_inertia.gap.outsiders import Outsider
 from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.select import _likelier, split
 from jax_inertia.gap.together import solved
-from jax_inertia.gap.verdict import Tried
 
 PULL = np.array([4.0, 0.0, -7.0])
 TIP = (0.03, 0.0, -0.33)
@@ -94,29 +93,6 @@ def beside(*columns: np.ndarray) -> tuple[Pool, list[Candidate]]:
         vars(effect).update(columns=column[:, None], offset=np.zeros(len(column)))
         effect.theta = np.ones(1)
     return pool, effects
-
-
-def test_effects_that_do_only_together_what_they_do_are_entangled():
-    x, y = np.eye(2) * 30.0
-    assert entangled(*beside(x, y)) is None
-    assert entangled(*beside(x, 0.2 * x + y)) is None
-    # Each takes what the other could take as well.
-    assert entangled(*beside(x, x + 0.3 * y)) == pytest.approx(2.0, abs=0.1)
-    # A small effect that resembles a large one: the large one is a cause by itself, the small one is none.
-    assert entangled(*beside(10.0 * x, 0.8 * x + y)) is None
-    # They undo each other, all but a little.
-    assert entangled(*beside(x, -0.9 * x + 0.2 * y)) < 0.65
-    assert entangled(*beside(x)) is None
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "borne_out"),
-    [(50e3, 1.1e3, True), (3e3, 1.0e3, False), (50e3, 2.5e3, False)],
-)
-def test_a_loud_other_motion_of_which_nothing_is_left_bears_effects_out(before, after, borne_out):
-    """Of a faint gap, or of one that is not all explained, a wrong cause would leave as much."""
-    tried = Tried(before, after, floor=1e3, allowed=100.0, known=True)
-    assert tried.borne_out is borne_out
 
 
 def test_effects_are_swapped_for_what_costs_less():

@@ -1,15 +1,14 @@
 """What stands out of noise in the motion's own band: numbers drawn as whitened noise has them, and logs by MuJoCo C."""
 
-import types
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from arm_log import ARM, simulate
 
-from jax_inertia import load_model
+from jax_inertia import load_model, read_log
 from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.slow import Slow
 from jax_inertia.gap.strain import Strangeness, strangeness
@@ -31,15 +30,6 @@ class Drawn(Evidence):
 
     def charged(self, y):
         return y.ravel()
-
-
-class Drawing(Candidate):
-    """An effect of which nothing but its torque is known, and how wrong its equation may be."""
-
-    effect = np.zeros(0)
-
-    def __init__(self, effect: np.ndarray, form_error: float):
-        self.effect, self.family = effect.ravel(), types.SimpleNamespace(form_error=form_error)
 
 
 def noise(seed: int, draws: int) -> np.ndarray:
@@ -90,8 +80,8 @@ def test_what_effects_leave_of_what_was_there(replicas, drawn, form_error, share
     cause = np.zeros_like(x)
     cause[:, 7] = 8.0 * np.sin(np.arange(MODES))
     slow = Slow.of(Drawn(x + cause), replicas, True)
-    effect = Drawing(drawn * cause, form_error)
-    missed = slow.missed((x + cause).ravel() - effect.effect, [effect])
+    left = (x + cause).ravel() - drawn * cause.ravel()
+    missed = slow.missed(left, [form_error * drawn * cause.ravel()])
     if share is None:
         assert missed is None
         return
@@ -128,3 +118,49 @@ def test_a_spring_is_no_cause_of_what_creeps_though_all_it_leaves_is_within_nois
     assert [(f.family, f.place.name) for f in found.findings] == [("joint_spring", "elbow")]
     assert found.verdict is (Verdict.EXPLAINED if known else Verdict.UNKNOWN)
     assert any("most of it at elbow" in doubt for doubt in found.doubts) is not known
+
+
+class Rubbing:
+    """Dry friction at the shoulder that is larger one way than the other, a bristle (Dahl 1968)."""
+
+    FORWARD, BACK, PRESLIDING = 0.6, 1.0, 8e-4
+
+    def __init__(self):
+        self.z, self.time = 0.0, 0.0
+
+    def __call__(self, t, q, v, u):
+        side = np.sign(v[0])
+        self.z = side + (self.z - side) * np.exp(-abs(v[0]) * (t - self.time) / self.PRESLIDING)
+        self.time = t
+        return np.array([-self.z * (self.FORWARD if self.z > 0 else self.BACK), 0.0])
+
+
+def tilted(model):
+    model.opt.gravity[:] = 9.81 * np.array([-np.sin(0.012), 0.0, -np.cos(0.012)])
+
+
+@pytest.mark.slow
+def test_what_a_loud_friction_hides_is_not_explained_by_it():
+    """A tilt of 0.7 degrees: nothing beside what the friction's own equation leaves, and well above the sensors."""
+    found = diagnose(
+        load_model(mujoco.MjModel.from_xml_string(ARM)), simulate(Rubbing(), tilted, noise=0.3)
+    )
+    families = {f.family for f in found.findings}
+    assert families & {"asymmetric_coulomb", "coulomb_friction"}
+    if found.verdict is Verdict.EXPLAINED:
+        assert "gravity_tilt" in families
+
+
+OVERLAP = Path(__file__).parents[2] / "shared" / "cases" / "18-three-right-called-unknown"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not OVERLAP.is_dir(), reason="cases (../shared/cases) are not here")
+def test_effects_that_overlap_are_no_reason_to_doubt_them():
+    """Each alone they explain 1.7 times what they do together, and each number is right."""
+    found = diagnose(load_model(str(OVERLAP / "nominal.xml")), read_log(str(OVERLAP / "log.npz")))
+    assert found.verdict is Verdict.EXPLAINED
+    sizes = {f.family: f.parameters for f in found.findings}
+    assert sizes["coulomb_friction"]["coulomb"].value == pytest.approx(4.0, rel=0.02)
+    assert sizes["viscous_friction"]["damping"].value == pytest.approx(2.0, rel=0.02)
+    assert sizes["payload"]["mass"].value == pytest.approx(0.5, rel=0.02)

@@ -65,7 +65,7 @@ def _faintest(selection: Selection, group: list[Hypothesis]) -> Parameter | None
     best, least = None, np.inf
     for h in group:
         s = float(information(selection.evidence, selection.posterior, h)[0])
-        gain = 0.5 * s**2 / (1.0 + s) - 0.5 * np.log1p(s) if s > 0 else -np.inf
+        gain = 0.5 * s * float(h.prior_mean[0]) ** 2 - 0.5 * np.log1p(s) if s > 0 else -np.inf
         if h.odds < gain < least:
             best, least = h, gain
     if best is None:

@@ -12,7 +12,7 @@ from jax_inertia.diagnosis.residual import Residual
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """e = A θ on the rows of the residual, θ ~ N(0, diag(`scale`)²).
+    """e = A θ on the rows of the residual, θ / `scale` ~ N(`prior_mean`, 1).
 
     `columns` (R, k) act on one `row`, (R, n, k) on all where that is None [N m per unit of θ].
     """
@@ -61,6 +61,11 @@ class Hypothesis:
     def form_error(self) -> float:
         """Relative error of its equation."""
         return self.effect.form_error
+
+    @functools.cached_property
+    def prior_mean(self) -> Float[np.ndarray, " k"]:
+        """Prior mean of each number per standard deviation: zero, or of θ = 1 where an effect is all there or not."""
+        return (1.0 if self.effect.sized_by_shape else 0.0) / self.scale
 
     @property
     def scaled(self) -> np.ndarray:

@@ -48,27 +48,27 @@ def summarised(
     causes = _causes(selection, generic, judge)
     by_cause = judge.check(ordinary, causes)
     # Shapes are there to predict: where the causes do it better, they are not.
-    everything = min(everything, causes, key=judge.error)
-    own = heldout.check(ordinary, everything)
-    test = None if other is None else other.check(ordinary, everything)
+    best = min(everything, causes, key=judge.error)
+    own = heldout.check(ordinary, best)
+    test = None if other is None else other.check(ordinary, best)
+    likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
-    bare = evidence.posterior(tuple(h for h in now.chosen if h.family == "tolerances"))
+    # What needs no finding: tolerances, friction's mild forms, and ordinary numbers too small to be listed.
+    listed = {id(h) for h, _ in likely}
+    bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
     judged = verdict(by_cause, tolerated, bool(likely), settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
-    found = as_listed(told, [(h, f) for h, f in likely if h in causes.chosen], trust)
-    sure = confidence(by_cause, judged, [f.probability for f in found if not f.ordinary], settings)
+    found = as_listed(told, likely, trust)
+    another = _odds_of_another(selection, everything, causes, dropped)
+    odd = [f.probability for f in found if not f.ordinary]
+    sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
     gap = evidence.gap
     chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))
     energy = evidence.gap**2 * evidence.count
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints = joint_numbers(told)
-    notes = tuple(
-        f"{h.family.replace('_', ' ')}{_at(h)} fits this log but not the other run; left out"
-        for h in dropped
-        if h.named
-    )
     return Diagnosis(
         verdict=judged,
         confidence=sure,
@@ -87,7 +87,7 @@ def summarised(
         per_joint_rms=dict(zip(names, gap.tolist(), strict=True)),
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(told),
-        notes=(*_flags(told, joints), *_gains(told, settings), *notes),
+        notes=(*_flags(told, joints), *_gains(told, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
     )
@@ -100,6 +100,22 @@ def _causes(
     now = selection.posterior
     causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     return carried_over(bounded(selection.residual, selection.evidence, causes), judge)
+
+
+def _odds_of_another(selection, everything: Posterior, causes: Posterior, dropped) -> float:
+    """Odds that a named effect is there that is not among the causes."""
+    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
+    before = dataclasses.replace(selection, posterior=everything)
+    return before.odds_of_another(gone, dropped)
+
+
+def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:
+    """A line for each effect that the other run refuted."""
+    return tuple(
+        f"{h.family.replace('_', ' ')}{_at(h)} fits this log but not the other run; left out"
+        for h in dropped
+        if h.named
+    )
 
 
 def _at(h: Hypothesis) -> str:

@@ -31,13 +31,17 @@ def verdict(check: Check, tolerated: float, listed: bool, settings: Settings) ->
 
 
 def confidence(
-    check: Check, given: Verdict, probabilities: list[float], settings: Settings
+    check: Check, given: Verdict, probabilities: list[float], another: float, settings: Settings
 ) -> float:
-    """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts."""
+    """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts.
+
+    What is explained needs that no other effect is there; `another`: odds that one is.
+    """
     sure = min(probabilities, default=0.99)
     ratio = max(check.unexplained, 1e-6) / settings.explained
     if given is Verdict.EXPLAINED:
         border = 1.0 / (1.0 + ratio**2)
+        sure /= 1.0 + another
     elif given is Verdict.PARTLY:
         border = ratio**2 / (1.0 + ratio**2)
         sure = max(sure, 0.5)

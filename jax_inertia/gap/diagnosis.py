@@ -112,9 +112,6 @@ def diagnose(
             stands_out = better_than(first.pool, [], first.noise) is not None
             verdict = Verdict.of_nothing(first.bare, stands_out)
     elif other is not None and trial is not None and chosen:
-        if trial.misfit.borne_out:
-            # Each alone may draw what the others do; together they foretell what one cause behind them would not.
-            verdict = search.apart
         # A wrong cause may fit one motion; it seldom fits two, whatever happened in passing.
         verdict, beside = other.second_look(verdict, trial, chosen)
     # The most important first.

@@ -1,4 +1,4 @@
-"""Whether what was found may stand: something that no family is does better, or effects do only together what they do.
+"""Whether what was found may stand, or something that no family is does better.
 
 A mechanical stop is no push, though it happens in passing, and oil that drags as the square of speed is no spring. So
 each found effect, and all of them together, are tried against every outsider (`outsiders`): where one fits better by
@@ -14,13 +14,6 @@ from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import STOP
 from jax_inertia.gap.select import SWAPS
 from jax_inertia.gap.together import misfit, remaining, stacked
-from jax_inertia.gap.verdict import DOUBT
-
-# Effects that have nothing to do with each other bring, each alone, what they bring together: in 44 pairs that were
-# found right in two opened sealed sets the sum was 0.85 to 1.37 of it.
-ENTANGLED = 0.4
-# An effect that explains less than this share alone is no cause of the whole.
-HALF = 0.5
 
 
 def better_than(
@@ -80,24 +73,6 @@ def leans_on(pool: Pool, chosen: list[Candidate]) -> tuple[Outsider, float]:
     total = max(float(left @ left), 1e-300)
     shares = [(o, float(np.sum((o.columns.T @ left) ** 2)) / total) for o in outsiders(pool)]
     return max(shares, key=lambda x: x[1])
-
-
-def entangled(pool: Pool, chosen: list[Candidate]) -> float | None:
-    """What effects explain each alone, summed, over what they explain together; None where that is about the same.
-
-    Where the sum is far more, each takes what the others could take as well; where it is far less, they undo each
-    other. Either way they draw one cause that is none of them. Not so beside one that is a cause by itself, leaving
-    little, where the others are none: what a small effect explains alone is what it resembles of that.
-    """
-    if len(chosen) < 2:
-        return None
-    nothing = misfit(pool, [])
-    whole = max(nothing - misfit(pool, chosen), 1e-300)
-    alone = [(nothing - misfit(pool, [c])) / whole for c in chosen]
-    *others, most = sorted(alone)
-    by_itself = most > 1.0 - DOUBT**2 and others[-1] < HALF
-    share = sum(alone)
-    return share if abs(share - 1.0) > ENTANGLED and not by_itself else None
 
 
 def standing(

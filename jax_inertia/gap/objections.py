@@ -56,11 +56,6 @@ def _what_it_leans_on(search: Search, chosen: list[Candidate], verdict: Verdict)
         beyond.append(
             f"forces in passing at {names}: likelier than two events is one cause that the library has no equation for"
         )
-    if search.entangled is not None and chosen and verdict is Verdict.UNKNOWN:
-        beyond.append(
-            f"each alone, the effects explain {search.entangled:.1f} times what they explain together: "
-            "likelier than as many causes is one that is none of them"
-        )
     if search.rival is not None:
         replaced, outsider = search.rival
         found = " and ".join(named(c.family.name, c.place) for c in replaced)

@@ -12,7 +12,7 @@ from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.slow import Missed
 from jax_inertia.gap.strain import Strained, Strangeness
-from jax_inertia.gap.verdict import Verdict, doubted
+from jax_inertia.gap.verdict import Verdict
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +42,8 @@ class Search:
     """A found effect whose size would have to change."""
     in_doubt: float
     """Share of what was explained that effects brought which do not stand, each by itself."""
-    entangled: float | None
-    """What the effects explain each alone over what they do together, where that is not about the same (`doubt`)."""
-    apart: Verdict
-    """The verdict if they were not entangled (`verdict`)."""
+    verdict: Verdict
+    """What can be said of the effects together."""
     bare: Strangeness
     """What the log shows without any effect."""
     missed: Missed | None
@@ -58,11 +56,6 @@ class Search:
         """J that this noise leaves in all."""
         return float(self.noise_by_row.sum())
 
-    @property
-    def verdict(self) -> Verdict:
-        """What can be said of the effects together."""
-        return self.apart if self.entangled is None else doubted(self.apart, 1.0)
-
     def instead_of(self, other: "Search") -> bool:
         """Whether an effect that the other lacks makes this log with less than the other grants its model."""
         own, others = ({(c.family.name, c.place) for c in s.chosen} for s in (self, other))
@@ -71,7 +64,7 @@ class Search:
     def no_surer_than(self, other: "Search") -> "Search":
         """This, but unknown where the other is."""
         unknown = other.verdict is Verdict.UNKNOWN
-        return dataclasses.replace(self, apart=Verdict.UNKNOWN) if unknown else self
+        return dataclasses.replace(self, verdict=Verdict.UNKNOWN) if unknown else self
 
     @property
     def _needed(self) -> float:

@@ -7,7 +7,7 @@ compete against the errors that are really there, and neither is bent to fit the
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,7 @@ from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.chance import at_random
 from jax_inertia.gap.constancy import Inconstant, inconstant
-from jax_inertia.gap.doubt import better_than, entangled, share_of_others, standing
+from jax_inertia.gap.doubt import better_than, share_of_others, standing
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.finder import LOUDER, Finder, Selection
 from jax_inertia.gap.noise import Whitener
@@ -26,7 +26,7 @@ from jax_inertia.gap.pool import Pool
 from jax_inertia.gap.propose import Rows
 from jax_inertia.gap.select import WORSE
 from jax_inertia.gap.slow import Slow
-from jax_inertia.gap.strain import Left, strained, strangeness
+from jax_inertia.gap.strain import Left, Strained, strained, strangeness
 from jax_inertia.gap.suited import at_their_best, bent_by
 from jax_inertia.gap.together import remaining
 from jax_inertia.gap.verdict import Verdict, doubted, judge, with_strain
@@ -65,15 +65,10 @@ def _judged(finder: Finder, selection: Selection) -> Search:
     floor = float(selection.noise_by_row.sum())
     left = remaining(pool, chosen)
     known = stated(finder.log) or (misfits[-1] < LOUDER * floor and at_random(pool.evidence, left))
-    noisier = _noisier(finder, pool)
-    strains = [
-        s
-        for s in strained(Left(pool.evidence, left), alone, noisier and noisier(chosen))
-        if s.name not in bent_by(chosen)
-    ]
+    strains = _strains(finder, pool, pool.evidence, left, chosen, alone)
     own = strains
     if chosen:
-        own = strained(Left(pool.evidence, pool.evidence.y), (), noisier and noisier([]))
+        own = _strains(finder, pool, pool.evidence, pool.evidence.y, [], ())
     slow = Slow.of(pool.evidence, finder.replicas, known)
     bare = strangeness(slow, floor, own)
     if chosen and strains and bare.most <= 1.0:
@@ -82,24 +77,39 @@ def _judged(finder: Finder, selection: Selection) -> Search:
         chosen, misfits, strains = [], misfits[:1], []
     rival = better_than(pool, chosen, float(against.sum()))
     changing = _changing(pool, chosen, against)
-    apart, in_doubt, missed = Verdict.of_nothing(bare, rival is not None), 0.0, None
+    verdict, in_doubt, missed = Verdict.of_nothing(bare, rival is not None), 0.0, None
     if chosen:
         allowed = sum((c.excuses(c.effect) + c.stirred for c in chosen), start=0.0)
-        apart = judge(misfits, floor, allowed, known)
-        if apart is Verdict.EXPLAINED and (missed := slow.missed(left, chosen)) is not None:
-            apart = doubted(apart, missed.share)
-        if apart is Verdict.UNKNOWN and _are_causes(finder, pool.evidence, chosen, left, WELL):
-            apart = Verdict.PARTLY
-        apart = with_strain(apart, strains, misfits[0] - misfits[-1], allowed)
+        verdict = judge(misfits, floor, allowed, known)
+        errors = [c.family.form_error * c.effect for c in chosen]
+        if verdict is Verdict.EXPLAINED and (missed := slow.missed(left, errors)) is not None:
+            verdict = doubted(verdict, missed.share)
+        if verdict is Verdict.UNKNOWN and _are_causes(finder, pool.evidence, chosen, left, WELL):
+            verdict = Verdict.PARTLY
+        verdict = with_strain(verdict, strains, misfits[0] - misfits[-1], allowed)
         stand = standing(chosen, rival, changing)
         in_doubt = share_of_others(pool, chosen, stand)
-        apart = doubted(apart, in_doubt)
-        if apart is Verdict.UNKNOWN and _are_several(finder, pool.evidence, stand):
-            apart = Verdict.PARTLY
+        verdict = doubted(verdict, in_doubt)
+        if verdict is Verdict.UNKNOWN and _are_several(finder, pool.evidence, stand):
+            verdict = Verdict.PARTLY
     return Search(
         pool, selection.white, finder.replicas, chosen, selection.ranking, misfits, floor, known, finder.torque_noise,
-        against, rival, changing, in_doubt, entangled(pool, chosen), apart, bare, missed, strains,
+        against, rival, changing, in_doubt, verdict, bare, missed, strains,
     )  # fmt: skip
+
+
+def _strains(
+    finder: Finder,
+    pool: Pool,
+    evidence: Evidence,
+    left: Float[np.ndarray, " n"],
+    chosen: list[Candidate],
+    alone: Collection[int],
+) -> list[Strained]:
+    """Numbers of the model that are beyond their tolerances where effects leave so much of the log (`strained`)."""
+    noisier = _noisier(finder, pool)
+    found = strained(Left(evidence, left), alone, noisier and noisier(chosen))
+    return [s for s in found if s.name not in bent_by(chosen)]
 
 
 def charged(context: Context, evidence: Evidence, c: Candidate) -> Float[np.ndarray, " n"]:
@@ -177,15 +187,22 @@ def find(finder: Finder) -> tuple[Search, Search]:
         return first, first
     # It was whitened to its own misses, so they look like noise to it: the first pass's measure stays the judge.
     effects = [charged(finder.context, evidence, c) for c in second.chosen]
-    after = float(np.sum((evidence.y - np.sum(effects, axis=0)) ** 2))
+    left = evidence.y - np.sum(effects, axis=0)
+    misfits = [first.misfits[0], float(left @ left)]
     allowed = sum((c.excuses(e) for c, e in zip(second.chosen, effects, strict=True)), start=0.0)
-    verdict = judge([first.misfits[0], after], first.floor, allowed, first.known)
+    verdict, missed = judge(misfits, first.floor, allowed, first.known), None
+    if verdict is Verdict.EXPLAINED:
+        errors = [c.family.form_error * e for c, e in zip(second.chosen, effects, strict=True)]
+        missed = Slow.of(evidence, finder.replicas, first.known).missed(left, errors)
+        verdict = doubted(verdict, 0.0 if missed is None else missed.share)
+    strains = _strains(finder, first.pool, evidence, left, second.chosen, ())
+    verdict = with_strain(verdict, strains, misfits[0] - misfits[1], allowed)
     verdict = doubted(verdict, second.in_doubt)
     stand = standing(second.chosen, second.rival, second.inconstant)
     causes = second.verdict is Verdict.PARTLY or _are_several(finder, evidence, stand)
     if verdict is Verdict.UNKNOWN and causes:
         verdict = Verdict.PARTLY
-    return first, dataclasses.replace(second, apart=verdict)
+    return first, dataclasses.replace(second, verdict=verdict, missed=missed, strains=strains)
 
 
 # An effect that leaves less than the one share of the energy where it acts is a cause though much is left elsewhere.

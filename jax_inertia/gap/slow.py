@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.gap.candidate import Candidate
 from jax_inertia.gap.evidence import Evidence
 from jax_inertia.gap.noise import NOISE_ERROR, known_to
 from jax_inertia.text.words import percent
@@ -61,9 +60,11 @@ class Slow:
         """How far the missing torque stands out, effects or not: above one, it is no noise."""
         return self._stands_out(_energies(self.evidence, self.evidence.y))
 
-    def missed(self, left: Float[np.ndarray, " n"], chosen: Sequence[Candidate]) -> Missed | None:
-        """What effects leave beyond the noise and the errors of their own equations; None where no row stands out."""
-        allowed = [c.family.form_error**2 * _energies(self.evidence, c.effect) for c in chosen]
+    def missed(
+        self, left: Float[np.ndarray, " n"], errors: Sequence[Float[np.ndarray, " n"]]
+    ) -> Missed | None:
+        """What effects leave beyond the noise and the `errors` of their own equations; None where no row stands out."""
+        allowed = [_energies(self.evidence, error) for error in errors]
         after = _energies(self.evidence, left) - np.sum(allowed, axis=0)
         if self._stands_out(after) <= 1.0:
             return None

@@ -89,13 +89,6 @@ class Tried:
     known: bool
     """Whether that log's noise is."""
 
-    @property
-    def borne_out(self) -> bool:
-        """Whether the effects leave nothing of a gap so large that of a wrong cause something would be left."""
-        error = known_to(self.known)
-        loud = DOUBT**2 * (self.before - self.floor) > error * self.floor
-        return loud and self.after < error * self.floor + self.allowed
-
 
 def second_look(verdict: Verdict, tried: Tried) -> Verdict:
     """The verdict after the same effects were tried on another motion.

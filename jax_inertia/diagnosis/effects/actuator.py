@@ -90,6 +90,10 @@ class GainTolerance(TorqueGain):
     name, named, marginal, form_error = "gain_tolerance", False, True, 0.0
 
 
+SOFT = 0.1
+"""How far what a drive leaves out is from a sharp cut, relative: limits bend, and a grid's limit is not the drive's."""
+
+
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
     sized_by_shape = True
@@ -112,11 +116,7 @@ class TorqueSaturation(Effect):
         return of_row(np.clip(tau, -shape[0], shape[0]) - tau, place)
 
     def scale(self, context, place, shape):
-        return np.array([1.0])
-
-    def possible(self, context, place, theta):
-        # The cut is all there or not at all.
-        return bool(0.6 < theta[0] < 1.5)
+        return np.array([SOFT])
 
     def numbers(self, context, place, shape, theta):
         return {"limit": Parameter(shape[0], "N m", 0.0)}
@@ -172,10 +172,7 @@ class TorqueSpeed(Effect):
         return xp.clip(tau, limit * low, limit * high)
 
     def scale(self, context, place, shape):
-        return np.array([1.0])
-
-    def possible(self, context, place, theta):
-        return bool(0.6 < theta[0] < 1.5)
+        return np.array([SOFT])
 
     def numbers(self, context, place, shape, theta):
         return {

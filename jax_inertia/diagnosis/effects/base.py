@@ -172,7 +172,7 @@ class Effect(abc.ABC):
     secant: ClassVar[bool] = False
     """Whether the shape is the value of θ about which the columns are the secant: e(θ) = A(θ) θ exactly."""
     sized_by_shape: ClassVar[bool] = False
-    """Whether it is all there or not at all, θ = 1: its size is in the nonlinear numbers."""
+    """Whether it is all there or not at all, θ = 1 give or take `scale`: its size is in the nonlinear numbers."""
     calibrated: ClassVar[bool] = False
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
     law: ClassVar[str] = ""

@@ -252,3 +252,44 @@ class FrictionForms(Effect):
 
     def numbers(self, context, place, shape, theta):
         return {}
+
+
+STATED_TOLERANCE = 0.1
+"""How far a joint's friction is from the form that its model states, relative to that: what is larger at low speed, and
+what bends away from the slope at high speed."""
+
+
+class StatedFriction(Effect):
+    """The form of a friction that the model states, marginalised: no model of two numbers states it.
+
+    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); beside it bristles over
+    other ways, Stribeck's at two speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
+    way, as of the joint's dry friction.
+    """
+
+    name, named, marginal, form_error = "stated_friction", False, True, 0.0
+    equation = "F (sign(q̇) − z) + a mild form of F z + d q̇"
+
+    def places(self, context):
+        return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
+
+    def columns(self, context, place, shape):
+        row = place.index
+        z, v = direction(context, row, *shape), context.v[:, row]
+        dry = [
+            context.side[:, row] - z,
+            *(z - direction(context, row, x) for x in _beside(shape[0])),
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+        ]
+        top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
+        bent = float(context.damping[row]) * np.abs(v) * v / top
+        return of_row(
+            np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place
+        )
+
+    def scale(self, context, place, shape):
+        turning, form = TURNING_TOLERANCE, STATED_TOLERANCE
+        return np.array([1.0, turning, turning, form, form, form])
+
+    def numbers(self, context, place, shape, theta):
+        return {}

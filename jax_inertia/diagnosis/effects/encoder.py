@@ -117,6 +117,10 @@ ALL = 1e3
 """A frequency [Hz] that is above all others."""
 
 
+MISSES = 0.2
+"""How far a joint's motion apart is from what is computed of it, relative: teeth rattle at other moments."""
+
+
 class TwoMass(Effect):
     """Motor and link apart, by the two-mass observer: the whole effect of one set of couplings, θ near one.
 
@@ -167,10 +171,7 @@ class TwoMass(Effect):
         return Columns(every if band == ALL else context.below(band, every))
 
     def scale(self, context, place, shape):
-        return np.array([1.0])
-
-    def possible(self, context, place, theta):
-        return bool(0.6 < theta[0] < 1.6)
+        return np.array([MISSES])
 
 
 def sides(context: Context, place: Place) -> tuple[float, ...]:

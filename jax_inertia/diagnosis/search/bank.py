@@ -18,7 +18,13 @@ class Bank:
         for i, h in enumerate(self.candidates):
             members[h.row, h.count].append(i)
         self._blocks = [
-            (row, count, np.array(at), np.stack([self.candidates[i].scaled for i in at], axis=-2))
+            (
+                row,
+                count,
+                np.array(at),
+                np.stack([self.candidates[i].scaled for i in at], axis=-2),
+                np.stack([self.candidates[i].prior_mean for i in at]),
+            )
             for (row, count), at in members.items()
         ]
 
@@ -32,13 +38,13 @@ class Bank:
         left: Float[np.ndarray, "R n"],
         covariance: Float[np.ndarray, "p p"],
     ) -> Float[np.ndarray, " c"]:
-        """½ rᵀ S⁻¹ r − ½ ln |S| of each, nats.
+        """½ (r + μ)ᵀ S⁻¹ (r + μ) − ½ μᵀμ − ½ ln |S| of each, nats.
 
         S = 1 + AᵀA − AᵀX C XᵀA, r = Aᵀ `left`: A the candidate's columns and X those of the chosen (`base`), both
-        times `root`, the square root of the precision; C the chosen ones' posterior `covariance`.
+        times `root`, the square root of the precision; μ its prior mean, C the chosen ones' posterior `covariance`.
         """
         out = np.full(len(self), -np.inf)
-        for row, count, at, columns in self._blocks:
+        for row, count, at, columns, prior_mean in self._blocks:
             if row is None:
                 own = (columns * root[:, :, None, None]).reshape(-1, len(at) * count)
                 x, rest = base.reshape(-1, base.shape[-1]), left.ravel()
@@ -54,6 +60,7 @@ class Bank:
             s -= np.einsum("pmk,pml->mkl", cross, explained, optimize=True)
             sign, logdet = np.linalg.slogdet(s)
             good = sign > 0
-            solved = np.linalg.solve(s[good], r[good][..., None])[..., 0]
-            out[at[good]] = 0.5 * np.sum(r[good] * solved, axis=1) - 0.5 * logdet[good]
+            told, prior = r[good] + prior_mean[good], np.sum(prior_mean[good] ** 2, axis=1)
+            solved = np.linalg.solve(s[good], told[..., None])[..., 0]
+            out[at[good]] = 0.5 * (np.sum(told * solved, axis=1) - prior - logdet[good])
         return out

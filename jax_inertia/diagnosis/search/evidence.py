@@ -1,14 +1,15 @@
 """The one score: log evidence of a linear-Gaussian model of the torque residual, with every number marginalised.
 
-    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(0, diag sₖ²),   z ~ N(0, 1)
+    y = Σₖ Aₖ θₖ + N z + ε,    θₖ ~ N(sₖ μₖ, diag sₖ²),   z ~ N(0, 1)
 
 ε is sensor noise and a slow discrepancy: its rows have a variance, and count for as many as are independent of each
 other (`discrepancy`). Their weights stay those of white noise: the discrepancy's own inverse covariance would trust the
 residual's increments, where models err most, before its level.
 
 y: torque residual of all rows [N m]; Aₖ: columns of effect k; N: one column per tolerance of the nominal model, scaled
-to its standard deviation. Add and delete of a group have closed forms (Tipping and Faul 2003, fast marginal likelihood;
-deletion by the Savage–Dickey ratio, Dickey 1971). Columns here are scaled by their prior standard deviation.
+to its standard deviation; μ: zero, but for effects that are all there or not at all. Add and delete of a group have
+closed forms (Tipping and Faul 2003, fast marginal likelihood; deletion by the Savage–Dickey ratio, Dickey 1971).
+Columns here are scaled by their prior standard deviation.
 """
 
 import copy
@@ -63,14 +64,8 @@ class Posterior:
             slices.append(slice(at, at + h.count))
             at += h.count
             fitted += h.torque(mean[slices[-1]], fitted.shape)
-        left = self.log_evidence - worth(self.mean[b], self.covariance[b, b])
+        left = self.log_evidence - worth(gone, self.mean[b], self.covariance[b, b])
         return Posterior(chosen, tuple(slices), mean, covariance, fitted, left)
-
-
-def worth(mean: Float[np.ndarray, " k"], covariance: Float[np.ndarray, "k k"]) -> float:
-    """Log evidence that numbers bring, in units of their prior standard deviation: Savage–Dickey, nats."""
-    _, logdet = np.linalg.slogdet(covariance)
-    return float(0.5 * (mean @ np.linalg.solve(covariance, mean) + logdet))
 
 
 def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
@@ -143,7 +138,8 @@ class Evidence:
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
         y = (root * self.y).ravel()
-        along = columns.T @ y
+        prior = prior_mean(chosen)
+        along = columns.T @ y + prior
         mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
         ends = np.cumsum([h.count for h in chosen])
@@ -153,7 +149,7 @@ class Evidence:
             fitted += h.torque(mean[part], self.y.shape)
         logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
         logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
-        log_evidence = -0.5 * (logdet + float(y @ y) - float(along @ mean))
+        log_evidence = -0.5 * (logdet + float(y @ y + prior @ prior - along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
     def learn(self, now: Posterior, *, memory: bool = True) -> None:
@@ -204,7 +200,21 @@ class Evidence:
 
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
-        return np.array([worth(now.mean[part], now.covariance[part, part]) for part in now.slices])
+        every = zip(now.chosen, now.slices, strict=True)
+        return np.array([worth(h, now.mean[p], now.covariance[p, p]) for h, p in every])
+
+
+def worth(
+    h: Hypothesis, mean: Float[np.ndarray, " k"], covariance: Float[np.ndarray, "k k"]
+) -> float:
+    """ln p(z = 0) before the data less after, at posterior mean and covariance of z = θ / scale [nats]."""
+    quadratic = mean @ np.linalg.solve(covariance, mean) - h.prior_mean @ h.prior_mean
+    return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
+
+
+def prior_mean(chosen: Sequence[Hypothesis]) -> Float[np.ndarray, " p"]:
+    """Prior mean of every number of the chosen, per prior standard deviation."""
+    return np.concatenate([h.prior_mean for h in chosen]) if chosen else np.zeros(0)
 
 
 def _scaled(

@@ -7,7 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
-from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction, FrictionForms
+from jax_inertia.diagnosis.effects.dry_friction import (
+    CoulombFriction,
+    FrictionForms,
+    StatedFriction,
+)
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Ordinary, Residual
@@ -46,8 +50,7 @@ def ordinary_physics(
     if dry is not None:
         for place in dry.places(residual.context):
             before = evidence.posterior(tuple(chosen))
-            best = _turning(residual, evidence, before, dry, place, settings)
-            chosen.append(best)
+            chosen += _turning(residual, evidence, before, dry, place, settings)
     now = learned(evidence, tuple(chosen), 4)
     now = bounded(residual, evidence, now)
     forms = _forms(residual, now, presliding_of(chosen), settings)
@@ -70,13 +73,26 @@ def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 
-def _turning(residual, evidence, now: Posterior, dry, place, settings) -> Hypothesis:
-    """The joint's dry friction with the presliding displacement of most evidence."""
-    tried = tuple(
-        make(residual, dry, place, shape, settings) for shape in dry.shapes(residual.context, place)
-    )
-    gains = evidence.gains(now, tried)
+def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[Hypothesis, ...]:
+    """The joint's dry friction with the presliding displacement of most evidence, with the model's own."""
+    shapes = list(dry.shapes(residual.context, place))
+    tried = [_alike(residual, dry, place, shape, settings) for shape in shapes]
+    gains = evidence.gains(now, [joined(both) for both in tried])
     return tried[int(np.argmax(gains))]
+
+
+def _alike(residual, dry: Effect, place: Place, shape, settings) -> tuple[Hypothesis, ...]:
+    """Dry friction beyond the model's own and, where the model states some, how that turns round: over one way."""
+    stated = StatedFriction()
+    beside = [stated] if place in stated.places(residual.context) else []
+    return tuple(make(residual, effect, place, shape, settings) for effect in (dry, *beside))
+
+
+def joined(group: tuple[Hypothesis, ...]) -> Hypothesis:
+    """Hypotheses of one row as one, to be compared with another such group: named as the first of them."""
+    columns = np.concatenate([h.columns for h in group], axis=1)
+    scale = np.concatenate([h.scale for h in group])
+    return dataclasses.replace(group[0], columns=columns, scale=scale)
 
 
 def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
@@ -138,10 +154,12 @@ def reconsidered(
     for h in now.chosen:
         if not isinstance(h.effect, CoulombFriction):
             continue
-        rest = now.without(h)
+        own = tuple(c for c in now.chosen if _one_joints_dry(c, h))
+        rest = evidence.posterior(tuple(c for c in now.chosen if c not in own))
         best = _turning(residual, evidence, rest, h.effect, h.place, settings)
-        if best.shape != h.shape and bool(np.diff(evidence.gains(rest, (h, best)))[0] > ANOTHER):
-            now = evidence.posterior((*rest.chosen, best))
+        gains = evidence.gains(rest, (joined(own), joined(best)))
+        if best[0].shape != h.shape and bool(np.diff(gains)[0] > ANOTHER):
+            now = evidence.posterior((*rest.chosen, *best))
     return learned(evidence, now.chosen, 1)
 
 
@@ -159,6 +177,11 @@ def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
 
 
 FRICTION = ("viscous_friction", "coulomb_friction")
+
+
+def _one_joints_dry(c: Hypothesis, dry: Hypothesis) -> bool:
+    """Whether `c` is a joint's dry friction, beyond the model's own or that."""
+    return c is dry or (isinstance(c.effect, StatedFriction) and c.place == dry.place)
 
 
 def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> list[Hypothesis]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Collection
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from scipy import linalg
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, worth
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean, worth
 
 GROUPS = 10
 """Parts of a log for the jackknife."""
@@ -47,7 +48,7 @@ class Selection:
             for g in range(GROUPS)
         ]
         grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
-        gram, whole = np.eye(columns.shape[-1]) + sum(grams), sum(along)
+        gram, whole = np.eye(columns.shape[-1]) + sum(grams), prior_mean(chosen) + sum(along)
         fits = [
             linalg.solve(gram - g, whole - a, assume_a="pos")
             for g, a in zip(grams, along, strict=True)
@@ -63,7 +64,28 @@ class Selection:
         part = self.posterior.slices[self.posterior.chosen.index(h)]
         mean = self.posterior.mean[part]
         covariance = self.posterior.covariance[part, part] + self.spread[part, part]
-        return worth(mean, covariance)
+        return worth(h, mean, covariance)
+
+    def odds_of_another(
+        self, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
+    ) -> float:
+        """Odds that one more named effect is there given the chosen, anywhere; `gone`: chosen, and not stated.
+
+        Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
+        large as the noise the evidence says neither that it is there nor that it is not. Of those that are gone the
+        evidence is the one by which they went, the less of `robust_worth` and `Evidence.loss`; those that another run
+        `refuted` do not count.
+        """
+        best = {
+            h.key: min(self.robust_worth(h), self.evidence.loss(self.posterior, h)) - h.odds
+            for h in gone
+        }
+        chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
+        gains = self.evidence.gains(self.posterior, self.named)
+        for c, gain in zip(self.named.candidates, gains, strict=True):
+            if c.key not in chosen and np.isfinite(gain):
+                best[c.key] = max(best.get(c.key, -np.inf), float(gain) - c.odds)
+        return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
 
     @property
     def ordinary(self) -> tuple[Hypothesis, ...]:
