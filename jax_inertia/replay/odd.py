@@ -1,7 +1,7 @@
 """What may be wrong beyond what every robot has: candidates that compete on what the ordinary numbers leave.
 
-Each is tried at a few sizes, the ordinary numbers following along the cost's parabola; the best few are fitted, and the
-best of them stays if evidence and a replay that played no part both ask for it.
+Each is tried at a few sizes, the ordinary numbers following along the cost's parabola, or given up; the best few are
+fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
 """
 
 import itertools
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.candidates import Candidate, candidates
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.parsimony import Parabola
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 
@@ -49,23 +50,28 @@ def add_odd(
     progress: Callable[[str], None],
 ) -> tuple[Fit, tuple[Odd, ...]]:
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
-    now = plant.numbers(found.table, found.theta, None)
-    pool = [c for c in candidates(plant, records, now, torque) if c.family not in exclude]
+    numbers = plant.numbers(found.table, found.theta, None)
+    pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     best, out = _square(plant, found, held_out), []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
+        about = Parabola(found, plant.loop, found.samples)
+        now = about.worth()
         fits = [
             (c, _fitted(plant, found, c, start, records, floor))
-            for c, start in _finalists(plant, found, pool, records)
+            for c, start in _finalists(plant, about, now.total, pool, records)
         ]
         if k == 0:
             fits += _afresh(plant, found, pool, records, floor)
         passed = []
         for c, tried in fits:
-            evidence = total_cost(found, found) - total_cost(tried, found) - _price(found, c)
-            # A number that does not carry over to another stretch is none of the robot's.
-            carries = _square(plant, tried, held_out) <= (1.0 - _GAIN) ** 2 * best
-            if evidence > 0 and carries:
+            new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+            evidence = now.total - new.total - _price(found, c)
+            # A number that does not carry over to another stretch is none of the robot's; one that stands for several
+            # does if it does no harm.
+            simpler = new.kept + len(c.parameters) < now.kept
+            least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
+            if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
                 passed.append((evidence, c, tried))
         if not passed:
             break
@@ -84,7 +90,7 @@ def add_odd(
 
 
 def _price(found: Fit, c: Candidate) -> float:
-    """What the cost must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
+    """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
@@ -94,20 +100,30 @@ def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
 
 
 def _finalists(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record]
+    plant: Plant,
+    about: Parabola,
+    now: float,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
 ) -> list[tuple[Candidate, tuple[float, ...]]]:
     """The candidates that promise most, and where each starts."""
     tries = [(c, s) for c in pool for s in c.starts]
     if not tries:
         return []
-    follow = _Following(found)
+    found = about.found
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
-        share, gain = follow.scaled(c, start, error) if c.scales else (1.0, follow.gain(error))
-        key = c.family, c.place
+        share, total = 1.0, 0.0
+        if c.scales:
+            p, own = c.parameters[0], start[0]
+            total, share = about.scaled(
+                error - found.error, p.sd / abs(own), *sorted((p.low / own, p.high / own))
+            )
+        else:
+            total = about.worth(error).total
+        gain, key = now - total, (c.family, c.place)
         if gain > _price(found, c) and (key not in best or gain > best[key][0]):
-            start = tuple(share * np.array(start))
-            best[key] = gain, c, start
+            best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [(c, start) for gain, c, start in order if gain >= least]
@@ -132,39 +148,6 @@ def tried_errors(
             c, start = tries[k]
             touched = fitting.touches(plant, c.parameters[:1])[0]
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
-
-
-class _Following:
-    """By how much the cost falls with a change of the error, the free numbers following on the cost's parabola."""
-
-    def __init__(self, found: Fit):
-        self.found, self.free = found, found.free
-        w = found.weights
-        self.flat = (found.columns[self.free] * w.root).reshape(self.free.sum(), -1)
-        hessian = found.hessian[np.ix_(self.free, self.free)]
-        self.inverse = np.linalg.inv(hessian)
-        mean, sd = (np.array([getattr(p, k) for p in found.table]) for k in ("mean", "sd"))
-        self.pull = ((found.theta - mean) / sd**2)[self.free]
-        self.now = self._cost(found.error)
-
-    def _cost(self, error: np.ndarray) -> float:
-        white = (error * self.found.weights.root).ravel()
-        gradient = self.flat @ white + self.pull
-        return float(white @ white - gradient @ self.inverse @ gradient)
-
-    def gain(self, error: np.ndarray) -> float:
-        """Of an error as it is."""
-        return self.now - self._cost(error)
-
-    def scaled(self, c: Candidate, start, error: np.ndarray) -> tuple[float, float]:
-        """(multiple of the start, gain) where the change is best scaled, prior and bounds of the number included."""
-        p, change = c.parameters[0], error - self.found.error
-        costs = [self._cost(self.found.error + x * change) for x in (-1.0, 0.0, 1.0)]
-        prior = (start[0] / p.sd) ** 2
-        slope, bend = 0.5 * (costs[2] - costs[0]), 0.5 * (costs[2] + costs[0]) - costs[1] + prior
-        share = -slope / (2.0 * max(bend, 1e-300))
-        share = float(np.clip(share * start[0], p.low, p.high)) / start[0]
-        return share, -(slope * share + bend * share**2)
 
 
 def _afresh(
@@ -218,10 +201,3 @@ def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
         plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS, known=(error, columns),
         mended_only=True,
     )  # fmt: skip
-
-
-def total_cost(fit: Fit, weighed: Fit) -> float:
-    """Cost of a fit at the weights of another."""
-    free = fit.free
-    mean, sd = (np.array([getattr(p, k) for p in fit.table])[free] for k in ("mean", "sd"))
-    return float(fitting.cost(fit.error[None], weighed.weights, fit.theta[None, free], mean, sd)[0])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, odd
+from jax_inertia.replay import checks, listing, odd, parsimony
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
@@ -259,7 +259,7 @@ def _causal(plant, everything: Fit, records, least, progress) -> Fit:
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
     """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
-    keep = checks.needed(full, checks.loose(full.table, plant.loop), range(ordinaries))
+    keep = parsimony.needed(full, plant.loop, range(ordinaries))
     free = full.free.copy()
     free[[k for k in range(ordinaries) if k not in keep]] = False
     nominal = np.array([p.nominal for p in full.table])
