@@ -18,9 +18,7 @@ _SHOWN = 4000
 """Points of a joint at most."""
 
 
-def part(
-    halves: tuple[command.Half, ...], log: Log, loop: Loop | None, effects: list[dict]
-) -> str:
+def part(halves: tuple[command.Half, ...], log: Log, loop: Loop | None, effects: list[dict]) -> str:
     """A section of HTML: effects in words, a figure, every joint's numbers; names in it are escaped."""
     out = io.BytesIO()
     figure(halves, log, loop).savefig(out, format="svg", metadata={"Date": None})
@@ -46,7 +44,9 @@ def figure(halves: tuple[command.Half, ...], log: Log, loop: Loop | None) -> Fig
     high = -(-len(halves) // wide)
     with rc_context({"text.parse_math": False, "font.size": 8.5}):
         out = Figure((3.6 * wide, 0.5 + 2.6 * high), layout="constrained")
-        for axes, half in zip(out.subplots(high, wide, squeeze=False).ravel(), halves, strict=False):
+        for axes, half in zip(
+            out.subplots(high, wide, squeeze=False).ravel(), halves, strict=False
+        ):
             j = list(log.joint_names).index(half.joint)
             miss, torque = spring(rows[j], half)
             every = max(len(miss) // _SHOWN, 1)

@@ -27,8 +27,19 @@ _ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
-_AS_GOOD = 2.0 * float(np.log(20.0))
+AS_GOOD = 2.0 * float(np.log(20.0))
 """Of the cost: likelihoods that differ by less than twenty leave both possible."""
+
+
+class Search(NamedTuple):
+    """What the search for odd effects leaves."""
+
+    found: Fit
+    odd: tuple["Odd", ...]
+    possible: tuple[Candidate, ...]
+    """That did not get in, by less than a twentieth of the probability."""
+    pool: tuple[Candidate, ...]
+    """All that did not get in."""
 
 
 class Odd(NamedTuple):
@@ -48,11 +59,11 @@ def add_odd(
     floor: float,
     exclude: Sequence[str],
     progress: Callable[[str], None],
-) -> tuple[Fit, tuple[Odd, ...]]:
+) -> "Search":
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
-    best, out = _square(plant, found, held_out), []
+    best, out, possible = _square(plant, found, held_out), [], []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         about = Parabola(found, plant.loop, found.samples)
@@ -63,7 +74,7 @@ def add_odd(
         ]
         if k == 0:
             fits += _afresh(plant, found, pool, records, floor)
-        passed = []
+        passed, possible = [], []
         for c, tried in fits:
             new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
             evidence = now.total - new.total - _price(found, c)
@@ -73,6 +84,8 @@ def add_odd(
             least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
             if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
                 passed.append((evidence, c, tried))
+            elif evidence > -AS_GOOD:
+                possible.append(c)
         if not passed:
             break
         passed.sort(key=lambda x: -x[0])
@@ -83,10 +96,10 @@ def add_odd(
         )  # fmt: skip
         best = _square(plant, found, held_out)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
-        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - _AS_GOOD and c is not first)
+        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
         out.append(Odd(first, rows, rivals))
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
-    return found, tuple(out)
+    return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
 def _price(found: Fit, c: Candidate) -> float:
@@ -122,7 +135,7 @@ def _finalists(
         else:
             total = about.worth(error).total
         gain, key = now - total, (c.family, c.place)
-        if gain > _price(found, c) and (key not in best or gain > best[key][0]):
+        if gain > _price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
             best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
