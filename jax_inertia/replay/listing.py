@@ -136,7 +136,7 @@ def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
 def _with_possible(
     effects: Sequence[Effect], possible: Sequence[Candidate], names
 ) -> tuple[Effect, ...]:
-    """Each effect that may be there too, told beside the largest at its joint, or else beside the largest."""
+    """Each effect that may be there too, listed with the largest at its joint, or else with the largest."""
     out = list(effects)
     for c in possible if out else ():
         place = place_of(*c.place, names)

@@ -121,8 +121,8 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held, before)
-    loud = [rows for rows, share in shares.items() if share > _LISTED]
-    others = in_place_of(plant, found, search.found.columns, loud, search.pool, records)
+    large = [rows for rows, share in shares.items() if share > _LISTED]
+    others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     return _Fitted(everything, found, search, others, shares)
 
 
