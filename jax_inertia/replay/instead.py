@@ -76,6 +76,7 @@ def in_place_of(
         ranked = costs.ranked(error, costs.padded(theta), others, np.array(usable, int))
         room = limit + each * (len(unit) - 1)
         kept += [_Try(unit, k, new) for cost, k, new in ranked[:_MOST] if cost <= room]
+    by_load = {u: x for u in units if (x := _by_load(plant, found, u, pool)) is not None}
     proved = _proved(plant, records, costs, away, kept, limit, each)
     return {u: (*by_load.get(u, ()), *proved.get(u, ())) for u in units}
 

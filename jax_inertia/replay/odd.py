@@ -14,7 +14,7 @@ from jaxtyping import Float
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.candidates import Candidate, candidates
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.parsimony import Parabola
+from jax_inertia.replay.parsimony import Parabola, Worth, nominal
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 
@@ -25,6 +25,7 @@ _GAIN = 0.02
 _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
 _ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
+_FROM_NOMINAL = 1
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
 AS_GOOD = 2.0 * float(np.log(20.0))
@@ -74,6 +75,7 @@ def add_odd(
         ]
         if k == 0:
             fits += _afresh(plant, found, pool, records, floor)
+            fits += _from_nominal(plant, found, pool, records, floor)
         passed, possible = [], []
         for c, tried in fits:
             new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
@@ -126,20 +128,51 @@ def _finalists(
     found = about.found
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
-        share, total = 1.0, 0.0
-        if c.scales:
-            p, own = c.parameters[0], start[0]
-            total, share = about.scaled(
-                error - found.error, p.sd / abs(own), *sorted((p.low / own, p.high / own))
-            )
-        else:
-            total = about.worth(error).total
-        gain, key = now - total, (c.family, c.place)
+        worth, share = _scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+        gain, key = now - worth.total, (c.family, c.place)
         if gain > _price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
             best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [(c, start) for gain, c, start in order if gain >= least]
+
+
+def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
+    """(S, multiple of the start) where a candidate is best scaled."""
+    p, own = c.parameters[0], start[0]
+    ends = sorted((p.low / own, p.high / own))
+    return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
+
+
+def _from_nominal(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that start at the nominal model with one effect and few ordinary numbers.
+
+    Where many ordinary numbers, each far off, pass for one effect, no small step leads from them to it: about them the
+    cost is no parabola as far as the nominal model. About that the effects are ranked, in units of the whole gap.
+    """
+    theta = np.where(found.free, nominal(found), found.theta)
+    start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
+    about = Parabola(start, plant.loop, start.samples)
+    bare = about.worth().total
+    tries = [(c, c.starts[0]) for c in pool if c.scales]
+    ranked = []
+    for c, size, error in tried_errors(plant, start, tries, records):
+        worth, share = _scaled(about, c, size, error)
+        ranked.append((bare - worth.total - _price(start, c), c, share * size[0], worth.off))
+    ranked.sort(key=lambda x: -x[0])
+    out = []
+    for gain, c, size, off in ranked[:_FROM_NOMINAL]:
+        if gain > 0:
+            new = theta.copy()
+            new[about.go] = nominal(found)[about.go] + off
+            free = np.append(found.free, True)
+            table = (*found.table, *c.parameters)
+            new = np.append(new, size)
+            fit = fitting.fit(plant, table, records, new, free=free, floor=floor, rounds=_ROUNDS)
+            out.append((c, fit))
+    return out
 
 
 def tried_errors(

@@ -82,10 +82,11 @@ def _is_ordinary(p: Parameter) -> bool:
 
 
 class Worth(NamedTuple):
-    """S, and how many ordinary numbers are kept there."""
+    """S, how many ordinary numbers are kept there, and where all free ones are, from the nominal model's."""
 
     total: float
     kept: int
+    off: Float[np.ndarray, " F"]
 
 
 class Parabola:
@@ -112,11 +113,11 @@ class Parabola:
         step = self.inverse @ gradient
         least = simplest(self.inverse + self.loose, self.off - step, self.may_go, self.each)
         total = float(white @ white + self.prior - gradient @ step) + least.price
-        return Worth(total, int(np.sum(least.kept & self.may_go)))
+        return Worth(total, int(np.sum(least.kept & self.may_go)), least.off)
 
     def scaled(
         self, change: Float[np.ndarray, "N n"], sd: float, low: float, high: float
-    ) -> tuple[float, float]:
+    ) -> tuple[Worth, float]:
         """(S, multiple) where one more number's `change` of the error is best scaled, within its prior and bounds.
 
         `sd`, `low` and `high` are of the multiple.
@@ -130,10 +131,12 @@ class Parabola:
         if not low <= step[-1] <= high:
             size = float(np.clip(step[-1], low, high))
             whole = self.worth(self.found.error + size * change)
-            return whole.total + (size / sd) ** 2, size
+            return whole._replace(total=whole.total + (size / sd) ** 2), size
         loose = np.zeros_like(inverse)
         loose[:-1, :-1] = self.loose
         off = np.append(self.off, 0.0) + step
         least = simplest(inverse + loose, off, np.append(self.may_go, False), self.each)
         size = float(np.clip(least.off[-1], low, high))
-        return float(white @ white + self.prior + gradient @ step) + least.price, size
+        total = float(white @ white + self.prior + gradient @ step) + least.price
+        kept = int(np.sum(least.kept[:-1] & self.may_go))
+        return Worth(total, kept, least.off[:-1]), size

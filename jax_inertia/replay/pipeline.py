@@ -25,6 +25,8 @@ LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _IDLE, _LISTED = 0.005, 0.01
 _SPARSER = 1.01
+_LARGEST = 8
+"""Effects of which it is looked at what would do in their place."""
 
 Progress = Callable[[str], None]
 
@@ -121,7 +123,9 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held, before)
-    large = [rows for rows, share in shares.items() if share > _LISTED]
+    large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
+        :_LARGEST
+    ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     return _Fitted(everything, found, search, others, shares)
 
