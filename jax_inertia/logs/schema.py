@@ -81,8 +81,6 @@ class TorqueKind(StrEnum):
     COMMANDED = "commanded"
     CURRENT = "current"
     SENSOR = "sensor"
-    LOOP = "loop"
-    """What a position loop gives, worked out of targets and positions: of the moment, as fresh as the loop is fast."""
     UNKNOWN = "unknown"
 
 
@@ -163,7 +161,7 @@ def fields_of(
     unit = _word("tau_unit", arrays, "N m")
     kind = _word("tau_kind", arrays, "unknown").lower()
     if kind not in list(TorqueKind):
-        raise LogError(f"tau_kind is {kind[:60]!r}; expected commanded, current, sensor or loop")
+        raise LogError(f"tau_kind is {kind[:60]!r}; expected commanded, current or sensor")
     if fields.get("contact_bodies") == ():
         # A writer for many robots gives an empty array to the one that touches nothing.
         fields = {k: x for k, x in fields.items() if "C" not in SHAPES.get(k, ()) or x.size}

@@ -30,10 +30,6 @@ FASTER = 100.0
 """Logs of this rate [Hz] and more are taken to be as fast as their loop: what they hold, they hold for a period."""
 LOOP_LATE, LOOP_LATE_ERROR = 1e-3, 0.7e-3
 """How late the loop itself is, and how well that is known [s]: half the hold of loops of 250 Hz to 1 kHz and more."""
-_LATE_ERROR = 0.08
-"""Of the log's period, how well it is known when within it a torque acted. One that is held is half a period off at
-most: that is six of these, and brings just less than a delay has to and costs (`gap.propose.STOP`, `Candidate.price`).
-One that a sensor sampled, at the moment or over the period that followed, is a quarter off."""
 # Of a torque's variance that targets, positions and velocities must explain for it to be a position loop's.
 _LOOP = 0.9
 
@@ -56,19 +52,6 @@ def later(x: AnyArray, share: float) -> Float[np.ndarray, "T *c"]:
     before, long_before = -(s + 1) * s * (s - 2) / 2, (s + 1) * s * (s - 1) / 6
     far = np.concatenate([x[:1], x[:1], x, x[-1:]])
     return after * far[3:] + own * far[2:-1] + before * far[1:-2] + long_before * far[:-3]
-
-
-def lateness(log: Log) -> tuple[float, float]:
-    """How late a log's torque acts as seen from its stamps, and how well that is known, in periods of the log.
-
-    A sensor's is the moment's or the mean of the period that follows; what is commanded is held for the period. What a
-    loop gives is held for one of the loop's own periods, which no log says.
-    """
-    if log.tau_kind is TorqueKind.LOOP and log.rate >= FASTER:
-        return min(LOOP_LATE * log.rate, 1.0), LOOP_LATE_ERROR * log.rate
-    if log.tau_kind in (TorqueKind.SENSOR, TorqueKind.LOOP):
-        return 0.25, _LATE_ERROR
-    return 0.5, _LATE_ERROR
 
 
 def with_loop_torque(
@@ -102,10 +85,11 @@ def with_loop_torque(
         f"{said[0]} N m/rad and {said[1]} N m s/rad of the {source}; where kp is off by 1 %, so is "
         "all that legs are found to carry"
     )
+    # A loop is many times as fast as its log: its torque is that of the moment, and hardly late.
     return dataclasses.replace(
         log,
         tau=np.clip(pull - damping * v, -limit, limit),
-        tau_kind=TorqueKind.LOOP,
+        tau_kind=TorqueKind.SENSOR,
         notes=(*log.notes, note),
     )
 

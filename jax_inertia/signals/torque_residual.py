@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.logs.log import Log
+from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
@@ -35,7 +35,7 @@ from jax_inertia.signals.dry_friction import at_rest, direction
 from jax_inertia.signals.filtering import Masked, bridged_smoothly, low_pass, mask, resample
 from jax_inertia.signals.generalised_motion import Motion, generalised
 from jax_inertia.signals.ground_support import BASE, Support, supported
-from jax_inertia.signals.held import PositionLoop, lateness, later, of_loop, position_loop
+from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop
 from jax_inertia.signals.outliers import without_outliers
 from jax_inertia.signals.spikes import torque_spikes
 
@@ -214,7 +214,7 @@ def _in_time(robot: Robot, log: Log) -> tuple[Masked, PositionLoop | None]:
     log = dataclasses.replace(log, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
     source = mask(log)
     data = source.log
-    late, _ = lateness(data)
+    late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5
     if (loop := position_loop(data)) is None:
         tau = later(np.asarray(data.tau), late)
     else:
