@@ -26,7 +26,7 @@ LONGEST, SHORTEST = 60.0, 8.0
 _IDLE, _LISTED = 0.005, 0.01
 _SPARSER = 1.01
 _LARGEST = 8
-"""Effects of which it is looked at what would do in their place, besides the odd ones."""
+"""Effects of which it is looked at what would do in their place."""
 
 Progress = Callable[[str], None]
 
@@ -123,9 +123,9 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held, before)
-    odd_ones = [o.rows for o in search.odd]
-    first = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])
-    large = [k for k in shares if k in odd_ones or k in first[:_LARGEST]]
+    large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
+        :_LARGEST
+    ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     return _Fitted(everything, found, search, others, shares)
 
