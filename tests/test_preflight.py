@@ -345,6 +345,10 @@ def test_velocity_of_the_wrong_sign_scale_column_or_time():
     )
     assert checks(qvel[:, [1, 0, 2]]) == {"swapped"}
     assert checks(qvel * [1, 1.3, 1]) == {"scale"}
+    assert checks(qvel * [1, 1.05, 1]) == set()
+    degrees = dataclasses.replace(log, qvel=np.degrees(qvel))
+    assert set(found(degrees)) == {(ERROR, "scale")}
+    assert checks(np.random.default_rng(0).normal(size=qvel.shape)) == {"velocity"}
 
 
 def test_velocities_of_a_joint_that_each_target_jolts_are_no_mean_ones():
@@ -365,10 +369,6 @@ def test_velocities_of_a_joint_that_each_target_jolts_are_no_mean_ones():
     assert "scale" not in {c for _, c in found(Log(**fields, qpos_target=target[:, None]), robot)}
     far = Log(**{**fields, "qvel": 5.0 * qvel[:, None]}, qpos_target=target[:, None])
     assert "scale" in {c for _, c in found(far, robot)}
-    assert checks(qvel * [1, 1.05, 1]) == set()
-    degrees = dataclasses.replace(log, qvel=np.degrees(qvel))
-    assert set(found(degrees)) == {(ERROR, "scale")}
-    assert checks(np.random.default_rng(0).normal(size=qvel.shape)) == {"velocity"}
 
 
 def test_a_joint_that_another_shakes_is_not_that_other():
