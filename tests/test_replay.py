@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
-from jax_inertia.cli import replay_run
+from jax_inertia.cli import command_page, replay_run
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
-from jax_inertia.replay import checks, command, command_page, late_targets
+from jax_inertia.replay import checks, command, late_targets
 from jax_inertia.replay.corrected import corrected, policy
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop

@@ -11,10 +11,10 @@ from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.listing import listed
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.odd import Search
-from jax_inertia.replay.parsimony import simplest
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
+from jax_inertia.replay.search.odd import Search
+from jax_inertia.replay.search.parsimony import simplest
 from jax_inertia.replay.simulate import replay
 from jax_inertia.replay.varying_friction import callback
 

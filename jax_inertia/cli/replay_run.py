@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jax_inertia.cli import command_page
 from jax_inertia.cli.console import warn
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
@@ -20,7 +21,7 @@ from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.write import loadable
 from jax_inertia.preflight.preflight import Finding, Severity
-from jax_inertia.replay import command, command_page, report, simulate
+from jax_inertia.replay import command, report, simulate
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.entry import by_replays, nominal_spec, usable

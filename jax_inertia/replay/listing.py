@@ -7,12 +7,12 @@ import numpy as np
 
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
-from jax_inertia.replay.candidates import Candidate
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.instead import Instead, Rows
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
-from jax_inertia.replay.odd import Odd, Search
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, total
+from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.instead import Instead, Rows
+from jax_inertia.replay.search.odd import Odd, Search
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""

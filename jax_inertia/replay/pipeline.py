@@ -10,14 +10,15 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, odd, parsimony, proof
+from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import Diagnosis, Replayed, total
+from jax_inertia.replay.search import odd, parsimony
+from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.candidates import Candidate, candidates
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.parsimony import Parabola, Worth, nominal
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
 MOST = 6
 LOG_ODDS = float(np.log(20.0))

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.candidates import Candidate
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.odd import AS_GOOD, tried_errors
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.odd import AS_GOOD, tried_errors
 
 Rows = tuple[int, ...]
 _MOST = 3
