@@ -4,11 +4,13 @@ import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import jax_inertia as ji
 from jax_inertia.logs.log import Log, LogError, TorqueUnit
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.preflight.preflight import Severity, preflight
@@ -347,6 +349,26 @@ def test_velocity_of_the_wrong_sign_scale_column_or_time():
     degrees = dataclasses.replace(log, qvel=np.degrees(qvel))
     assert set(found(degrees)) == {(ERROR, "scale")}
     assert checks(np.random.default_rng(0).normal(size=qvel.shape)) == {"velocity"}
+
+
+def test_velocities_of_a_joint_that_each_target_jolts_are_no_mean_ones():
+    """At 50 Hz, a loop that settles in 20 ms, as of first order: right at the stamps, and 0.58 of the mean there."""
+    time, settles = np.arange(0, 10, 0.02), 0.02
+    target = 0.5 * np.sin(2 * np.pi * 0.3 * time)
+    left = np.exp(-0.02 / settles)
+    qpos, qvel = np.zeros((2, len(time)))
+    for k in range(1, len(time)):
+        miss = target[k - 1] - qpos[k - 1]
+        qpos[k] = target[k - 1] - left * miss
+        qvel[k] = left * miss / settles
+    fields = {"time": time, "joint_names": ("hinge",), "qpos": qpos[:, None], "qvel": qvel[:, None]}
+    robot = ji.load_model(mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/><geom size="0.1"/></body></worldbody></mujoco>'
+    ))  # fmt: skip
+    assert "scale" in {c for _, c in found(Log(**fields), robot)}
+    assert "scale" not in {c for _, c in found(Log(**fields, qpos_target=target[:, None]), robot)}
+    far = Log(**{**fields, "qvel": 5.0 * qvel[:, None]}, qpos_target=target[:, None])
+    assert "scale" in {c for _, c in found(far, robot)}
 
 
 def test_a_joint_that_another_shakes_is_not_that_other():

@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
+from jax_inertia.cli import command_page, replay_run
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
-from jax_inertia.replay import checks, command
+from jax_inertia.replay import checks, command, late_targets
 from jax_inertia.replay.corrected import corrected, policy
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of, step_means
+from jax_inertia.replay.result import Effect, Size
 from jax_inertia.replay.simulate import replay
+from jax_inertia.text.report_page import with_section
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"
 # A rotor of 0.05 kg m² without weight: its loop has a closed form.
@@ -247,6 +250,49 @@ def test_targets_and_torque_show_the_loop():
     assert command.command_half(without_torque(log)) == ()
 
 
+def test_the_loop_is_drawn_with_the_line_of_its_kp():
+    log = run(kp=(1.0, 0.75), seconds=4.0)
+    loop = position_loop(log, arm().compile())
+    halves = command.command_half(log, loop)
+    miss, torque = command_page.spring(command.rows_of(log, loop)[1], halves[1])
+    assert np.polyfit(miss, torque, 1)[0] == pytest.approx(25.0 * 0.75, rel=0.02)
+    effects = command.findings(halves, loop.kp, loop.kd, NAMES)
+    page = with_section("<main></main>", command_page.part(halves, log, loop, effects))
+    assert page.startswith("<main><section")
+    assert page.endswith("</section></main>")
+    assert "kp scale at elbow" in page
+
+
+def test_every_number_of_an_effect_is_in_the_table():
+    numbers = (
+        ("stall", Size(3.0, 2.9, 3.1, "N m")),
+        ("no_load_speed", Size(9.0, 8.0, 10.0, "rad/s")),
+    )
+    effect = Effect("torque_speed", "joint", "elbow", numbers, 0.0, 0.5, False, ())
+    said = replay_run.sizes(effect)
+    assert "stall 3 [2.9, 3.1] N m" in said
+    assert "no load speed 9 [8, 10] rad/s" in said
+
+
+def test_targets_on_their_way_are_the_first_ones_at_a_start():
+    """A joint at its target stays there, its delay notwithstanding; without `start` it is pulled to 0 first."""
+    spec = rotor()
+    spec.joint("hinge").ref = 0.0
+    spec.actuators[0].delay, spec.actuators[0].nsample = 0.05, 60
+    model = spec.compile()
+    ends = []
+    for begins in (lambda d: late_targets.start(model, d, np.array([0.7])), lambda d: None):
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.7
+        begins(data)
+        for _ in range(20):
+            data.ctrl[:] = 0.7
+            mujoco.mj_step(model, data)
+        ends.append(data.qpos[0])
+    assert ends[0] == pytest.approx(0.7, abs=1e-9)
+    assert ends[1] < 0.69
+
+
 def test_a_torque_that_is_cut_off_shows_its_limit():
     time = np.arange(0, 10, 0.002)
     target = 0.8 * np.sign(np.sin(2 * np.pi * 0.5 * time))[:, None]
@@ -336,6 +382,9 @@ def test_a_late_loop_is_told_beside_a_sound_motion(tmp_path):
     model = str(case / "nominal.xml")
     assert main(["diagnose", str(case / "log.npz"), "--model", model, "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
+    page = (out / "report.html").read_text()
+    assert "From targets to torque" in page
+    assert "target delay" in page
     assert report["verdict"] == "explained"
     late = [e for e in report["effects"] if e["family"] == "target_delay"]
     assert late[0]["half"] == "command"

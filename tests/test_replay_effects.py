@@ -13,6 +13,8 @@ from jax_inertia.replay.listing import listed
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
+from jax_inertia.replay.search.odd import Search
+from jax_inertia.replay.search.parsimony import simplest
 from jax_inertia.replay.simulate import replay
 from jax_inertia.replay.varying_friction import callback
 
@@ -290,8 +292,65 @@ def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family,
     found = Fit(
         (number,), np.array([total]), one, one, 100.0, np.zeros((3, 2)), np.zeros((1, 3, 2)), None
     )
-    (effect,) = listed(found, (), {(0,): 0.8}, LOOP, ["shoulder", "elbow"])
+    search = Search(found, (), (), ())
+    (effect,) = listed(found, search, {}, {(0,): 0.8}, LOOP, ["shoulder", "elbow"])
     assert (effect.family, effect.name) == (family, "shoulder")
     assert effect.size.value == pytest.approx(size)
     other = {"viscous_friction", "kd_scale"} - {family}
     assert {t.family for t in effect.ties if t.exact} == other
+
+
+def test_numbers_are_given_up_while_that_costs_less_than_a_number_is_worth():
+    """Backwards, the others following, as least squares with those numbers at 0 has it."""
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(40, 4))
+    wanted = columns @ [2.0, 0.0, 0.3, 0.0] + 0.5 * rng.normal(size=40)
+    off = np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    covariance = np.linalg.inv(columns.T @ columns)
+    may_go = np.array([True, True, False, True])
+    least = simplest(covariance, off, may_go, 3.0)
+    np.testing.assert_array_equal(least.kept, [True, False, True, False])
+    again, *_ = np.linalg.lstsq(columns[:, least.kept], wanted, rcond=None)
+    np.testing.assert_allclose(least.off[least.kept], again)
+    risen = np.sum((wanted - columns @ least.off) ** 2) - np.sum((wanted - columns @ off) ** 2)
+    assert least.price == pytest.approx(risen + 3.0)
+
+
+@pytest.mark.slow
+def test_a_load_stands_for_many_numbers_that_pass_for_it():
+    """On the lower link of two: kp, damping and offset of both joints, a little off each, replay nearly as well."""
+    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=heavy, seed=k) for k in (4, 5)]
+    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
+    odd = odd_effects(found)
+    assert set(odd) == {("payload", "lower")}
+    assert odd["payload", "lower"].size.value == pytest.approx(0.15, rel=0.15)
+    assert not {e.family for e in found.effects} & {"kp_scale", "kd_scale", "encoder_offset"}
+
+
+def chain(load: float = 0.0):
+    """The right body below the left one, and more mass of the same shape there."""
+    spec = mujoco.MjSpec.from_string(TWO.replace(
+        "</body>\n<body name=\"right\" pos=\"0 1 0\">", "<body name=\"lower\" pos=\"0 0 -0.3\">"
+    ).replace("</body></worldbody>", "</body></body></worldbody>"))  # fmt: skip
+    body = spec.body("lower")
+    body.inertia, body.mass = body.inertia * (1 + load / body.mass), body.mass + load
+    return spec
+
+
+def heavy():
+    return chain(0.15)
+
+
+@pytest.mark.slow
+def test_a_load_on_a_joint_that_moves_alone_is_a_kp_by_the_equation():
+    """kp / (mass of what moves) is one number: 0.8 of a kp is 0.8 kg (1 / 0.8 − 1) = 0.2 kg more."""
+    log, other = (
+        made(lambda miss, v: (0.8 * KP[:1] * miss - KD[:1] * v, 0.05), spec=one, seed=k)
+        for k in (2, 3)
+    )
+    found = pipeline.diagnose([log], one, test_log=other)
+    (effect,) = [e for e in found.effects if e.family == "kp_scale"]
+    (tie,) = [t for t in effect.ties if t.family == "payload"]
+    assert (tie.name, tie.exact) == ("left", True)
+    mass = float(tie.text.split(" kg more at left")[0])
+    assert mass == pytest.approx(0.8 * (1.0 / effect.size.value - 1.0), rel=0.01)

@@ -99,7 +99,7 @@ def read(
     given = [read_log(path, names=robot, options=options) for path in paths]
     robot, told = afloat(robot, model, given[0])
     of_loop = given[0].tau is None and robot.has_free_base
-    given = [replay_run.by_loop(one, robot, model, gains) for one in given]
+    given = [entry.of_loop(one, robot, model, gains.kp, gains.kd) for one in given]
     quality: list[Quality] = [*told]
     if conventions is not None:
         robot, given, notes = met(conventions, robot, given, gains=conventions.gains)

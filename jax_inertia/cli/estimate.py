@@ -215,13 +215,13 @@ def read(args: argparse.Namespace) -> "Inputs":
     """Read model and logs, and look at them before anything is computed."""
     from jax_inertia.cli.console import warn
     from jax_inertia.cli.conventions import met
-    from jax_inertia.cli.replay_run import SILENT, by_loop
     from jax_inertia.estimation.estimate_inputs import Names, Settings, checked
     from jax_inertia.logs.findings import Finding, Severity
     from jax_inertia.logs.log_files import read_log
     from jax_inertia.logs.readers import Options
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
+    from jax_inertia.replay.entry import of_loop
     from jax_inertia.text.closest_names import suggestion
 
     robot = load_model(args.model)
@@ -229,7 +229,7 @@ def read(args: argparse.Namespace) -> "Inputs":
     options = Options(time_unit=args.time_unit)
     log, *references = [read_log(path, names=robot, options=options) for path in paths]
     robot, found = afloat(robot, args.model, log)
-    log, *references = (by_loop(one, robot, args.model, SILENT) for one in (log, *references))
+    log, *references = (of_loop(one, robot, args.model) for one in (log, *references))
     robot, (log, *references), notes = met(args, robot, (log, *references), gains=None)
     for name in args.bodies:
         if name not in robot.body_names:

@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jax_inertia.cli import command_page
 from jax_inertia.cli.console import warn
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
-from jax_inertia.model.robot import Robot
 from jax_inertia.model.write import loadable
 from jax_inertia.preflight.preflight import Finding, Severity
 from jax_inertia.replay import command, report, simulate
@@ -29,8 +29,8 @@ from jax_inertia.replay.figures import replays
 from jax_inertia.replay.loop import Loop, position_loop
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
-from jax_inertia.replay.result import Diagnosis, Replayed, total
-from jax_inertia.signals.held import with_loop_torque
+from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
+from jax_inertia.text.report_page import with_section
 from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
@@ -44,14 +44,6 @@ class Gains(NamedTuple):
 
 SILENT = Gains()
 """Nothing said."""
-
-
-def by_loop(log: Log, robot: Robot, model: Path, gains: Gains) -> Log:
-    """The log of a floating base with the torque of its position loop, where it has targets and no torque."""
-    if not robot.has_free_base or log.tau is not None or log.qpos_target is None:
-        return log
-    loop = position_loop(log, compile_spec(load_spec(model), model), gains.kp, gains.kd)
-    return with_loop_torque(log, *loop)
 
 
 def read(
@@ -196,8 +188,7 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
         for name in ("effect", "where", "size, 95 % interval", "returns without it"):
             table.add_column(name)
         for e in found.effects:
-            size = f"{number(e.size.value)} [{number(e.size.low)}, {number(e.size.high)}]{unit(e.size.unit)}"
-            table.add_row(plain(e.family), escape(e.name), size, percent(e.share))
+            table.add_row(plain(e.family), escape(e.name), sizes(e), percent(e.share))
         console.print(table)
     joints = Table(title="replay error of each joint [rad]", title_justify="left")
     for name in ("joint", "nominal", "corrected", "floor"):
@@ -208,6 +199,15 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
     for text in (*out["doubts"], *out["notes"]):
         console.print(f"note: {escape(text)}", highlight=False, soft_wrap=True)
     console.print(f"report: {escape(str(where / 'report.html'))}", soft_wrap=True, highlight=False)
+
+
+def sizes(e: Effect) -> str:
+    """Every number of an effect with its interval, by name where there are several."""
+    out = []
+    for name, x in e.sizes:
+        said = f"{plain(name)} " if len(e.sizes) > 1 else ""
+        out.append(f"{said}{number(x.value)} [{number(x.low)}, {number(x.high)}]{unit(x.unit)}")
+    return "\n".join(out)
 
 
 def add_command(
@@ -237,6 +237,9 @@ def add_command(
         out["verdict"] = "explained"
         out["headline"] = f"torque and motion agree; between targets and torque: {'; '.join(lines)}"
     path.write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+    page = folder / "report.html"
+    drawn = command_page.part(halves, log, loop, half["effects"])
+    page.write_text(with_section(page.read_text(), drawn))
 
     def show_both(where: Path, *, as_json: bool) -> None:
         if as_json:

@@ -24,7 +24,8 @@ _DEGREE = np.pi / 180
 def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """`qvel` against dqpos/dt, joint by joint: sign, scale, delay, swapped columns.
 
-    Joints that hardly move show their encoder's noise, and how others shake them: they are not judged.
+    Joints that hardly move show their encoder's noise, and how others shake them: they are not judged. Nor is the size
+    of velocities, within half and twice, in a slow log whose targets change from stamp to stamp (`_jolted`).
     """
     if log.qvel is None:
         return
@@ -65,7 +66,7 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
             )
         elif unit := _degrees(gain):
             yield _error("scale", f"qvel of {name!r} is {gain:.3g} times dqpos/dt: {unit}")
-        elif not 0.9 < gain < 1.1:
+        elif not (0.5 < gain < 2.0 if _jolted(log, j, period) else 0.9 < gain < 1.1):
             yield _warning(
                 "scale",
                 f"qvel of {name!r} is {gain:.3g} times dqpos/dt; expected 1 (units, gear ratio, or "
@@ -78,6 +79,20 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
                 f"qvel of {name!r} runs {1e3 * abs(lag) * period:.1f} ms {side} dqpos/dt; give "
                 "both one filter, or leave qvel out",
             )
+
+
+_SLOW, _JOLTS = 0.01, 0.5
+
+
+def _jolted(log: Log, j: int, period: float) -> bool:
+    """Whether velocities at the stamps are no mean ones: each target jolts the joint at a stamp, and it settles after.
+
+    The log sees every jolt at the same moment, the last of the settling: velocities that are right, and smaller than
+    the motion's mean, or larger where the loop is read after it has acted.
+    """
+    if log.qpos_target is None or period < _SLOW:
+        return False
+    return bool(np.mean(np.diff(np.asarray(log.qpos_target)[:, j]) != 0) > _JOLTS)
 
 
 def quaternion(log: Log) -> Iterator[Finding]:

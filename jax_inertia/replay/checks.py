@@ -1,11 +1,10 @@
-"""Whether log and model mean the same, how far off replays may be for no reason, and which numbers are worth having."""
+"""Whether log and model mean the same, and how far off replays may be for no reason."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.record import Record
 
@@ -73,38 +72,3 @@ def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
         elif p.family == "armature":
             out[k] = loop.kd[p.joint] * sd
     return out
-
-
-def needed(found: Fit, extra: Float[np.ndarray, " P"], rows: Sequence[int]) -> list[int]:
-    """Which of the numbers in `rows` differ from the nominal model's for a reason, the surest first.
-
-    Backwards, on the cost's parabola: the number whose return costs least, the others following, is given up for as
-    long as that costs less than a number is worth: ln N for N independent samples (BIC). `extra`: deviations of the
-    numbers besides those of the fit.
-    """
-    mean = np.array([p.nominal for p in found.table])
-    off = np.where(np.isfinite(mean), found.theta - mean, 0.0)
-    free = found.free
-    covariance = np.zeros_like(found.hessian)
-    covariance[np.ix_(free, free)] = np.linalg.inv(found.hessian[np.ix_(free, free)])
-    covariance += np.diag(extra**2)
-    price = float(np.log(max(found.samples, 2.0)))
-    left = [k for k in rows if abs(off[k]) > 0 and free[k]]
-    gone: list[int] = []
-    before = _return(covariance, off, gone)
-    while left:
-        costs = [_return(covariance, off, [*gone, k]) - before - price for k in left]
-        least = int(np.argmin(costs))
-        if costs[least] > 0:
-            break
-        gone.append(left.pop(least))
-        before = _return(covariance, off, gone)
-    return sorted(left, key=lambda k: -abs(off[k]) / np.sqrt(covariance[k, k]))
-
-
-def _return(covariance: np.ndarray, off: np.ndarray, gone: Sequence[int]) -> float:
-    """What it costs to take some numbers back, the others following."""
-    if not gone:
-        return 0.0
-    part = covariance[np.ix_(gone, gone)]
-    return float(off[list(gone)] @ np.linalg.solve(part, off[list(gone)]))

@@ -68,6 +68,12 @@ def command_half(log: Log, loop: Loop | None = None) -> tuple[Half, ...]:
     """
     if log.tau is None or log.qpos_target is None:
         return ()
+    found = [_joint(n, r) for n, r in zip(log.joint_names, rows_of(log, loop), strict=True)]
+    return tuple(h for h in found if h is not None and h.explained >= _CLEAR and h.kp > 0)
+
+
+def rows_of(log: Log, loop: Loop | None) -> list["Rows"]:
+    """The channels of each joint of a log with targets and torque."""
     time = np.asarray(log.time, float)
     q, target, tau = (np.asarray(x, float) for x in (log.qpos, log.qpos_target, log.tau))
     v = derivative(time, q) if log.qvel is None else np.asarray(log.qvel, float)
@@ -76,17 +82,11 @@ def command_half(log: Log, loop: Loop | None = None) -> tuple[Half, ...]:
     fed = np.zeros_like(q)
     if feeds_forward(log, loop):
         fed = np.asarray(log.tau_command, float)
-    out = []
-    for j, name in enumerate(log.joint_names):
-        own = (x[:, j] for x in (q, v, target, speed, fed, tau))
-        rows = _Rows(**dict(zip(_CHANNELS, (time, *own), strict=True)), wide=wide)
-        found = _joint(name, rows)
-        if found is not None and found.explained >= _CLEAR and found.kp > 0:
-            out.append(found)
-    return tuple(out)
+    channels = (q, v, target, speed, fed, tau)
+    return [Rows(time, *(x[:, j] for x in channels), wide) for j in range(q.shape[1])]
 
 
-class _Rows(NamedTuple):
+class Rows(NamedTuple):
     """One joint's channels; `wide` samples on either side are averaged over where velocities were not logged.
 
     Their mean over a window is (q_k+wide − q_k−wide) / its length, whatever happens inside; all else is averaged alike.
@@ -105,7 +105,7 @@ class _Rows(NamedTuple):
     def period(self) -> float:
         return float(np.median(np.diff(self.time)))
 
-    def late(self, hold: float) -> "_Rows":
+    def late(self, hold: float) -> "Rows":
         """The same where the loop saw positions and velocities so much earlier."""
         v = self.v - hold * np.gradient(self.v, self.time)
         return self._replace(q=self.q - hold * self.v, v=v)
@@ -148,13 +148,10 @@ class _Rows(NamedTuple):
         return float(_golden(lambda d: self.fit(d, good)[1], lo, hi))
 
 
-_CHANNELS = _Rows._fields[:7]
-
-
-def _joint(name: str, rows: _Rows) -> Half | None:
+def _joint(name: str, rows: Rows) -> Half | None:
     # What a late robot was commanded before the log began is not in it.
     known = rows.time >= rows.time[0] + min(_LONGEST, 0.1 * (rows.time[-1] - rows.time[0]))
-    known &= np.all(np.isfinite(np.stack(rows[:7])), axis=0)
+    known &= np.all(np.isfinite(np.stack(rows[:-1])), axis=0)
     top = float(np.percentile(np.abs(rows.tau[known]), 99.8)) if known.any() else 0.0
     low = known & (np.abs(rows.tau) < _LOW * top)
     if len(rows.averaged(0.0, low)[1]) < 20 or np.var(rows.tau[low]) == 0:
@@ -184,7 +181,7 @@ def _joint(name: str, rows: _Rows) -> Half | None:
 
 
 def _without_cut(
-    rows: _Rows,
+    rows: Rows,
     delay: float,
     known: Bool[np.ndarray, " T"],
     low: Bool[np.ndarray, " T"],
@@ -214,7 +211,7 @@ def _without_cut(
 
 
 def _dead_band(
-    rows: _Rows, delay: float, good: np.ndarray, square: float, correlated: float
+    rows: Rows, delay: float, good: np.ndarray, square: float, correlated: float
 ) -> tuple[float, tuple[np.ndarray, float]]:
     """(half width of the dead band, the fit with it); 0 where the torque does not ask for one (BIC, one in twenty)."""
     columns, tau = rows.averaged(delay, good)

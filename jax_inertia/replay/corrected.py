@@ -88,6 +88,11 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
         )
     if (x.delay < 0).any():
         out.append("a negative delay of the targets is not in corrected.xml: their stamps are late")
+    if (x.delay > 0).any():
+        out.append(
+            "targets on their way start at 0 in MuJoCo: after each reset call jax_inertia.replay.late_targets.start("
+            "model, data, targets), or mj_initCtrlHistory, with the first targets"
+        )
     if (x.dead > 0).any():
         out.append(
             f"the dead band of {where(x.dead > 0)} is a second actuator (NAME{DEAD}): give it the target of the first"

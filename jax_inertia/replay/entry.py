@@ -16,9 +16,10 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import Finding, preflight
 from jax_inertia.replay import pipeline, report
-from jax_inertia.replay.loop import UNITS
+from jax_inertia.replay.loop import UNITS, position_loop
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import fixed_base
+from jax_inertia.signals.held import with_loop_torque
 from jax_inertia.text.closest_names import listed
 
 FAMILIES = tuple(dict.fromkeys((*NAMES, *UNITS)))
@@ -70,7 +71,8 @@ def diagnose(
     effects. Of logs with torque: `max_effects` holds where single effects are sought; torques that are no N m get one
     drive gain per joint from the log itself, and a note says so; computed in double precision, whatever JAX is set to.
     Of logs without: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the
-    position loop (one or each) and `fix_base` as in the command. Raises ValueError for an unknown family or an argument
+    position loop (one or each) and `fix_base` as in the command. Of a base that floats, the torque is what that loop
+    makes of the targets. Raises ValueError for an unknown family or an argument
     of the other kind of log, and LogError for a log that cannot be used.
 
     >>> import jax_inertia as ji
@@ -79,6 +81,12 @@ def diagnose(
     >>> str(found.verdict), ji.to_report(found)["effects"][0]["family"]
     ('explained', 'payload')
     """
+    if log.tau is None and not fix_base:
+        own = robot if isinstance(robot, Robot) else load_model(robot)
+        if own.has_free_base:
+            of = own, None if isinstance(robot, Robot) else Path(robot), kp, kd
+            log, kp, kd = of_loop(log, *of), None, None
+            test_log = None if test_log is None else of_loop(test_log, *of)
     if log.tau is None:
         if isinstance(robot, Robot):
             raise LogError(
@@ -100,6 +108,26 @@ def diagnose(
         max_effects=max_effects,
         progress=progress,
     )
+
+
+def of_loop(
+    log: Log,
+    robot: Robot,
+    model: Path | None,
+    kp: Sequence[float] | None = None,
+    kd: Sequence[float] | None = None,
+) -> Log:
+    """The log of a floating base with the torque of its position loop, where it has targets and no torque.
+
+    Gains that are not given are those of the log, or of the actuators of a model's file.
+    """
+    if not robot.has_free_base or log.tau is not None or log.qpos_target is None:
+        return log
+    if model is not None:
+        return with_loop_torque(
+            log, *position_loop(log, compile_spec(load_spec(model), model), kp, kd)
+        )
+    return with_loop_torque(log, log.kp if kp is None else kp, log.kd if kd is None else kd)
 
 
 def by_replays(

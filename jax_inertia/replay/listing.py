@@ -1,16 +1,18 @@
 """The effects of a fit as people have them: sizes with intervals, shares, ties; verdict and headline."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
-from jax_inertia.replay.candidates import Candidate
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
-from jax_inertia.replay.odd import Odd
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, total
+from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.instead import Instead, Rows
+from jax_inertia.replay.search.odd import Odd, Search
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""
@@ -84,17 +86,22 @@ def place_of(joint: int, body: str, names: Sequence[str]) -> tuple[str, str]:
 
 def listed(
     found: Fit,
-    odd: Sequence[Odd],
-    shares: Mapping[tuple[int, ...], float],
+    search: Search,
+    instead: Mapping[Rows, tuple[Instead, ...]],
+    shares: Mapping[Rows, float],
     loop: Loop,
     names: Sequence[str],
 ) -> tuple[Effect, ...]:
-    """Effects by the share that each takes; `shares` has those of the rows of each, which are there to be listed."""
-    out, added = [], {o.rows: o for o in odd}
+    """Effects by the share that each takes; `shares` has those of the rows of each, which are there to be listed.
+
+    `search`: which of them are odd, and what else may be there; `instead`: what would do in each one's place.
+    """
+    out, added = [], {o.rows: o for o in search.odd}
     for rows, share in sorted(shares.items(), key=lambda x: -x[1]):
         p = found.table[rows[0]]
         if rows in added:
-            out.append(_odd(found, added[rows], share, loop, names))
+            effect = _odd(found, added[rows], share, loop, names)
+            out.append(_with_ties(effect, _instead(instead.get(rows, ()), loop, names)))
             continue
         family, size, nominal = _named(found, rows[0], loop)
         place = place_of(p.joint, p.body, names)
@@ -103,6 +110,39 @@ def listed(
         out.append(
             Effect(family, *place, ((PARAMETERS[family], size),), nominal, min(share, 1.0), is_ordinary, ties)
         )  # fmt: skip
+        out[-1] = _with_ties(out[-1], _instead(instead.get(rows, ()), loop, names))
+    return _with_possible(out, search.possible, names)
+
+
+def _with_ties(effect: Effect, more: Sequence[Tie]) -> Effect:
+    """With what else would do; of one family and place, what the equation or the replays say comes first."""
+    ties = {(effect.family, effect.kind, effect.name): None}
+    for t in (*effect.ties, *more):
+        ties.setdefault((t.family, t.kind, t.name), t)
+    return dataclasses.replace(effect, ties=tuple(t for t in ties.values() if t is not None))
+
+
+def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
+    out = []
+    for p, x, bound in others:
+        size = whole(p, x, loop) - (whole(p, p.nominal, loop) if p.family in CHANGES else 0.0)
+        unit = "" if UNITS[p.family] == "1" else f" {UNITS[p.family]}"
+        text = f"{size:.3g}{unit} of it instead, the others following, replays this motion as well"
+        place = place_of(p.joint, p.body, names)
+        out.append(Tie(p.family, *place, bound or text, bool(bound)))
+    return tuple(out)
+
+
+def _with_possible(
+    effects: Sequence[Effect], possible: Sequence[Candidate], names
+) -> tuple[Effect, ...]:
+    """Each effect that may be there too, listed with the largest at its joint, or else with the largest."""
+    out = list(effects)
+    for c in possible if out else ():
+        place = place_of(*c.place, names)
+        at = next((k for k, e in enumerate(out) if (e.kind, e.name) == place), 0)
+        text = "it may be there too: its odds are not under 1 in 20; a longer log, or another motion, tells"
+        out[at] = _with_ties(out[at], [Tie(c.family, *place, text, False)])
     return tuple(out)
 
 

@@ -1,7 +1,8 @@
 """From logs of targets and encoders to what the model lacks, proved by replays."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -9,15 +10,15 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, odd
+from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
-from jax_inertia.replay.record import Record, record_of, step_means
+from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import Diagnosis, Replayed, total
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.search import odd, parsimony
+from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""
@@ -25,7 +26,8 @@ LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _IDLE, _LISTED = 0.005, 0.01
 _SPARSER = 1.01
-_CREEPS = 1.1
+_LARGEST = 8
+"""Effects of which it is looked at what would do in their place."""
 
 Progress = Callable[[str], None]
 
@@ -53,18 +55,17 @@ def diagnose(
     wholes, records, held, of = _parts(logs, loops, test_log, test_loop)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
     progress("replaying the nominal model")
-    nominal = _paths(bare, (), np.zeros(0), held)
+    nominal = proof.paths(bare, (), np.zeros(0), held)
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
     torque = typical_torque(plant, records)
     table = tuple(p for p in _ordinary(plant, records, torque, loops) if p.family not in exclude)
     sound = bool(np.all(replayed.before <= listing.AT_FLOOR * replayed.floor))
-    everything, found, extra, shares = _fitted(
-        plant, table, records, held, torque, replayed.before, sound, exclude, progress
-    )
-    after = nominal if sound else _paths(plant, found.table, found.theta, held)
+    done = _fitted(plant, table, records, held, torque, replayed.before, sound, exclude, progress)
+    everything, found, shares = done.everything, done.found, done.shares
+    after = nominal if sound else proof.paths(plant, found.table, found.theta, held)
     replayed = Replayed(held, nominal, after, replayed.floor, of)
     if not sound:
-        fan = _fan(plant, found, held[replayed.shown])
+        fan = proof.fan(plant, found, held[replayed.shown])
         replayed = dataclasses.replace(replayed, fan=fan)
     left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
     if not sound and test_log is None:
@@ -75,21 +76,31 @@ def diagnose(
         if (max(k) >= len(table) and s > min(_LISTED, left))
         or (s > _LISTED and listing.distinct(found, min(k), loop))
     }  # fmt: skip
-    effects = listing.listed(found, extra, kept, loop, names)
+    effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     notes = [n for r in records for n in checks.objections(r, names)]
     notes = [*dict.fromkeys(notes), *listing.notes(everything, loop)]
     if not sound:
-        notes += _creeping(bare, found, replayed)
+        notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
+    worse = () if sound else proof.worse(replayed, names)
     return Diagnosis(
         verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
-        plant.nominal, _mean_friction(numbers, held), replayed, () if sound else _worse(replayed, names), tuple(notes),
+        plant.nominal, proof.mean_friction(numbers, held), replayed, worse, tuple(notes),
     )  # fmt: skip
 
 
-def _fitted(plant, table, records, held, torque, before, sound, exclude, progress):
-    """All numbers at once, those that are needed, odd effects, and what share each row or rows take."""
+class _Fitted(NamedTuple):
+    everything: Fit
+    found: Fit
+    search: odd.Search
+    instead: Mapping[Rows, tuple[Instead, ...]]
+    shares: dict[Rows, float]
+    """Of the gap, by the rows of each number or odd effect."""
+
+
+def _fitted(plant, table, records, held, torque, before, sound, exclude, progress) -> _Fitted:
+    """All numbers at once, those that are needed, odd effects, what each takes, and what would do instead."""
     # What the clocks leave is no noise of a sample: the fit may take it up in its delay.
     least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in held])))
     progress("looking for kp and delay")
@@ -102,36 +113,22 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
     everything = fitting.fit(plant, table, records, start, floor=least, progress=progress)
     if sound:
         nominal = np.array([p.nominal for p in table])
-        return everything, everything._replace(theta=nominal), (), {}
-    causal, extra = _causal(plant, everything, records, least, progress), ()
-    found = causal
+        none = odd.Search(everything, (), (), ())
+        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {})
+    causal = _causal(plant, everything, records, least, progress)
+    search = odd.Search(causal, (), (), ())
     if "odd" not in exclude:
-        found, extra = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
-    if extra:
-        everything = found
-    found = _sparse(plant, found, len(table), records, held, least, progress)
+        search = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
+    if search.odd:
+        everything = search.found
+    found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
-    found, shares = _gated(plant, found, [o.rows for o in extra], held, before)
-    return everything, found, extra, shares
-
-
-def _paths(plant: Plant, table, theta, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    return tuple(replay(plant, table, theta[None], r)[0] for r in records)
-
-
-def _fan(plant: Plant, found: Fit, record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Between which positions (T, n) nine tenths of replays lie, of numbers drawn as the fit knows them."""
-    low, high = (np.array([getattr(p, side) for p in found.table]) for side in ("low", "high"))
-    size, way = np.linalg.eigh(found.covariance)
-    rng = np.random.default_rng(0)
-    off = rng.normal(size=(_DRAWN, len(size))) * np.sqrt(np.maximum(size, 0.0)) @ way.T
-    away = found.theta != np.array([p.nominal for p in found.table])
-    thetas = np.clip(np.where(away, found.theta + off, found.theta), low, high)
-    lower, upper = np.percentile(replay(plant, found.table, thetas, record), (5.0, 95.0), axis=0)
-    return lower, upper
-
-
-_DRAWN = 32
+    found, shares = _gated(plant, found, [o.rows for o in search.odd], held, before)
+    large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
+        :_LARGEST
+    ]
+    others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
+    return _Fitted(everything, found, search, others, shares)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
@@ -140,36 +137,6 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
     free = found.free & (found.theta != nominal)
     least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in wholes])))
     return fitting.fit(plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3)
-
-
-def _worse(r: Replayed, names: Sequence[str]) -> tuple[str, ...]:
-    limits = np.maximum(1.05 * r.before, 1.5 * r.floor)
-    return tuple(n for n, a, top in zip(names, r.after, limits, strict=True) if a > top)
-
-
-def _creeping(bare: Plant, found: Fit, r: Replayed) -> list[str]:
-    """What is to be said where friction has to hold joints at rest."""
-    creeping = total(r.error(_paths(bare, found.table, found.theta, r.records)))
-    if creeping <= _CREEPS * total(r.after):
-        return []
-    return [
-        "friction that holds a joint at rest (solimpfriction in corrected.xml) matters: with MuJoCo's own, which "
-        f"creeps, the same numbers err by {creeping:.2g} rad"
-    ]
-
-
-def _mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " n"]:
-    """Dry friction's mean along runs, at the positions that were measured."""
-    sizes = []
-    for r in records:
-        steps = len(r.time)
-        commanded = (
-            step_means(r.commanded.time, r.commanded.position, r.period, steps, x.delay, x.lag)
-            - x.offset
-        )
-        v = np.gradient(r.q, r.time, axis=0)
-        sizes.append(x.friction(x.torque(commanded, r.q - x.offset, v), v))
-    return np.mean(np.concatenate(sizes), axis=0)
 
 
 def _ordinary(
@@ -259,7 +226,7 @@ def _causal(plant, everything: Fit, records, least, progress) -> Fit:
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
     """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
-    keep = checks.needed(full, checks.loose(full.table, plant.loop), range(ordinaries))
+    keep = parsimony.needed(full, plant.loop, range(ordinaries))
     free = full.free.copy()
     free[[k for k in range(ordinaries) if k not in keep]] = False
     nominal = np.array([p.nominal for p in full.table])

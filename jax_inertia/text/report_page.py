@@ -6,8 +6,10 @@ from typing import Any
 import jinja2
 
 
-def rendered(package: str, filters: dict[str, Any], **values: Any) -> str:
-    """`templates/report.html` of a package, filled with `values`; it extends `page.html`, which has the style sheet."""
+def rendered(
+    package: str, filters: dict[str, Any], *, template: str = "report.html", **values: Any
+) -> str:
+    """A template of a package, filled with `values`; `report.html` extends `page.html`, which has the style sheet."""
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(
             [jinja2.PackageLoader(package), jinja2.PackageLoader("jax_inertia.text")]
@@ -18,4 +20,10 @@ def rendered(package: str, filters: dict[str, Any], **values: Any) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= filters
-    return environment.get_template("report.html").render(version=version("jax-inertia"), **values)
+    return environment.get_template(template).render(version=version("jax-inertia"), **values)
+
+
+def with_section(page: str, section: str) -> str:
+    """A page with one more section at its end."""
+    before, end, after = page.rpartition("</main>")
+    return f"{before}{section}{end}{after}"

@@ -1,7 +1,7 @@
 """What may be wrong beyond what every robot has: candidates that compete on what the ordinary numbers leave.
 
-Each is tried at a few sizes, the ordinary numbers following along the cost's parabola; the best few are fitted, and the
-best of them stays if evidence and a replay that played no part both ask for it.
+Each is tried at a few sizes, the ordinary numbers following along the cost's parabola, or given up; the best few are
+fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
 """
 
 import itertools
@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.candidates import Candidate, candidates
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
 MOST = 6
 LOG_ODDS = float(np.log(20.0))
@@ -24,10 +25,22 @@ _GAIN = 0.02
 _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
 _ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
+_FROM_NOMINAL = 1
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
-_AS_GOOD = 2.0 * float(np.log(20.0))
+AS_GOOD = 2.0 * float(np.log(20.0))
 """Of the cost: likelihoods that differ by less than twenty leave both possible."""
+
+
+class Search(NamedTuple):
+    """What the search for odd effects leaves."""
+
+    found: Fit
+    odd: tuple["Odd", ...]
+    possible: tuple[Candidate, ...]
+    """That did not get in, by less than a twentieth of the probability."""
+    pool: tuple[Candidate, ...]
+    """All that did not get in."""
 
 
 class Odd(NamedTuple):
@@ -47,26 +60,34 @@ def add_odd(
     floor: float,
     exclude: Sequence[str],
     progress: Callable[[str], None],
-) -> tuple[Fit, tuple[Odd, ...]]:
+) -> "Search":
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
-    now = plant.numbers(found.table, found.theta, None)
-    pool = [c for c in candidates(plant, records, now, torque) if c.family not in exclude]
-    best, out = _square(plant, found, held_out), []
+    numbers = plant.numbers(found.table, found.theta, None)
+    pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
+    best, out, possible = _square(plant, found, held_out), [], []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
+        about = Parabola(found, plant.loop, found.samples)
+        now = about.worth()
         fits = [
             (c, _fitted(plant, found, c, start, records, floor))
-            for c, start in _finalists(plant, found, pool, records)
+            for c, start in _finalists(plant, about, now.total, pool, records)
         ]
         if k == 0:
             fits += _afresh(plant, found, pool, records, floor)
-        passed = []
+            fits += _from_nominal(plant, found, pool, records, floor)
+        passed, possible = [], []
         for c, tried in fits:
-            evidence = total_cost(found, found) - total_cost(tried, found) - _price(found, c)
-            # A number that does not carry over to another stretch is none of the robot's.
-            carries = _square(plant, tried, held_out) <= (1.0 - _GAIN) ** 2 * best
-            if evidence > 0 and carries:
+            new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+            evidence = now.total - new.total - _price(found, c)
+            # A number that does not carry over to another stretch is none of the robot's; one that stands for several
+            # does if it does no harm.
+            simpler = new.kept + len(c.parameters) < now.kept
+            least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
+            if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
                 passed.append((evidence, c, tried))
+            elif evidence > -AS_GOOD:
+                possible.append(c)
         if not passed:
             break
         passed.sort(key=lambda x: -x[0])
@@ -77,14 +98,14 @@ def add_odd(
         )  # fmt: skip
         best = _square(plant, found, held_out)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
-        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - _AS_GOOD and c is not first)
+        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
         out.append(Odd(first, rows, rivals))
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
-    return found, tuple(out)
+    return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
 def _price(found: Fit, c: Candidate) -> float:
-    """What the cost must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
+    """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
@@ -94,23 +115,64 @@ def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
 
 
 def _finalists(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record]
+    plant: Plant,
+    about: Parabola,
+    now: float,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
 ) -> list[tuple[Candidate, tuple[float, ...]]]:
     """The candidates that promise most, and where each starts."""
     tries = [(c, s) for c in pool for s in c.starts]
     if not tries:
         return []
-    follow = _Following(found)
+    found = about.found
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
-        share, gain = follow.scaled(c, start, error) if c.scales else (1.0, follow.gain(error))
-        key = c.family, c.place
-        if gain > _price(found, c) and (key not in best or gain > best[key][0]):
-            start = tuple(share * np.array(start))
-            best[key] = gain, c, start
+        worth, share = _scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+        gain, key = now - worth.total, (c.family, c.place)
+        if gain > _price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
+            best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [(c, start) for gain, c, start in order if gain >= least]
+
+
+def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
+    """(S, multiple of the start) where a candidate is best scaled."""
+    p, own = c.parameters[0], start[0]
+    ends = sorted((p.low / own, p.high / own))
+    return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
+
+
+def _from_nominal(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that start at the nominal model with one effect and few ordinary numbers.
+
+    Where many ordinary numbers, each far off, pass for one effect, no small step leads from them to it: about them the
+    cost is no parabola as far as the nominal model. About that the effects are ranked, in units of the whole gap.
+    """
+    theta = np.where(found.free, nominal(found), found.theta)
+    start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
+    about = Parabola(start, plant.loop, start.samples)
+    bare = about.worth().total
+    tries = [(c, c.starts[0]) for c in pool if c.scales]
+    ranked = []
+    for c, size, error in tried_errors(plant, start, tries, records):
+        worth, share = _scaled(about, c, size, error)
+        ranked.append((bare - worth.total - _price(start, c), c, share * size[0], worth.off))
+    ranked.sort(key=lambda x: -x[0])
+    out = []
+    for gain, c, size, off in ranked[:_FROM_NOMINAL]:
+        if gain > 0:
+            new = theta.copy()
+            new[about.go] = nominal(found)[about.go] + off
+            free = np.append(found.free, True)
+            table = (*found.table, *c.parameters)
+            new = np.append(new, size)
+            fit = fitting.fit(plant, table, records, new, free=free, floor=floor, rounds=_ROUNDS)
+            out.append((c, fit))
+    return out
 
 
 def tried_errors(
@@ -132,39 +194,6 @@ def tried_errors(
             c, start = tries[k]
             touched = fitting.touches(plant, c.parameters[:1])[0]
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
-
-
-class _Following:
-    """By how much the cost falls with a change of the error, the free numbers following on the cost's parabola."""
-
-    def __init__(self, found: Fit):
-        self.found, self.free = found, found.free
-        w = found.weights
-        self.flat = (found.columns[self.free] * w.root).reshape(self.free.sum(), -1)
-        hessian = found.hessian[np.ix_(self.free, self.free)]
-        self.inverse = np.linalg.inv(hessian)
-        mean, sd = (np.array([getattr(p, k) for p in found.table]) for k in ("mean", "sd"))
-        self.pull = ((found.theta - mean) / sd**2)[self.free]
-        self.now = self._cost(found.error)
-
-    def _cost(self, error: np.ndarray) -> float:
-        white = (error * self.found.weights.root).ravel()
-        gradient = self.flat @ white + self.pull
-        return float(white @ white - gradient @ self.inverse @ gradient)
-
-    def gain(self, error: np.ndarray) -> float:
-        """Of an error as it is."""
-        return self.now - self._cost(error)
-
-    def scaled(self, c: Candidate, start, error: np.ndarray) -> tuple[float, float]:
-        """(multiple of the start, gain) where the change is best scaled, prior and bounds of the number included."""
-        p, change = c.parameters[0], error - self.found.error
-        costs = [self._cost(self.found.error + x * change) for x in (-1.0, 0.0, 1.0)]
-        prior = (start[0] / p.sd) ** 2
-        slope, bend = 0.5 * (costs[2] - costs[0]), 0.5 * (costs[2] + costs[0]) - costs[1] + prior
-        share = -slope / (2.0 * max(bend, 1e-300))
-        share = float(np.clip(share * start[0], p.low, p.high)) / start[0]
-        return share, -(slope * share + bend * share**2)
 
 
 def _afresh(
@@ -218,10 +247,3 @@ def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
         plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS, known=(error, columns),
         mended_only=True,
     )  # fmt: skip
-
-
-def total_cost(fit: Fit, weighed: Fit) -> float:
-    """Cost of a fit at the weights of another."""
-    free = fit.free
-    mean, sd = (np.array([getattr(p, k) for p in fit.table])[free] for k in ("mean", "sd"))
-    return float(fitting.cost(fit.error[None], weighed.weights, fit.theta[None, free], mean, sd)[0])

@@ -1,0 +1,64 @@
+"""Replays that prove or disprove the numbers of a fit, and what is to be said of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record, step_means
+from jax_inertia.replay.result import Replayed, total
+from jax_inertia.replay.simulate import replay
+
+_DRAWN = 32
+_CREEPS = 1.1
+
+
+def paths(plant: Plant, table, theta, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Positions (T, n) of each record, replayed."""
+    return tuple(replay(plant, table, theta[None], r)[0] for r in records)
+
+
+def fan(plant: Plant, found: Fit, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Between which positions (T, n) nine tenths of replays lie, of numbers drawn as the fit knows them."""
+    low, high = (np.array([getattr(p, side) for p in found.table]) for side in ("low", "high"))
+    size, way = np.linalg.eigh(found.covariance)
+    rng = np.random.default_rng(0)
+    off = rng.normal(size=(_DRAWN, len(size))) * np.sqrt(np.maximum(size, 0.0)) @ way.T
+    away = found.theta != np.array([p.nominal for p in found.table])
+    thetas = np.clip(np.where(away, found.theta + off, found.theta), low, high)
+    lower, upper = np.percentile(replay(plant, found.table, thetas, record), (5.0, 95.0), axis=0)
+    return lower, upper
+
+
+def worse(r: Replayed, names: Sequence[str]) -> tuple[str, ...]:
+    """Joints that the corrected model replays worse than the nominal one."""
+    limits = np.maximum(1.05 * r.before, 1.5 * r.floor)
+    return tuple(n for n, a, top in zip(names, r.after, limits, strict=True) if a > top)
+
+
+def creeping(bare: Plant, found: Fit, r: Replayed) -> list[str]:
+    """What is to be said where friction has to hold joints at rest."""
+    creeping = total(r.error(paths(bare, found.table, found.theta, r.records)))
+    if creeping <= _CREEPS * total(r.after):
+        return []
+    return [
+        "friction that holds a joint at rest (solimpfriction in corrected.xml) matters: with MuJoCo's own, which "
+        f"creeps, the same numbers err by {creeping:.2g} rad"
+    ]
+
+
+def mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " n"]:
+    """Dry friction's mean along runs, at the positions that were measured."""
+    sizes = []
+    for r in records:
+        steps = len(r.time)
+        commanded = (
+            step_means(r.commanded.time, r.commanded.position, r.period, steps, x.delay, x.lag)
+            - x.offset
+        )
+        v = np.gradient(r.q, r.time, axis=0)
+        sizes.append(x.friction(x.torque(commanded, r.q - x.offset, v), v))
+    return np.mean(np.concatenate(sizes), axis=0)

@@ -1,0 +1,162 @@
+"""What would have replayed as well in an effect's place: one number for another, all the others following.
+
+For each effect that was found, on the cost's parabola about the replay without it: every number that is not in use, and
+every effect whose replay grows in proportion to it, each at its best size. The best of those that cost no more than a
+twentieth of the likelihood are replayed, and stay if that holds of the replay, one more step of the others allowed.
+
+By the equation of a joint that moves alone, (I + I_a) q̈ + g(q) + friction = s kp (q* − q) − kd q̇: with I and g as of
+M + m in place of M, and friction, rotor and kd by the same factor 1 + m / M larger, s may be as much larger too.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import Parameter
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.odd import AS_GOOD, tried_errors
+
+Rows = tuple[int, ...]
+_MOST = 3
+"""That are replayed for each effect."""
+
+
+class Instead(NamedTuple):
+    """A number that would do, how large it would be, and the sum that binds both where it is by the equation."""
+
+    parameter: Parameter
+    value: float
+    bound: str = ""
+
+
+class _Try(NamedTuple):
+    unit: Rows
+    option: int
+    theta: np.ndarray
+
+
+def in_place_of(
+    plant: Plant,
+    found: Fit,
+    columns: Float[np.ndarray, "P N n"],
+    units: Sequence[Rows],
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+) -> Mapping[Rows, tuple[Instead, ...]]:
+    """By the rows of each effect; `columns`: derivatives of the error by all numbers of the table."""
+    if not units:
+        return {}
+    own = np.array([p.nominal for p in found.table])
+    thetas = np.repeat(found.theta[None], len(units) + 1, axis=0)
+    for theta, unit in zip(thetas[1:], units, strict=True):
+        theta[list(unit)] = own[list(unit)]
+    errors = fitting.errors(plant, found.table, thetas, records)
+    options = [c for c in pool if c.scales]
+    tries = [(c, c.starts[0]) for c in options]
+    about = found._replace(error=errors[0])
+    more = [(e - errors[0]) / s[0] for _, s, e in tried_errors(plant, about, tries, records)]
+    table = (*found.table, *(c.parameters[0] for c in options))
+    costs = _Costs(
+        found, table, np.concatenate([columns, np.array(more).reshape(-1, *columns.shape[1:])])
+    )
+    away = np.flatnonzero(found.free & (found.theta != own))
+    limit = costs.least(errors[0], costs.padded(found.theta), away) + AS_GOOD
+    each = float(np.log(max(found.samples, 2.0)))
+    kept: list[_Try] = []
+    for unit, theta, error in zip(units, thetas[1:], errors[1:], strict=True):
+        others = np.setdiff1d(away, unit)
+        free = np.setdiff1d(np.arange(len(table)), [*others, *unit])
+        usable = [k for k in free if np.isfinite(table[k].nominal) and np.any(costs.flat[k])]
+        ranked = costs.ranked(error, costs.padded(theta), others, np.array(usable, int))
+        room = limit + each * (len(unit) - 1)
+        kept += [_Try(unit, k, new) for cost, k, new in ranked[:_MOST] if cost <= room]
+    by_load = {u: x for u in units if (x := _by_load(plant, found, u, pool)) is not None}
+    proved = _proved(plant, records, costs, away, kept, limit, each)
+    return {u: (*by_load.get(u, ()), *proved.get(u, ())) for u in units}
+
+
+def _by_load(
+    plant: Plant, found: Fit, unit: Rows, pool: Sequence[Candidate]
+) -> tuple[Instead, ...] | None:
+    """The load that does what a kp does, at the body of a joint that moves alone."""
+    p, model = found.table[unit[0]], plant.model
+    if p.family != "kp_scale" or np.sum(plant.trees == plant.trees[p.joint]) > 1:
+        return None
+    body = model.body(model.dof_bodyid[plant.dof[p.joint]])
+    loads = [c.parameters[0] for c in pool if c.parameters[0].body == body.name]
+    scale = float(np.exp(found.theta[unit[0]]))
+    mass = float(body.mass[0]) * (1.0 / scale - 1.0)
+    text = (
+        f"{mass:.3g} kg more at {body.name}, with friction, rotor and kd {1.0 / scale:.3g} times these, is the same "
+        "motion: kp / (mass of what moves) is one number; torque parts them"
+    )
+    return tuple(Instead(x, mass, text) for x in loads if x.family == "payload")
+
+
+def _proved(plant, records, costs: "_Costs", away, tries: Sequence[_Try], limit, each):
+    """Those whose replays are as good."""
+    out: dict[Rows, tuple[Instead, ...]] = {}
+    if not tries:
+        return out
+    thetas = np.array([t.theta for t in tries])
+    for t, error in zip(tries, fitting.errors(plant, costs.table, thetas, records), strict=True):
+        free = np.append(np.setdiff1d(away, t.unit), t.option)
+        if costs.least(error, t.theta, free) <= limit + each * (len(t.unit) - 1):
+            p = costs.table[t.option]
+            out[t.unit] = (*out.get(t.unit, ()), Instead(p, float(t.theta[t.option])))
+    return out
+
+
+class _Costs:
+    """The cost on the parabola about an error, at the weights of a fit."""
+
+    def __init__(self, found: Fit, table: tuple[Parameter, ...], columns: np.ndarray):
+        self.table, self.root = table, found.weights.root
+        self.flat = (columns * self.root).reshape(len(table), -1)
+        self.mean, self.sd = (np.array([getattr(p, k) for p in table]) for k in ("mean", "sd"))
+        self.low, self.high = (np.array([getattr(p, k) for p in table]) for k in ("low", "high"))
+        self.hessian = self.flat @ self.flat.T + np.diag(self.sd**-2.0)
+
+    def padded(self, theta: np.ndarray) -> np.ndarray:
+        """With the options at nothing."""
+        return np.append(theta, [p.nominal for p in self.table[len(theta) :]])
+
+    def _at(self, error, theta, free) -> tuple[float, np.ndarray]:
+        white = (error * self.root).ravel()
+        pull = (theta - self.mean) / self.sd
+        gradient = self.flat @ white
+        gradient[free] += (pull / self.sd)[free]
+        return float(white @ white + np.sum(pull[free] ** 2)), gradient
+
+    def least(self, error, theta, free) -> float:
+        """With the numbers in `free` at their best."""
+        now, gradient = self._at(error, theta, free)
+        own = self.hessian[np.ix_(free, free)]
+        return now - float(gradient[free] @ np.linalg.solve(own, gradient[free]))
+
+    def ranked(self, error, theta, others, options) -> list[tuple[float, int, np.ndarray]]:
+        """(cost, option, numbers) with each option at its best, `others` following, the least first."""
+        if not len(options):
+            return []
+        now, gradient = self._at(error, theta, others)
+        across = self.hessian[np.ix_(others, options)]
+        solved = np.linalg.solve(
+            self.hessian[np.ix_(others, others)], np.column_stack([gradient[others], across])
+        )
+        slope = gradient[options] - across.T @ solved[:, 0]
+        bend = np.diagonal(self.hessian)[options] - np.sum(across * solved[:, 1:], axis=0)
+        size = np.clip(-slope / bend, *(x[options] - theta[options] for x in (self.low, self.high)))
+        costs = now - gradient[others] @ solved[:, 0] + 2 * slope * size + bend * size**2
+        out = []
+        for i in np.argsort(costs)[:_MOST]:
+            new = theta.copy()
+            new[options[i]] += size[i]
+            new[others] -= solved[:, 0] + solved[:, 1 + i] * size[i]
+            out.append((float(costs[i]), int(options[i]), np.clip(new, self.low, self.high)))
+        return out
