@@ -154,7 +154,7 @@ def test_what_is_slow_of_a_residual_is_learned():
 
 def rescaled(errors):
     """Scale of the centres of mass of five bodies, whose errors are given in units of the stated tolerance."""
-    count = 10 * 5 + 1
+    count = 10 * 5 + 2
     numbers = np.zeros(count)
     numbers[[10 * body + 1 + axis for body in range(5) for axis in range(3)]] = errors
     place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, 20.0)

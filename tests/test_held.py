@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jax_inertia.logs.log import Log
-from jax_inertia.signals.held import FASTER, LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
+from jax_inertia.signals.held import LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
 
 ARMATURE, STEP, HOLD = 0.1, 1e-3, 20
 XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>
@@ -74,8 +74,3 @@ def test_a_loop_is_not_seen_where_there_is_none():
     assert position_loop(Log(log.time, log.joint_names, log.qpos, noise)) is None
     other = Log(log.time, log.joint_names, log.qpos, noise, qpos_target=log.qpos_target)
     assert position_loop(other) is None
-    fast = Log(
-        log.time / 3, log.joint_names, log.qpos, log.tau, log.qvel, qpos_target=log.qpos_target
-    )
-    assert fast.rate > FASTER
-    assert position_loop(fast) is None

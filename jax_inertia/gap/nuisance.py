@@ -23,7 +23,7 @@ from jax_inertia.logs.findings import run_bounds
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.signals.dry_friction import sign
-from jax_inertia.signals.held import LOOP_LATE_ERROR
+from jax_inertia.signals.held import LOOP_LATE_ERROR, loop_late
 from jax_inertia.signals.torque_residual import needed_torques, without_friction
 
 
@@ -118,9 +118,10 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     shifts = _shifts(context.time, context.tau, tolerance.period / log.rate, most / log.rate)
     fixed.append(Columns(np.stack(shifts, axis=2)))
     if (loop := context.prepared.loop) is not None:
-        rows = [context.joint_dofs[name] for name in log.joint_names]
+        rows = list(context.prepared.driven)
         late = np.zeros_like(v)
-        late[:, rows] = LOOP_LATE_ERROR * (loop.kp * v[:, rows] + loop.kd * a[:, rows])
+        error = LOOP_LATE_ERROR * loop_late(log.rate)
+        late[:, rows] = error * (loop.kp * v[:, rows] + loop.kd * a[:, rows])
         fixed.append(Columns(late[:, :, None]))
     if context.wrench is not None and context.prepared.support is None:
         # A foot that is set down changes its force by tens of weights a second.

@@ -24,7 +24,7 @@ from jax_inertia.signals.bands import ESTIMATE
 from jax_inertia.signals.differences import central_differences
 from jax_inertia.signals.filtering import low_pass, mask, resample
 from jax_inertia.signals.generalised_motion import generalised
-from jax_inertia.signals.held import position_loop
+from jax_inertia.signals.held import FASTER, position_loop
 
 ROWS = 512
 """As many moments of a log are looked at: one size, so that a robot is compiled for once."""
@@ -118,7 +118,7 @@ def parts(log: Log, robot: Robot) -> Parts | None:
     touched = log.contact_wrench is not None or bool(log.contact_bodies)
     if robot.has_free_base or touched or not all(robot.topology.dof_scalar):
         return None
-    if position_loop(mask(log).log) is not None:
+    if log.rate < FASTER and position_loop(mask(log).log) is not None:
         # Rebuilt from targets: what is off may be the loop's.
         return None
     bands = ESTIMATE.at(round(log.rate, 6))

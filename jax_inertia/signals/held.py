@@ -13,6 +13,8 @@ with the period h,
 is by how much the sampled torque exceeds the mean one. A loop much slower than h leaves kp V h/2, half a period; one
 that settles within it leaves more. The loop itself holds its torque for some δ, and so is late by d = δ/2: its mean is
 kp V d more, and the jolts are those of kd − kp d and M − kd d.
+
+A log of 100 Hz and more sees the jolts as they go: there only the target is held for a sample, and r is part of q.
 """
 
 import dataclasses
@@ -27,9 +29,10 @@ from jax_inertia.logs.log import AnyArray, Log, LogError, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
 
 FASTER = 100.0
-"""Logs of this rate [Hz] and more are taken to be as fast as their loop: what they hold, they hold for a period."""
-LOOP_LATE, LOOP_LATE_ERROR = 1e-3, 0.7e-3
-"""How late the loop itself is, and how well that is known [s]: half the hold of loops of 250 Hz to 1 kHz and more."""
+"""Logs of this rate [Hz] and more see what a new target does to a joint before the next sample."""
+LOOP_LATE, LOOP_LATE_ERROR = 1e-3, 0.7
+"""How late the loop itself is [s], and how well that is known, relative: half the hold of loops of 250 Hz to 1 kHz and
+more."""
 # Of a torque's variance that targets, positions and velocities must explain for it to be a position loop's.
 _LOOP = 0.9
 
@@ -95,11 +98,11 @@ def with_loop_torque(
 
 
 def position_loop(log: Log) -> PositionLoop | None:
-    """The position loop behind the torques of a slow log, by least squares; None where the log shows none.
+    """The position loop behind a log's torques, by least squares; None where the log shows none.
 
     A joint has one where nine tenths of its torque's variance are kp (q* − q) − kd q̇. Every value must be finite.
     """
-    if log.qpos_target is None or log.rate >= FASTER:
+    if log.qpos_target is None:
         return None
     target, q, tau = (np.asarray(x, float) for x in (log.qpos_target, log.qpos, log.tau))
     v = derivative(np.asarray(log.time), q) if log.qvel is None else np.asarray(log.qvel, float)
@@ -124,9 +127,12 @@ def of_loop(
     """
     target, q = np.asarray(log.qpos_target, float), np.asarray(log.qpos, float)
     time = np.asarray(log.time)
-    late = _late(loop, inertia)
-    jolts = np.stack([_jolt(loop, x, 1.0 / log.rate, late) for x in inertia])
-    jolt = interpolate.make_interp_spline(at, jolts, k=1)(time) if len(at) > 1 else jolts
+    late = _late(loop, inertia, log.rate)
+    if log.rate >= FASTER:
+        jolt = np.diag(loop.kp)[None]
+    else:
+        jolts = np.stack([_jolt(loop, x, 1.0 / log.rate, late) for x in inertia])
+        jolt = interpolate.make_interp_spline(at, jolts, k=1)(time) if len(at) > 1 else jolts
     # −V h/2, also where V changes.
     held = later(target, 0.5) - target
     v = derivative(time, q)
@@ -134,10 +140,15 @@ def of_loop(
     return np.asarray(log.tau) + np.einsum("tij,tj->ti", jolt, held) + late * follows
 
 
-def _late(loop: PositionLoop, inertia: Float[np.ndarray, "m n n"]) -> float:
+def loop_late(rate: float) -> float:
+    """How late a position loop is [s] that a log of some rate [Hz] samples: it is no slower than its log."""
+    return min(LOOP_LATE, 0.5 / rate)
+
+
+def _late(loop: PositionLoop, inertia: Float[np.ndarray, "m n n"], rate: float) -> float:
     """How late the loop is [s]; a loop of d > M / kd would not be stable, and one of half that hardly is."""
     own = np.diagonal(inertia, axis1=1, axis2=2).min(axis=0)
-    return float(np.min(0.5 * own / np.maximum(loop.kd, 1e-9), initial=LOOP_LATE))
+    return float(np.min(0.5 * own / np.maximum(loop.kd, 1e-9), initial=loop_late(rate)))
 
 
 def _jolt(

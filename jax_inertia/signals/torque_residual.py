@@ -66,6 +66,8 @@ class Prepared(eqx.Module):
     by_feet: bool = eqx.field(static=True, default=False)
     """Whether how the base accelerates is taken from its feet alone."""
     loop: PositionLoop | None = None
+    driven: tuple[int, ...] = ()
+    """Row of each of the log's joints, in its order."""
     """Of the log's joints, in their order, where their torque was taken for that of one."""
 
     @property
@@ -205,6 +207,7 @@ def prepare(
         knows_velocity=not robot.has_free_base or log.base_pos is not None,
         by_feet=robot.has_free_base and log.base_pos is None and log.base_linacc is None,
         loop=loop,
+        driven=tuple(_rows_of(robot, log)),
     )
 
 
@@ -245,9 +248,13 @@ def _inertia(robot: Robot, log: Log) -> tuple[Float[np.ndarray, " m"], Float[np.
     motion = generalised(unmoved(log), robot)
     picked = np.linspace(0, len(log.time) - 1, _POSTURES).astype(int)
     every = jax.vmap(rigid_body.mass_matrix, (None, 0))(robot, jnp.asarray(motion.q)[picked])
-    dofs = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
-    rows = [dofs[name] for name in log.joint_names]
+    rows = _rows_of(robot, log)
     return np.asarray(log.time)[picked], np.asarray(every)[:, rows][:, :, rows]
+
+
+def _rows_of(robot: Robot, log: Log) -> list[int]:
+    dofs = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
+    return [int(dofs[name]) for name in log.joint_names]
 
 
 def _standing(measured: Float[np.ndarray, "T nv"], support: Support) -> Float[np.ndarray, "T nv"]:

@@ -6,6 +6,7 @@ from jaxtyping import Float, Int
 from jax_inertia.diagnosis.effects.base import Columns, Effect
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.signals.held import LOOP_LATE_ERROR, loop_late
 
 TIMING = 0.1
 """Standard deviation of when within a sample's period a torque acted, of the period."""
@@ -29,17 +30,31 @@ class InertialTolerances(Effect):
         ]
         slope = np.gradient(context.tau, context.time, axis=0)
         out.append((TIMING * shape[3] * slope)[..., None])
+        out.append(_lateness(context, shape[3])[..., None])
         return Columns(np.concatenate(out, axis=-1))
 
     def scale(self, context, place, shape):
-        return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 1)
+        return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 2)
 
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
-        """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timing."""
-        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 1) // 10), 3)
+        """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timings."""
+        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [3, 3])
 
     def numbers(self, context, place, shape, theta):
         return {}
+
+
+def _lateness(context: Context, period: float) -> Float[np.ndarray, "T nv"]:
+    """Torque of one standard deviation of how late a position loop is, of the joints that have one [N m].
+
+    The loop's period is in no log: kp q̇ + kd q̈ times half of it passes for friction and rotor inertia of all joints.
+    """
+    out = np.zeros_like(context.v)
+    if (loop := context.prepared.loop) is not None:
+        rows = list(context.prepared.driven)
+        error = LOOP_LATE_ERROR * loop_late(1.0 / period)
+        out[:, rows] = error * (loop.kp * context.v[:, rows] + loop.kd * context.a[:, rows])
+    return out
 
 
 def inertial_changes(

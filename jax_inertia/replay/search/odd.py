@@ -179,8 +179,8 @@ def tried_errors(
     plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
 ) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
     """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
-    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]))
-    for first in range(0, rows.max() + 1, _AT_ONCE):
+    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
+    for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
         mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
         more = [p for k in mine for p in tries[k][0].parameters]
         theta = np.concatenate([found.theta, [p.nominal for p in more]])
