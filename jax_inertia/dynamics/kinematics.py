@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia.maths import spatial
-from jax_inertia.maths.batch_last import compose, cross, skew, turn
+from jax_inertia.maths.batch_last import compose, cross, skew, total, turn
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, Robot
 
 
@@ -134,7 +134,7 @@ def _times(
     once for every i."""
     n, i, k, *batch = coefficients.shape
     if math.prod(batch) > 1:
-        return jnp.sum(coefficients * basis[:, None], 2)
+        return total(coefficients * basis[:, None], 2)
     flat = basis.reshape(n, k, math.prod(basis.shape[2:]))
     out = jnp.matmul(coefficients.reshape(n, i, k), flat, precision=jax.lax.Precision.HIGHEST)
     return out.reshape(n, i, *basis.shape[2:])

@@ -16,7 +16,16 @@ from jax_inertia.dynamics.kinematics import (
 )
 from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
 from jax_inertia.maths import spatial
-from jax_inertia.maths.batch_last import compose, cross, lever, skew, symmetric, turn, turn_back
+from jax_inertia.maths.batch_last import (
+    compose,
+    cross,
+    lever,
+    skew,
+    symmetric,
+    total,
+    turn,
+    turn_back,
+)
 from jax_inertia.model.robot import Robot
 
 
@@ -92,8 +101,8 @@ def _torque(
     nodes = np.array(robot.topology.body_node, int)
     force = turn(kin.rotation[nodes], force)
     moment = turn(kin.rotation[nodes], moment) + cross(kin.position[nodes], force)
-    total = accumulate_inward(robot, jnp.concatenate([moment, force], 1))
-    return jnp.sum(kin.axes * total, 1)
+    wrench = accumulate_inward(robot, jnp.concatenate([moment, force], 1))
+    return total(kin.axes * wrench, 1)
 
 
 def _regressor(
@@ -141,7 +150,7 @@ def mass_matrix(robot: Robot, q: Array) -> Float[Array, "nv nv ..."]:
     h = composite[:, 1:4]
     moment = turn(symmetric(composite[:, 4:]), w) + cross(h, u)
     force = composite[:, :1] * u - cross(h, w)
-    coupling = jnp.sum(kin.axes[:, None] * jnp.concatenate([moment, force], 1)[None], 2)
+    coupling = total(kin.axes[:, None] * jnp.concatenate([moment, force], 1)[None], 2)
     # Entry [j, k] holds where joint j carries joint k; the other half follows by symmetry.
     batch = [1 for _ in coupling.shape[2:]]
     carries = np.triu(top.node_dof[top.dof_node].T).reshape(robot.nv, robot.nv, *batch)

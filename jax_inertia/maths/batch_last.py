@@ -110,8 +110,21 @@ def _map(whole: Callable[..., Any], chunk: int, batched: list[bool], leaves: tup
     return out
 
 
-# Lists of 3-vectors (n, 3, *b) and of 3×3 matrices (n, 3, 3, *b). Sums over components are written as reductions: XLA
-# neither takes these apart into products of tiny matrices, nor computes them again in every operation that reads them.
+def total(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
+    """The sum over a short axis that is not the batch's, computed once and not again in every operation that reads it.
+
+    As a reduction, but for a CPU with a newer jax: seen with 0.12, though not yet with 0.9, XLA fuses short reductions
+    into loops over single samples, some twenty times as slow. There it is spelt out, behind a barrier, since what is
+    spelt out would be computed again.
+    """
+    if jax.default_backend() != "cpu" or jax.__version_info__ < (0, 10):
+        return jnp.sum(x, axis)
+    parts = (jax.lax.index_in_dim(x, k, axis, keepdims=False) for k in range(x.shape[axis]))
+    return jax.lax.optimization_barrier(sum(parts))
+
+
+# Lists of 3-vectors (n, 3, *b) and of 3×3 matrices (n, 3, 3, *b). Sums over components are no products of matrices: XLA
+# would take each of those for a tiny one of its own.
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -123,19 +136,19 @@ def cross(a: Float[Array, "n 3 ..."], b: Float[Array, "n 3 ..."]) -> Float[Array
 
 def turn(m: Float[Array, "n 3 3 ..."], x: Float[Array, "n 3 ..."]) -> Float[Array, "n 3 ..."]:
     """m x."""
-    return jnp.sum(m * x[:, None], 2)
+    return total(m * x[:, None], 2)
 
 
 def turn_back(m: Float[Array, "n 3 3 ..."], x: Float[Array, "n 3 ..."]) -> Float[Array, "n 3 ..."]:
     """mᵀ x."""
-    return jnp.sum(m * x[:, :, None], 1)
+    return total(m * x[:, :, None], 1)
 
 
 def compose(
     a: Float[Array, "n i 3 ..."], b: Float[Array, "n 3 k ..."]
 ) -> Float[Array, "n i k ..."]:
     """a b."""
-    return jnp.sum(a[:, :, :, None] * b[:, None], 2)
+    return total(a[:, :, :, None] * b[:, None], 2)
 
 
 def skew(a: Float[Array, "n 3 ..."]) -> Float[Array, "n 3 3 ..."]:
