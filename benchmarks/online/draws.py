@@ -237,8 +237,11 @@ def _rotate(quat: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def noise_of_torque(who: Subject, window: int = WINDOW) -> np.ndarray:
-    """σ of an observation's Δτ, accelerations apart (nv,): the mean over a window by the trapezoid rule."""
-    mean = np.sqrt(window - 0.5) / window
+    """σ of an observation's Δτ, accelerations apart (nv,), as a sum of many has it.
+
+    Windows that follow one another share a sample, half of it each: one mean has σ √(w − ½) / w, n of them σ √(n / w).
+    """
+    mean = window**-0.5
     sigma = np.full(who.model.nv, who.sigma_tau)
     if who.floating:
         sigma[:6] = who.sigma_wrench

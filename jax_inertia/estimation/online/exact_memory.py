@@ -43,7 +43,7 @@ from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.torque_residual import torque_residual
+from jax_inertia.signals.window_mean import jerk_since, mean_residual
 
 
 class ExactState(eqx.Module):
@@ -55,6 +55,8 @@ class ExactState(eqx.Module):
     ends: Float[Array, "nv n_and_1"]
     """Error of the velocities at the window's end, mean [slope by −π, at π = 0]."""
     ends_covariance: Float[Array, "nv nv"]
+    acceleration: Float[Array, " nv"]
+    """Of the sample before, for how fast it changes; NaN where there was none."""
     doubted_for: Float[Array, ""]
     """How long every sample has contradicted the belief [s]."""
 
@@ -93,6 +95,7 @@ class ExactEstimator(eqx.Module):
             memory=jnp.zeros((n, n + 1), dtype),
             ends=jnp.zeros((nv, n + 1), dtype),
             ends_covariance=jnp.diag(self.sigma_v**2),
+            acceleration=jnp.full(nv, jnp.nan, dtype),
             doubted_for=jnp.zeros((), dtype),
         )
 
@@ -106,7 +109,9 @@ class ExactEstimator(eqx.Module):
         pi, n = self._pi(state.belief.mean), len(self.prior.mean)
         believed = self.robot.believed(self.bodies, pi.reshape(-1, 10))
         inertia = mass_matrix(believed, jnp.asarray(observation.motion.q))
-        rows, used = self._unexplained(observation)
+        a = jnp.asarray(observation.a)
+        jerk = jerk_since(state.acceleration, a, dt)
+        rows, used = self._unexplained(observation, jerk, dt)
         counted = used.astype(dt.dtype)
 
         # The error of the window's beginning is known from the window before, that of its end is not.
@@ -128,8 +133,8 @@ class ExactEstimator(eqx.Module):
         # forces and the belief agree, which the innovation does not correlate with.
         start = state.ends[:, :n] @ pi - state.ends[:, n]
         shift = (start + both @ lever.T @ settled) / dt
-        agreed = eqx.tree_at(lambda o: o.a, observation, observation.a + shift)
-        rows, _ = self._unexplained(agreed)
+        agreed = eqx.tree_at(lambda o: o.a, observation, a + shift)
+        rows, _ = self._unexplained(agreed, jerk, dt)
         rows = rows.at[:, n].add(inertia @ shift) + (inertia / dt) @ state.ends
         white = noise.whiten(rows, counted)
         finite = jnp.all(jnp.isfinite(white))
@@ -146,13 +151,15 @@ class ExactEstimator(eqx.Module):
         known = jnp.where(good, fresh - gain.T @ gain, fresh)
         waited = jnp.where(reopened, 0.0, state.doubted_for) + dt
         waited = jnp.where(good | (count == 0), 0.0, waited)
-        after = ExactState(belief, memory, ends, known, waited)
+        after = ExactState(belief, memory, ends, known, a, waited)
         return after, ExactStep(belief, nis, count, weight, reopened)
 
-    def _unexplained(self, observation: Observation) -> tuple[Array, Bool[Array, " nv"]]:
-        """([Y, Δτ], which rows are measured), zero where they are not."""
+    def _unexplained(
+        self, observation: Observation, jerk: Float[Array, " nv"], dt: Float[Array, ""]
+    ) -> tuple[Array, Bool[Array, " nv"]]:
+        """([Y, Δτ] as the window's means, which rows are measured), zero where they are not."""
         zero = jnp.zeros(self.robot.nv, self.prior.mean.dtype)
-        regressor, residual = torque_residual(self.robot, observation, self.bodies, zero)
+        regressor, residual = mean_residual(self.robot, observation, self.bodies, zero, jerk, dt)
         flat = regressor.reshape(len(residual), -1)
         rows = jnp.concatenate([flat, -residual[:, None]], axis=1)
         used = jnp.asarray(observation.motion.valid) & jnp.all(jnp.isfinite(rows), axis=1)
@@ -249,7 +256,7 @@ def make_exact_estimator(
     sigma_tau: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float = 1.0,
     sigma_v: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float,
     prior: Uncertainty | None = None,
-    drift: Uncertainty | Float[Array, ""] | float = 3600.0,
+    drift: Uncertainty | Float[Array, ""] | float = float("inf"),
     noise: Noise | None = None,
     reopen_after: Float[Array, ""] | float = settings.REOPEN_AFTER,
     iterations: int = 3,

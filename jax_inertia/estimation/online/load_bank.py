@@ -48,7 +48,7 @@ from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.torque_residual import torque_residual
+from jax_inertia.signals.window_mean import jerk_since, mean_residual
 
 
 class BankState(eqx.Module):
@@ -71,6 +71,8 @@ class BankState(eqx.Module):
     """Mean product of neighbouring whitened residuals."""
     rest: Float[Array, ""]
     """How long the filter still needs for what was opened last [s]."""
+    acceleration: Float[Array, " nv"]
+    """Of the sample before, for how fast it changes; NaN where there was none."""
 
 
 class BankStep(eqx.Module):
@@ -122,6 +124,7 @@ class LoadBank(eqx.Module):
             last=jnp.zeros(self.estimator.robot.nv, dtype),
             product=0.0 * one,
             rest=0.0 * one,
+            acceleration=jnp.full(self.estimator.robot.nv, jnp.nan, dtype),
         )
 
     @in_full_precision
@@ -131,7 +134,11 @@ class LoadBank(eqx.Module):
         """Take one sample that comes `dt` [s] after the one before."""
         own = self.estimator
         observation = floats_as(observation, own.robot.pi.dtype)
-        regressor, residual = torque_residual(own.robot, observation, own.bodies, state.filter.bias)
+        a, dt = jnp.asarray(observation.a), jnp.asarray(dt, own.robot.pi.dtype)
+        jerk = jerk_since(state.acceleration, a, dt)
+        regressor, residual = mean_residual(
+            own.robot, observation, own.bodies, state.filter.bias, jerk, dt
+        )
         delta = -residual
         noise = own.noise
         if own.sigma_a is not None:
@@ -140,6 +147,7 @@ class LoadBank(eqx.Module):
             spread = inertia * own.sigma_a
             noise = noise.plus(spread @ spread.T)
         valid = jnp.asarray(observation.motion.valid) & jnp.isfinite(delta)
+        state = eqx.tree_at(lambda s: s.acceleration, state, a)
         return self.update(state, regressor, delta, valid, noise, dt)
 
     @in_full_precision
@@ -214,12 +222,14 @@ class LoadBank(eqx.Module):
     def _gather(self, state: BankState, h: Array, z: Array, lost: Array, dt: Array) -> BankState:
         """The sample into every window; the oldest begins anew, and all wait while the filter settles."""
         age, still = state.age + dt, state.rest > 0
-        # The last window waits for a change to be noticed.
-        anew = jnp.append(age[:-1] >= self.memory, state.age[-1] <= 0) | still
+        # The last window waits for a change to be noticed, by this sample or an earlier one.
+        waits = state.age[-1] <= 0
+        anew = jnp.append(age[:-1] >= self.memory, waits) | still
         keep = jnp.where(anew, 0.0, 1.0)
-        information = keep[:, None, None] * state.information + h.T @ h
-        vector = keep[:, None] * state.vector + h.T @ z
-        lost = keep * state.lost + lost
+        taken = jnp.ones_like(keep).at[-1].set(jnp.where(waits, 0.0, 1.0))
+        information = keep[:, None, None] * state.information + taken[:, None, None] * (h.T @ h)
+        vector = keep[:, None] * state.vector + taken[:, None] * (h.T @ z)
+        lost = keep * state.lost + taken * lost
         turned = jnp.where(anew[:-1], age[:-1] - self.memory, age[:-1])
         turned = jnp.where(still, -self._staggered(age.dtype), turned)
         age = jnp.append(turned, jnp.where(still, 0.0, age[-1]))
