@@ -45,8 +45,8 @@ def gathered(folder: Path) -> dict:
     if elbow:
         out["elbow_rmse_rad"] = float(np.median([e["rmse_rad"]["median"] for e in elbow]))
         out["elbow"] = elbow
-    constant = [h for h in honest if h["filter"] == "constant"]
-    out["nees_in_bounds"] = int(bool(constant) and all(h["nees_mean_in_bounds"] for h in constant))
+    exact = [h for h in honest if h["filter"] == "exact"]
+    out["nees_in_bounds"] = int(bool(exact) and all(h["nees_mean_in_bounds"] for h in exact))
     return out
 
 

@@ -1,7 +1,7 @@
 """What runs at 333 Hz on every robot: estimator, hand-over, reference, whole-body controller, batched over the fleet.
 
-Three controllers share one code and differ in the parameters that they are told: `NONE` the nominal ones, `ADAPTIVE`
-the filter's through the slew, `ORACLE` the true ones.
+Four controllers share one code and differ in the parameters that they are told: `NONE` the nominal ones, `ADAPTIVE`
+the filter's through the slew, `ORACLE` the true ones, `COMPOSITE` the filter's moved by the tasks' error besides.
 """
 
 from collections.abc import Callable
@@ -17,9 +17,15 @@ from jaxtyping import Array, Float, Int
 
 from benchmarks.paper.plant import PER_TICK, TICK, Sensed, Sensors
 from jax_inertia import load_model
+from jax_inertia.control.composite import composite_step
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
-from jax_inertia.dynamics.rigid_body import body_jacobian, body_poses, mass_matrix
+from jax_inertia.dynamics.rigid_body import (
+    body_jacobian,
+    body_poses,
+    mass_matrix,
+    torque_regressor,
+)
 from jax_inertia.estimation.inertial_filter import Estimator, State, Step, make_estimator
 from jax_inertia.estimation.online.slew import Slew
 from jax_inertia.estimation.priors import Uncertainty
@@ -33,8 +39,8 @@ from jax_inertia.robots import CORNERS
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.generalised_motion import Motion
 
-NONE, ADAPTIVE, ORACLE = range(3)
-MODES = ("none", "adaptive", "oracle")
+NONE, ADAPTIVE, ORACLE, COMPOSITE = range(4)
+MODES = ("none", "adaptive", "oracle", "composite")
 FEET = ("left_foot_link", "right_foot_link")
 POINTS = np.array([c.pos for c in CORNERS]).reshape(2, 4, 3)
 ARM = ("shoulder", "elbow")
@@ -64,6 +70,8 @@ class Memory(eqx.Module):
     handed: Float[Array, "n 10"]
     plan: Any
     time: Float[Array, ""]
+    reference: Reference
+    """Of the tick before; its own is not known before the parameters are told."""
 
 
 class Output(eqx.Module):
@@ -91,18 +99,32 @@ class Brain(eqx.Module):
     estimator: Estimator
     slew: Slew
     refer: Refer
+    gain: Float[Array, ""]
+    """γ of `COMPOSITE`, see `moved_by_the_task`."""
 
     def start(self, plan: Any) -> Memory:
         """Memory of one robot before its first tick."""
         nominal = self.robot.pi[np.array(self.estimator.bodies)]
-        return Memory(self.estimator.initial(), nominal, plan, jnp.zeros(()))
+        zero = jnp.zeros(())
+        none = Reference(
+            com_acceleration=jnp.zeros(2),
+            height=jnp.zeros(3),
+            heading=zero,
+            foot=jnp.zeros((2, 3, 3)),
+            foot_heading=jnp.zeros(2),
+            contact=jnp.zeros(8),
+            stance=jnp.zeros(2),
+            posture=jnp.zeros((3, self.robot.nv - 6)),
+        )
+        return Memory(self.estimator.initial(), nominal, plan, zero, none)
 
     def tick(self, memory: Memory, x: Inputs) -> tuple[Memory, Output]:
         """One robot, one tick."""
         bodies = self.estimator.bodies
         running, step, pi = self.follow(memory.filter, x)
         handed = self.slew.step(memory.handed, pi, TICK)
-        told = jnp.stack([self.robot.pi[np.array(bodies)], handed, x.truth])[x.mode]
+        moved = self.moved_by_the_task(handed, x, memory)
+        told = jnp.stack([self.robot.pi[np.array(bodies)], handed, x.truth, moved])[x.mode]
         now = self.controller.terms(self.robot.with_pi(bodies, told), x.q, x.v)
         plan, reference, record = self.refer(memory.plan, now, x, memory.time)
         command = self.controller.command(now, x.q, x.v, reference)
@@ -116,7 +138,24 @@ class Brain(eqx.Module):
             command.converged,
             record,
         )
-        return Memory(running, handed, plan, memory.time + TICK), out
+        return Memory(running, handed, plan, memory.time + TICK, reference), out
+
+    def moved_by_the_task(
+        self, pi: Float[Array, "n 10"], x: Inputs, memory: Memory
+    ) -> Float[Array, "n 10"]:
+        """π of the bodies, moved by the tasks' error s along the geodesic of composite adaptation.
+
+        The filter is the law's part that follows the prediction's error, with its own covariance for a gain; this is
+        the part that follows the task's, proportional to s (Landau 1979, proportional and integral adaptation): torques
+        gain −γ Y P Yᵀ s, which takes energy from s whatever π is. s = v − v_r, with v_r from the rates at which the
+        tasks' own feedback lets errors decay; rows that no task asks for have none.
+        """
+        regressor = torque_regressor(
+            self.robot, x.q, x.v, jnp.zeros_like(x.v), self.estimator.bodies
+        )
+        s = tracking_error(self.robot, self.controller, x.q, x.v, memory.reference)
+        s = jnp.where(memory.time > 0, s, 0.0)
+        return composite_step(pi, regressor, s, self.gain, 1.0)
 
     def follow(self, state: State, x: Inputs) -> tuple[State, Step, Float[Array, "n 10"]]:
         """The filter's part of a tick: its state, what the sample gave, and π of the bodies."""
@@ -137,6 +176,31 @@ class Brain(eqx.Module):
             quaternions=(3,),
         )
         return Observation(motion, x.a)
+
+
+def tracking_error(
+    robot: Robot,
+    controller: WholeBody,
+    q: Float[Array, " nq"],
+    v: Float[Array, " nv"],
+    reference: Reference,
+) -> Float[Array, " nv"]:
+    """s = v − v_r of the pelvis's height and attitude and of the arms, zero in the other rows [m/s, rad/s]."""
+    gains, height, posture = controller.gains, reference.height, reference.posture
+    rise = v[2] - height[1] + decay_rate(gains.height) * (q[2] - height[0])
+    turned = spatial.axis_angle_to_matrix(jnp.array([0.0, 0.0, 1.0]), reference.heading)
+    base = body_poses(robot, q)[0][0]
+    away = 0.5 * jnp.sum(spatial.cross(turned.T, base.T), axis=0)  # world axes, small angles
+    turn = v[3:6] + decay_rate(gains.orientation) * (base.T @ away)
+    arms = v[6:] - posture[1] + decay_rate(gains.posture) * (q[7:] - posture[0])
+    arms = jnp.where(np.array(controller.arm), arms, 0.0)
+    return jnp.concatenate([jnp.zeros(2), rise[None], turn, arms])
+
+
+def decay_rate(gain: tuple) -> Float[Array, ""]:
+    """λ of v_r = −λ e for feedback −k e − d ė: the slower root of x² − d x + k [1/s]."""
+    k, d = (jnp.asarray(x, float) for x in gain)
+    return 0.5 * (d - jnp.sqrt(jnp.maximum(d**2 - 4.0 * k, 0.0)))
 
 
 def foot_wrenches(
@@ -206,6 +270,8 @@ class Settings:
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s
+    gain: float = 0.1
+    """γ of the tasks' error, where it moves what the filter hands over."""
     noisy_regressor: bool = False
     """Noise of accelerations is told as such, not as torque in the home pose; samples that windows share count once."""
 
@@ -259,7 +325,7 @@ def make_brain(
         arm_joints=[j for j in robot.joint_names if any(a in j for a in ARM)],
         gains=jax.tree.map(jnp.asarray, gains),
     )
-    return Brain(robot, controller, estimator, Slew(settings.slew), refer)
+    return Brain(robot, controller, estimator, Slew(settings.slew), refer, jnp.asarray(settings.gain))
 
 
 def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:

@@ -179,5 +179,5 @@ def summary(x: np.ndarray) -> dict[str, float]:
 
 def by_controller(mode: np.ndarray, error: np.ndarray) -> dict[str, Any]:
     """Median of each controller by its name, and under `intervals` their `summary`."""
-    rows = {name: summary(error[mode == i]) for i, name in enumerate(MODES)}
+    rows = {name: summary(error[mode == i]) for i, name in enumerate(MODES) if np.any(mode == i)}
     return {**{name: row["median"] for name, row in rows.items()}, "intervals": rows}

@@ -5,8 +5,9 @@ in single support and moves it in a straight line in double support; running the
 three steps gives ξ_ref now. Feedback p = p_ref + (1 + k/ω)(ξ − ξ_ref), clipped to the soles, sets the centre of
 mass's acceleration ω² (c − p). Only the error that the clipped p cannot remove before touchdown moves the next step.
 
-The ground is flat boxes on a grid, known or not: a robot that does not know takes the next step to be as high as the
-foot it stands on.
+The ground is flat boxes on a grid, known or not. A robot that does not know it takes the next step to be as high as its
+last ones were, a mean that forgets (`level_share`): heights about a plane differ from it by half the variance by which
+they differ from one another.
 """
 
 import equinox as eqx
@@ -70,6 +71,10 @@ class Walk(eqx.Module):
     """Of the critically damped filter from support height to pelvis height [rad/s]."""
     touchdown_force: Float[Array, ""]
     """Vertical force by which a foot is taken to have landed [N]."""
+    level_share: Float[Array, ""]
+    """How much of what unknown ground is expected to be comes from the last foothold, 0 to 1."""
+    above_target: Float[Array, ""]
+    """Share of the swing after which the foot is over its target."""
 
 
 class Plan(eqx.Module):
@@ -92,6 +97,8 @@ class Plan(eqx.Module):
     height: Float[Array, "2"]
     """Pelvis height's reference and its velocity."""
     steps: Float[Array, ""]
+    level: Float[Array, ""]
+    """Mean height of the footholds so far [m], the last counting most."""
 
 
 def begin(walk: Walk, height: Float[Array, ""] | float) -> Plan:
@@ -107,6 +114,7 @@ def begin(walk: Walk, height: Float[Array, ""] | float) -> Plan:
         zmp=jnp.stack([walk.sole_centre, zero]),
         height=jnp.stack([jnp.asarray(height), zero]),
         steps=zero,
+        level=zero,
     )
 
 
@@ -188,7 +196,7 @@ def _target(
     apart = jnp.maximum(side * (wanted[1] - stance[1]), 0.8 * 2.0 * walk.half_width)
     wanted = jnp.stack([wanted[0], stance[1] + side * apart])
     wanted = _foothold(walk, wanted)
-    target = jnp.concatenate([wanted, _level(walk, wanted, stance)[None] + walk.sole_depth])
+    target = jnp.concatenate([wanted, _level(walk, wanted, plan)[None] + walk.sole_depth])
     settle = jnp.where(single & (plan.time > 0.85 * walk.single), 0.0, 0.15)
     target = plan.target + jnp.where(plan.time < 2 * dt, 1.0, settle) * (target - plan.target)
     return jnp.where(single, target, jnp.concatenate([nominal[:2], target[2:]]))
@@ -238,6 +246,8 @@ def _advance(
         zmp=jnp.where(touchdown, stance[:2] + centre, plan.zmp),
         height=plan.height,
         steps=plan.steps + touchdown,
+        level=plan.level
+        + jnp.where(lift_off, walk.level_share, 0.0) * (stance[2] - walk.sole_depth - plan.level),
     )
 
 
@@ -327,18 +337,19 @@ def _foothold(walk: Walk, wanted: Float[Array, "2"]) -> Float[Array, "2"]:
     return wanted + jnp.where(walk.knows_ground > 0.5, offsets[best], 0.0)
 
 
-def _level(walk: Walk, foot: Float[Array, "2"], stance: Float[Array, "3"]) -> Float[Array, ""]:
-    """Height that a foot there would stand on: the highest under its sole, or the stance foot's."""
+def _level(walk: Walk, foot: Float[Array, "2"], plan: Plan) -> Float[Array, ""]:
+    """Height that a foot there would stand on: the highest under its sole, or what the last footholds had."""
     centre = foot + jnp.stack([walk.sole_centre, 0.0 * walk.sole_centre])
     known = jnp.max(walk.ground.at(centre + walk.sole_half * _SIGNS))
-    return jnp.where(walk.knows_ground > 0.5, known, stance[2] - walk.sole_depth)
+    return jnp.where(walk.knows_ground > 0.5, known, plan.level)
 
 
 def _swing(walk: Walk, plan: Plan, target: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Position, velocity and acceleration of the foot in the air."""
     t, start = plan.time, plan.lifted
     way = (target - start)[:2]
-    across = _quintic(t / (0.92 * walk.single), 0.92 * walk.single, way, 0.0 * way)
+    reached = walk.above_target * walk.single
+    across = _quintic(t / reached, reached, way, 0.0 * way)
     path = start[:2] + jnp.linspace(0.0, 1.0, 7)[:, None, None] * way
     sole = jnp.stack([walk.sole_centre, 0.0 * walk.sole_centre]) + walk.sole_half * _SIGNS
     highest = jnp.max(walk.ground.at(path + sole)) + walk.sole_depth

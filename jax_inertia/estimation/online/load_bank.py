@@ -73,6 +73,8 @@ class BankState(eqx.Module):
     """How long the filter still needs for what was opened last [s]."""
     acceleration: Float[Array, " nv"]
     """Of the sample before, for how fast it changes; NaN where there was none."""
+    expected: Float[Array, " n"]
+    """Mean of Δπ of a change that has been noticed and not opened yet."""
 
 
 class BankStep(eqx.Module):
@@ -125,6 +127,7 @@ class LoadBank(eqx.Module):
             product=0.0 * one,
             rest=0.0 * one,
             acceleration=jnp.full(self.estimator.robot.nv, jnp.nan, dtype),
+            expected=jnp.zeros(n, dtype),
         )
 
     @in_full_precision
@@ -142,7 +145,9 @@ class LoadBank(eqx.Module):
         delta = -residual
         noise = own.noise
         if own.sigma_a is not None:
-            believed = own.robot.believed(own.bodies, self._pi(state))
+            # A load that is not in the filter yet has its share of the accelerations' noise already.
+            pi = self._pi(state) + state.expected.reshape(-1, 10)
+            believed = own.robot.believed(own.bodies, pi)
             inertia = mass_matrix(believed, jnp.asarray(observation.motion.q))
             spread = inertia * own.sigma_a
             noise = noise.plus(spread @ spread.T)
@@ -189,7 +194,9 @@ class LoadBank(eqx.Module):
         widened = eqx.tree_at(lambda e: e.noise, own, noise)
         after, _ = widened.update(moved, regressor, -delta, used, dt)
         rest = jnp.where(opened, self.settle, jnp.maximum(state.rest - dt, 0.0))
-        state = eqx.tree_at(lambda s: (s.filter, s.rest), state, (after, rest))
+        expected = jnp.where(noticed & (rest <= 0), self._expected(state, pi, best), 0.0)
+        at = lambda s: (s.filter, s.rest, s.expected)  # noqa: E731
+        state = eqx.tree_at(at, state, (after, rest, expected))
         estimate = own.chart.to_pi(after.belief.mean.reshape(-1, 10))
         none = jnp.asarray(-1, best.dtype)
         return state, BankStep(probability, since, jnp.where(opened, best, none), weight, estimate)
@@ -271,6 +278,16 @@ class LoadBank(eqx.Module):
         best = jnp.argmax(links)
         at = jnp.argmax(begun[:, best])
         return jnp.concatenate([total[:1], links]), best, state.age[at]
+
+    def _expected(
+        self, state: BankState, pi: Float[Array, " n"], best: Int[Array, ""]
+    ) -> Float[Array, " n"]:
+        """Mean of Δπ by the best candidate, from what has come since a change was noticed."""
+        mask = self._masks(pi.dtype)[best]
+        left = (state.vector[-1] - state.information[-1] @ pi) @ self.spread
+        seen = self.spread.T @ state.information[-1] @ self.spread
+        inner = jnp.eye(len(pi), dtype=pi.dtype) + mask[:, None] * mask * seen
+        return self.spread @ jnp.linalg.solve(inner, mask * left)
 
     def _opened(self, state: State, best: Int[Array, ""], opened: Bool[Array, ""]) -> State:
         """The filter with the links of the best candidate opened."""
