@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from jax_inertia import inverse_dynamics, load_model, mass_matrix
-from jax_inertia.control.composite import composite_step, divergence, reference_regressor
-from jax_inertia.dynamics.rigid_body import passive_torque
+from jax_inertia.control.composite import (
+    composite_step,
+    damping_step,
+    divergence,
+    reference_regressor,
+)
+from jax_inertia.dynamics.rigid_body import passive_torque, torque_regressor
 from jax_inertia.maths.inertial_parameters import from_com, is_physical
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.generalised_motion import Motion
@@ -101,6 +106,22 @@ def run(robot, gain: float, predict: float, seconds: float = 5.0):
         mujoco.mj_forward(plant, data)
         a, tau = data.qacc.copy(), np.asarray(torque)
     return [np.array(x) for x in zip(*rows, strict=True)]
+
+
+def test_the_task_s_error_decays_at_the_stated_rate_along_what_the_body_can_do(robot):
+    """−y of the change, taken through M⁻¹, is `rate` times the part of s along M⁻¹ y; other joints' errors stay."""
+    q = jnp.array([0.4, -0.7])
+    y = torque_regressor(robot, q, jnp.zeros(2), jnp.zeros(2), (HAND,))
+    mass, pi = mass_matrix(robot, q), robot.pi[HAND][None]
+    for s in (jnp.array([1e-5, -2e-5]), jnp.array([0.0, 3e-5])):
+        moved = damping_step(pi, y, s, mass, rate=50.0)
+        torque = jnp.einsum("vbp,bp->v", y, moved - pi)
+        pushed = jnp.linalg.solve(mass, torque)
+        along = (torque @ s) / (torque @ pushed) * pushed
+        np.testing.assert_allclose(pushed, -50.0 * along, rtol=1e-3)
+    np.testing.assert_allclose(damping_step(pi, y, jnp.zeros(2), mass, rate=50.0), pi)
+    far = damping_step(pi, y, jnp.array([30.0, -50.0]), mass, rate=50.0)
+    assert bool(is_physical(far).all())
 
 
 @pytest.mark.slow

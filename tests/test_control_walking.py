@@ -34,6 +34,7 @@ def walk(height: np.ndarray | None = None, **changes) -> w.Walk:
         "feedback": 3.0,
         "height_rate": 8.0,
         "touchdown_force": 20.0,
+        "level_share": 0.25,
     } | changes
     arrays = {name: jnp.asarray(float(x)) for name, x in numbers.items()}
     return w.Walk(ground=ground, posture=jnp.zeros(23), sole_half=jnp.array([0.11, 0.05]), **arrays)
@@ -178,3 +179,23 @@ def test_the_pelvis_rises_only_once_the_rear_foot_has_left(single, rises):
     height = walking(begun)[1].height
     assert (float(height[2]) > 1.0) == rises
     assert float(height[0]) == pytest.approx(1.02, abs=1e-3)
+
+
+def test_unknown_ground_is_taken_to_be_as_high_as_the_last_footholds_were():
+    """Heights about a plane: the mean that forgets is off by less than the foothold before is."""
+    figures = walk(knows_ground=0.0)
+    rng = np.random.default_rng(0)
+    heights, state, off = rng.uniform(-0.02, 0.02, 400), plan(single=0.0, double=0.0), []
+    expected = jax.jit(lambda p: w._level(figures, jnp.zeros(2), p))
+    lift_off = jax.jit(lambda p, feet: w._advance(figures, p, feet, jnp.zeros(2), jnp.asarray(5.0), 0.003))
+    for k, height in enumerate(heights[:-1]):
+        feet = jnp.full((2, 3), height + float(figures.sole_depth))
+        state = lift_off(eqx.tree_at(lambda p: p.single, state, jnp.zeros(())), feet)
+        off.append((float(expected(state)) - heights[k + 1], height - heights[k + 1]))
+    mean, last = np.sqrt(np.mean(np.square(off[20:]), axis=0))
+    assert mean < 0.8 * last
+    # On a slope it lags by a few steps and no more.
+    for k in range(60):
+        feet = jnp.full((2, 3), 0.01 * k + float(figures.sole_depth))
+        state = lift_off(eqx.tree_at(lambda p: p.single, state, jnp.zeros(())), feet)
+    assert float(expected(state)) == pytest.approx(0.01 * (59 - 3), abs=0.002)

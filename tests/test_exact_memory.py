@@ -84,3 +84,10 @@ def test_its_plus_minus_is_honest(dtype):
     assert 0.85 <= found["within_2_sigma"] <= 1.0
     assert found["nees_below_95"] >= 0.85
     assert found["nis_per_row"] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_windows_in_which_an_arm_turns_bias_nothing():
+    """Seven joints at 1 Hz: rows of the windows' mean motion, for the mean rows, had a NEES of twice its mean."""
+    found = honest.trials("arm", 96, "float32")
+    assert found["nees_mean_in_bounds"]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import results
+from benchmarks.paper.loop import summary
 
 
 def gathered(folder: Path) -> dict:
@@ -41,17 +42,35 @@ def gathered(folder: Path) -> dict:
             "right_link": sum(s["right_link"] for s in steps),
             "false": sum(s["false"] for s in steps),
         }
-    elbow = [v for k, v in part.items() if k.startswith("elbow")]
-    if elbow:
-        out["elbow_rmse_rad"] = float(np.median([e["rmse_rad"]["median"] for e in elbow]))
-        out["elbow"] = elbow
+    for name, figure in (("elbow", "elbow_rmse_rad"), ("pelvis", "pelvis_rmse_m")):
+        loop = _controllers([v for k, v in part.items() if k.startswith(f"{name}_")])
+        if loop:
+            out[name], out[figure] = loop, loop["composite"]["rmse"]["median"]
+    blind = _controllers([v for k, v in part.items() if k.startswith("blind_")])
+    if blind:
+        own = blind["adaptive"]
+        out["blind"], out["blind_up"] = blind, own["rmse"]["seeds"] - own["fell"]
     exact = [h for h in honest if h["filter"] == "exact"]
     out["nees_in_bounds"] = int(bool(exact) and all(h["nees_mean_in_bounds"] for h in exact))
     return out
+
+
+def _controllers(parts: list[dict]) -> dict:
+    """Summaries over all parts of an experiment in the loop, by controller."""
+    names = [name for name in parts[0] if name != "seeds"] if parts else []
+    return {
+        name: {
+            "rmse": summary(np.concatenate([p[name]["rmse"] for p in parts])),
+            "fell": sum(p[name]["fell"] for p in parts),
+            "unphysical": sum(p[name]["unphysical"] for p in parts),
+        }
+        for name in names
+    }
 
 
 if __name__ == "__main__":
     found_ = gathered(Path(sys.argv[1]))
     results.save_json(results.RESULTS / "online.json", {"about": results.circumstances(), **found_})
     shown = ("load_link", "load_link_worst", "false_switches_per_min", "spike_kg", "elbow_rmse_rad")
-    print({k: found_.get(k) for k in (*shown, "nees_in_bounds", "touchdowns")})
+    more = ("pelvis_rmse_m", "blind_up", "nees_in_bounds", "touchdowns")
+    print({k: found_.get(k) for k in (*shown, *more)})

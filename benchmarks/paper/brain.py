@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from benchmarks.paper.plant import PER_TICK, TICK, Sensed, Sensors
 from jax_inertia import load_model
-from jax_inertia.control.composite import composite_step
+from jax_inertia.control.composite import damping_step
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
 from jax_inertia.dynamics.rigid_body import (
@@ -99,8 +99,8 @@ class Brain(eqx.Module):
     estimator: Estimator
     slew: Slew
     refer: Refer
-    gain: Float[Array, ""]
-    """γ of `COMPOSITE`, see `moved_by_the_task`."""
+    damping: Float[Array, ""]
+    """Rate at which `COMPOSITE` lets the tasks' error decay [1/s], see `moved_by_the_task`."""
 
     def start(self, plan: Any) -> Memory:
         """Memory of one robot before its first tick."""
@@ -145,17 +145,15 @@ class Brain(eqx.Module):
     ) -> Float[Array, "n 10"]:
         """π of the bodies, moved by the tasks' error s along the geodesic of composite adaptation.
 
-        The filter is the law's part that follows the prediction's error, with its own covariance for a gain; this is
-        the part that follows the task's, proportional to s (Landau 1979, proportional and integral adaptation): torques
-        gain −γ Y P Yᵀ s, which takes energy from s whatever π is. s = v − v_r, with v_r from the rates at which the
-        tasks' own feedback lets errors decay; rows that no task asks for have none.
+        The filter is the part of the law that follows the prediction's error, with its covariance for a gain; this is
+        the part that follows the task's.
         """
-        regressor = torque_regressor(
-            self.robot, x.q, x.v, jnp.zeros_like(x.v), self.estimator.bodies
-        )
-        s = tracking_error(self.robot, self.controller, x.q, x.v, memory.reference)
+        bodies = self.estimator.bodies
+        regressor = torque_regressor(self.robot, x.q, x.v, jnp.zeros_like(x.v), bodies)
+        s = tracking_error(self.controller, x.q, x.v, memory.reference)
         s = jnp.where(memory.time > 0, s, 0.0)
-        return composite_step(pi, regressor, s, self.gain, 1.0)
+        mass = mass_matrix(self.robot.with_pi(bodies, pi), x.q)
+        return damping_step(pi, regressor, s, mass, self.damping)
 
     def follow(self, state: State, x: Inputs) -> tuple[State, Step, Float[Array, "n 10"]]:
         """The filter's part of a tick: its state, what the sample gave, and π of the bodies."""
@@ -179,22 +177,21 @@ class Brain(eqx.Module):
 
 
 def tracking_error(
-    robot: Robot,
     controller: WholeBody,
     q: Float[Array, " nq"],
     v: Float[Array, " nv"],
     reference: Reference,
 ) -> Float[Array, " nv"]:
-    """s = v − v_r of the pelvis's height and attitude and of the arms, zero in the other rows [m/s, rad/s]."""
+    """s = v − v_r of the pelvis's height and of the arms, zero in the other rows [m/s, rad/s].
+
+    v_r has errors decay at the rate of the tasks' own feedback. Attitude is left out: what corrects it is the centre of
+    mass, which the walk's plan is made of.
+    """
     gains, height, posture = controller.gains, reference.height, reference.posture
     rise = v[2] - height[1] + decay_rate(gains.height) * (q[2] - height[0])
-    turned = spatial.axis_angle_to_matrix(jnp.array([0.0, 0.0, 1.0]), reference.heading)
-    base = body_poses(robot, q)[0][0]
-    away = 0.5 * jnp.sum(spatial.cross(turned.T, base.T), axis=0)  # world axes, small angles
-    turn = v[3:6] + decay_rate(gains.orientation) * (base.T @ away)
     arms = v[6:] - posture[1] + decay_rate(gains.posture) * (q[7:] - posture[0])
     arms = jnp.where(np.array(controller.arm), arms, 0.0)
-    return jnp.concatenate([jnp.zeros(2), rise[None], turn, arms])
+    return jnp.concatenate([jnp.zeros(2), rise[None], jnp.zeros(3), arms])
 
 
 def decay_rate(gain: tuple) -> Float[Array, ""]:
@@ -270,8 +267,7 @@ class Settings:
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s
-    gain: float = 0.1
-    """γ of the tasks' error, where it moves what the filter hands over."""
+    damping: float = 60.0  # 1/s, of the tasks' error where it moves what the filter hands over
     noisy_regressor: bool = False
     """Noise of accelerations is told as such, not as torque in the home pose; samples that windows share count once."""
 
@@ -325,7 +321,7 @@ def make_brain(
         arm_joints=[j for j in robot.joint_names if any(a in j for a in ARM)],
         gains=jax.tree.map(jnp.asarray, gains),
     )
-    return Brain(robot, controller, estimator, Slew(settings.slew), refer, jnp.asarray(settings.gain))
+    return Brain(robot, controller, estimator, Slew(settings.slew), refer, jnp.asarray(settings.damping))
 
 
 def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:

@@ -62,7 +62,6 @@ def walk_figures(
         "height_rate": 8.0,
         "touchdown_force": max(20.0, 8.0 * force_noise),
         "level_share": 0.25,
-        "above_target": 0.92,
     }
     half = np.array([(SOLE_X[1] - SOLE_X[0]) / 2 - 0.015, SOLE_HALF_WIDTH - 0.01])
     return Walk(

@@ -88,6 +88,40 @@ def composite_step(
     return inertial_parameters.from_pseudo_inertia(moved @ jnp.swapaxes(moved, -1, -2))
 
 
+@in_full_precision
+def damping_step(
+    pi: Float[Array, "n 10"],
+    regressor: Float[Array, "nv n 10"],
+    s: Float[Array, " nv"],
+    mass: Float[Array, "nv nv"],
+    rate: Float[Array, ""] | float,
+) -> Float[Array, "n 10"]:
+    """π̂ moved in proportion to the task's error, by the γ at which s decays at `rate` [1/s] along Y Γ Yᵀ s.
+
+    Proportional adaptation (Landau 1979, sec. 3.3) beside a π̂ that something else estimates: torques gain −γ Y Γ Yᵀ s,
+    which takes energy from s whatever π̂ is off by. With y = Y Γ Yᵀ s, Γ the natural metric and M the `mass` matrix, s has
+    the part y yᵀ s / yᵀ M⁻¹ y along M⁻¹ y, so that γ = rate · sᵀ y / yᵀ M⁻¹ y. Physical whenever `pi` is.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.control.composite import damping_step
+    >>> from jax_inertia.maths.inertial_parameters import from_com
+    >>> pi = from_com(jnp.array([2.0]), jnp.array([[0.0, 0.0, 0.1]]), 0.02 * jnp.eye(3)[None])
+    >>> held = jnp.zeros((1, 1, 10)).at[0, 0, 0].set(9.81)  # a slide of 2 kg that lags by 1 mm/s: 2 · 10 · 0.001 N more
+    >>> after = damping_step(pi, held, jnp.array([-1e-3]), 2.0 * jnp.eye(1), rate=10.0)
+    >>> round(float(9.81 * (after - pi)[0, 0]), 4)
+    0.02
+    """
+    metric = inertial_parameters.pseudo_inertia(pi)
+    slope = jnp.einsum("vbp,v->bp", regressor, s)
+    pull = jnp.einsum("pij,bp->bij", _dual(pi.dtype), slope)
+    y = jnp.einsum(
+        "vbp,bp->v", regressor, inertial_parameters.from_pseudo_inertia(metric @ pull @ metric)
+    )
+    mobility = y @ jnp.linalg.solve(mass, y)
+    gain = rate * (s @ y) / jnp.where(mobility > 0, mobility, 1.0)
+    return composite_step(pi, regressor, s, jnp.where(mobility > 0, gain, 0.0), 1.0)
+
+
 def divergence(pi: Float[Array, "*b 10"], estimate: Float[Array, "*b 10"]) -> Float[Array, "*b"]:
     """Bregman's D(P ‖ P̂) of two bodies [nats]: log det P̂ / det P + tr P̂⁻¹ P − 4.
 

@@ -73,8 +73,6 @@ class Walk(eqx.Module):
     """Vertical force by which a foot is taken to have landed [N]."""
     level_share: Float[Array, ""]
     """How much of what unknown ground is expected to be comes from the last foothold, 0 to 1."""
-    above_target: Float[Array, ""]
-    """Share of the swing after which the foot is over its target."""
 
 
 class Plan(eqx.Module):
@@ -348,8 +346,7 @@ def _swing(walk: Walk, plan: Plan, target: Float[Array, "3"]) -> Float[Array, "3
     """Position, velocity and acceleration of the foot in the air."""
     t, start = plan.time, plan.lifted
     way = (target - start)[:2]
-    reached = walk.above_target * walk.single
-    across = _quintic(t / reached, reached, way, 0.0 * way)
+    across = _quintic(t / (0.92 * walk.single), 0.92 * walk.single, way, 0.0 * way)
     path = start[:2] + jnp.linspace(0.0, 1.0, 7)[:, None, None] * way
     sole = jnp.stack([walk.sole_centre, 0.0 * walk.sole_centre]) + walk.sole_half * _SIGNS
     highest = jnp.max(walk.ground.at(path + sole)) + walk.sole_depth

@@ -367,3 +367,24 @@ def read_factor(u: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
     logs = [jnp.log(n[..., i, i]) for i in range(3)]
     rest = [n[..., i, j] for i, j in _PLACES[4:]]
     return jnp.stack([jnp.log(scale), *logs, *rest], axis=-1)
+
+
+def as_bodies(pi: Float[Array, "b 10"], thinnest: float = 0.01) -> Float[Array, "b 10"]:
+    """π with a mass, and a spread of at least `thinnest` [m] about its centre, in all directions.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.inertial_parameters import as_bodies, is_physical
+    >>> point = jnp.array([[2.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.02, 0.0, 0.02]])
+    >>> bool(is_physical(point)[0]), bool(is_physical(as_bodies(point))[0])
+    (False, True)
+    """
+    mass = jnp.maximum(pi[:, 0], 1e-2)
+    com = pi[:, 1:4] / mass[:, None]
+    spread = pseudo_inertia(pi)[:, :3, :3]
+    about = spread - mass[:, None, None] * com[:, :, None] * com[:, None, :]
+    values, axes = jnp.linalg.eigh(about)
+    values = jnp.maximum(values, (thinnest**2 * mass)[:, None])
+    about = jnp.sum(axes[:, :, None, :] * axes[:, None, :, :] * values[:, None, None, :], axis=-1)
+    trace = jnp.trace(about, axis1=1, axis2=2)
+    inertia = trace[:, None, None] * jnp.eye(3, dtype=pi.dtype) - about
+    return from_com(mass, com, inertia)

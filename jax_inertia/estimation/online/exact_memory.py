@@ -245,7 +245,7 @@ class ExactEstimator(eqx.Module):
         inner = jnp.eye(len(z), dtype=z.dtype) + scaled.T @ scaled
         shift = jnp.linalg.solve(inner, scaled.T @ (z - r @ nominal))
         pi = (nominal + root @ shift).reshape(-1, 10)
-        x = self.chart.from_pi(_as_bodies(pi))
+        x = self.chart.from_pi(inertial_parameters.as_bodies(pi))
         return jnp.where(jnp.all(jnp.isfinite(x)), x, self.prior.mean.reshape(-1, 10)).ravel()
 
 
@@ -317,17 +317,3 @@ def _sample(
     nis = jnp.maximum(nu @ nu - half @ half, 0.0)
     rest = solve_triangular(factor, half, trans=1, lower=True)
     return nis, mixture(nis, rows)[1], nu - root @ rest
-
-
-def _as_bodies(pi: Float[Array, "b 10"], thinnest: float = 0.01) -> Float[Array, "b 10"]:
-    """π with a mass, and a spread of at least `thinnest` [m] about its centre, in all directions."""
-    mass = jnp.maximum(pi[:, 0], 1e-2)
-    com = pi[:, 1:4] / mass[:, None]
-    spread = inertial_parameters.pseudo_inertia(pi)[:, :3, :3]
-    about = spread - mass[:, None, None] * com[:, :, None] * com[:, None, :]
-    values, axes = jnp.linalg.eigh(about)
-    values = jnp.maximum(values, (thinnest**2 * mass)[:, None])
-    about = jnp.sum(axes[:, :, None, :] * axes[:, None, :, :] * values[:, None, None, :], axis=-1)
-    trace = jnp.trace(about, axis1=1, axis2=2)
-    inertia = trace[:, None, None] * jnp.eye(3, dtype=pi.dtype) - about
-    return inertial_parameters.from_com(mass, com, inertia)

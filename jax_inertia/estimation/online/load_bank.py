@@ -42,7 +42,7 @@ from jax_inertia.maths import inertial_parameters
 from jax_inertia.maths.argument_checks import floats_as, is_positive, require
 from jax_inertia.maths.charts import LogCholeskyUUt
 from jax_inertia.maths.gates import FixedGate
-from jax_inertia.maths.kalman import cholesky
+from jax_inertia.maths.kalman import Belief, cholesky
 from jax_inertia.maths.noise import Noise
 from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
@@ -189,12 +189,13 @@ class LoadBank(eqx.Module):
         state = eqx.tree_at(
             lambda s: s.age, state, state.age.at[-1].set(jnp.where(noticed, state.age[-1], 0.0))
         )
-        moved = self._opened(state.filter, best, opened)
+        expected = self._expected(state, pi, best)
+        moved = self._opened(state.filter, best, opened, pi + expected)
         noise = noise.scaled(state.size / (jnp.maximum(weight, 1e-6) * _effective(state)))
         widened = eqx.tree_at(lambda e: e.noise, own, noise)
         after, _ = widened.update(moved, regressor, -delta, used, dt)
         rest = jnp.where(opened, self.settle, jnp.maximum(state.rest - dt, 0.0))
-        expected = jnp.where(noticed & (rest <= 0), self._expected(state, pi, best), 0.0)
+        expected = jnp.where(noticed & (rest <= 0), expected, 0.0)
         at = lambda s: (s.filter, s.rest, s.expected)  # noqa: E731
         state = eqx.tree_at(at, state, (after, rest, expected))
         estimate = own.chart.to_pi(after.belief.mean.reshape(-1, 10))
@@ -289,17 +290,25 @@ class LoadBank(eqx.Module):
         inner = jnp.eye(len(pi), dtype=pi.dtype) + mask[:, None] * mask * seen
         return self.spread @ jnp.linalg.solve(inner, mask * left)
 
-    def _opened(self, state: State, best: Int[Array, ""], opened: Bool[Array, ""]) -> State:
-        """The filter with the links of the best candidate opened."""
+    def _opened(
+        self, state: State, best: Int[Array, ""], opened: Bool[Array, ""], pi: Float[Array, " n"]
+    ) -> State:
+        """The filter with the links of the best candidate opened, at what the hypothesis takes them to be.
+
+        A load may be many times its link: from the bare link the first samples would be taken at a slope that is not the
+        loaded one's, and what that leaves looks like a load on a neighbour.
+        """
         links = len(self.estimator.bodies)
         of = np.zeros((len(self.candidates), links))
         for k, chosen in enumerate(self.candidates):
             of[k, list(chosen)] = 1.0
-        dtype = state.belief.mean.dtype
-        which = jnp.asarray(of, dtype)[best] * opened
+        which = jnp.asarray(of, pi.dtype)[best] * opened
         more = jax.scipy.linalg.block_diag(*(which[:, None, None] * self.opening))
-        belief = eqx.tree_at(lambda b: b.covariance, state.belief, state.belief.covariance + more)
-        return eqx.tree_at(lambda s: s.belief, state, belief)
+        old = state.belief.mean.reshape(-1, 10)
+        new = self.estimator.chart.from_pi(inertial_parameters.as_bodies(pi.reshape(-1, 10)))
+        there = (which[:, None] > 0) & jnp.all(jnp.isfinite(new), axis=1, keepdims=True)
+        mean = jnp.where(there, new, old).ravel()
+        return eqx.tree_at(lambda s: s.belief, state, Belief(mean, state.belief.covariance + more))
 
     def _masks(self, dtype: jnp.dtype) -> Float[Array, "candidates n"]:
         links = len(self.estimator.bodies)
