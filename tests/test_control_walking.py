@@ -187,7 +187,9 @@ def test_unknown_ground_is_taken_to_be_as_high_as_the_last_footholds_were():
     rng = np.random.default_rng(0)
     heights, state, off = rng.uniform(-0.02, 0.02, 400), plan(single=0.0, double=0.0), []
     expected = jax.jit(lambda p: w._level(figures, jnp.zeros(2), p))
-    lift_off = jax.jit(lambda p, feet: w._advance(figures, p, feet, jnp.zeros(2), jnp.asarray(5.0), 0.003))
+    lift_off = jax.jit(
+        lambda p, feet: w._advance(figures, p, feet, jnp.zeros(2), jnp.asarray(5.0), 0.003)
+    )
     for k, height in enumerate(heights[:-1]):
         feet = jnp.full((2, 3), height + float(figures.sole_depth))
         state = lift_off(eqx.tree_at(lambda p: p.single, state, jnp.zeros(())), feet)

@@ -49,9 +49,7 @@ def moving(base: str) -> tuple[mujoco.MjModel, Observation]:
         mujoco.mj_integratePos(plant, data.qpos, middle, STEP)
     time, q, v, tau = (np.array(x) for x in zip(*rows, strict=True))
     at = {"hinge": (), "ball": (0,), "free": (3,)}[base]
-    motion = Motion(
-        time=time, q=q, v=v, tau=tau, valid=np.ones(v.shape, bool), quaternions=at
-    )
+    motion = Motion(time=time, q=q, v=v, tau=tau, valid=np.ones(v.shape, bool), quaternions=at)
     every = aligned_differences(motion, WINDOW)
     kept = {n: getattr(every.motion, n)[::WINDOW] for n in ("time", "q", "v", "tau", "valid")}
     return plant, Observation(dataclasses.replace(every.motion, **kept), every.a[::WINDOW])
@@ -77,7 +75,7 @@ def test_a_window_s_torque_is_that_of_the_mean_rows(base):
     first = jnp.full((1, plant.nv), jnp.nan)
     mean, plain = jax.jit(jax.vmap(both))(jnp.concatenate([first, log.a[:-1]]), log)
     mean, plain = (np.sqrt(np.mean(np.asarray(x)[1:] ** 2)) for x in (mean, plain))
-    assert plain > 3e-3  # N m
+    assert plain > 1e-3  # N m
     assert mean < 0.15 * plain
 
 

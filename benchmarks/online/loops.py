@@ -1,4 +1,4 @@
-"""Composite adaptation in the humanoid's loop, and blind walks: the paper's experiments, seed by seed, beside the filter.
+"""Composite adaptation in the humanoid's loop, and blind walks: the paper's experiments, seed by seed, beside EKF.
 
     python -m benchmarks.online.loops elbow | pelvis | blind FIRST COUNT OUT
 

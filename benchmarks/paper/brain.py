@@ -99,8 +99,8 @@ class Brain(eqx.Module):
     estimator: Estimator
     slew: Slew
     refer: Refer
-    damping: Float[Array, ""]
-    """Rate at which `COMPOSITE` lets the tasks' error decay [1/s], see `moved_by_the_task`."""
+    damping: Float[Array, ""] | None
+    """Rate at which `COMPOSITE` lets the tasks' error decay [1/s]; None: nobody runs it."""
 
     def start(self, plan: Any) -> Memory:
         """Memory of one robot before its first tick."""
@@ -148,6 +148,8 @@ class Brain(eqx.Module):
         The filter is the part of the law that follows the prediction's error, with its covariance for a gain; this is
         the part that follows the task's.
         """
+        if self.damping is None:
+            return pi
         bodies = self.estimator.bodies
         regressor = torque_regressor(self.robot, x.q, x.v, jnp.zeros_like(x.v), bodies)
         s = tracking_error(self.controller, x.q, x.v, memory.reference)
@@ -267,7 +269,9 @@ class Settings:
     gate: Gate | None = None
     reopen_after: float = float("inf")
     slew: float = 1e6  # kg/s
-    damping: float = 60.0  # 1/s, of the tasks' error where it moves what the filter hands over
+    damping: float | None = (
+        None  # 1/s, of the tasks' error where it moves what the filter hands over
+    )
     noisy_regressor: bool = False
     """Noise of accelerations is told as such, not as torque in the home pose; samples that windows share count once."""
 
@@ -321,7 +325,8 @@ def make_brain(
         arm_joints=[j for j in robot.joint_names if any(a in j for a in ARM)],
         gains=jax.tree.map(jnp.asarray, gains),
     )
-    return Brain(robot, controller, estimator, Slew(settings.slew), refer, jnp.asarray(settings.damping))
+    damping = None if settings.damping is None else jnp.asarray(settings.damping)
+    return Brain(robot, controller, estimator, Slew(settings.slew), refer, damping)
 
 
 def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True) -> Inputs:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from benchmarks.paper.brain import MODES, NONE, Brain, Settings, make_brain, standing
+from benchmarks.paper.brain import COMPOSITE, MODES, NONE, Brain, Settings, make_brain, standing
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.hardware import (
     DUMBBELL,
@@ -219,7 +219,7 @@ def _draw(found: Run) -> None:
     fig, axes = figure(2, height=5.0)
     first = found.seed == found.seed[0]
     axes[0].plot(found.time, found.series["wanted"][:, 0], "k", lw=1, label="reference")
-    for i, name in enumerate(MODES):
+    for i, name in enumerate(MODES[:COMPOSITE]):
         label = "no adaptation" if i == NONE else name
         angle = found.series["angle"][:, first & (found.mode == i)]
         axes[0].plot(found.time, angle, lw=1, label=label)

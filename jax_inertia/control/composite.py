@@ -106,7 +106,7 @@ def damping_step(
     >>> from jax_inertia.control.composite import damping_step
     >>> from jax_inertia.maths.inertial_parameters import from_com
     >>> pi = from_com(jnp.array([2.0]), jnp.array([[0.0, 0.0, 0.1]]), 0.02 * jnp.eye(3)[None])
-    >>> held = jnp.zeros((1, 1, 10)).at[0, 0, 0].set(9.81)  # a slide of 2 kg that lags by 1 mm/s: 2 · 10 · 0.001 N more
+    >>> held = jnp.zeros((1, 1, 10)).at[0, 0, 0].set(9.81)  # a slide of 2 kg that lags by 1 mm/s
     >>> after = damping_step(pi, held, jnp.array([-1e-3]), 2.0 * jnp.eye(1), rate=10.0)
     >>> round(float(9.81 * (after - pi)[0, 0]), 4)
     0.02

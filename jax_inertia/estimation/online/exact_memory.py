@@ -265,8 +265,9 @@ def make_exact_estimator(
 
     `sigma_tau` is the noise of each observation's row [N m, N], accelerations apart (overridden by `noise`); `sigma_v`
     that of the velocities [m/s, rad/s] whose differences the accelerations are, over windows that follow one another
-    (`Stream`, or every w-th row of `aligned_differences`). `prior` as in `make_estimator`, a load's `shape` one where it
-    has none; `drift` too, by default none: a load that stays is a constant, and a new one is noticed (`reopen_after`).
+    (`Stream`, or every w-th row of `aligned_differences`). `prior` as in `make_estimator`, a load's `shape` one where
+    it has none; `drift` too, by default none: a load that stays is a constant, and a new one is noticed
+    (`reopen_after`).
     Raises ValueError as `make_estimator` does.
 
     >>> from jax_inertia import load_model

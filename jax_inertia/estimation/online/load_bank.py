@@ -295,8 +295,8 @@ class LoadBank(eqx.Module):
     ) -> State:
         """The filter with the links of the best candidate opened, at what the hypothesis takes them to be.
 
-        A load may be many times its link: from the bare link the first samples would be taken at a slope that is not the
-        loaded one's, and what that leaves looks like a load on a neighbour.
+        A load may be many times its link: from the bare link the first samples would be taken at a slope that is not
+        the loaded one's, and what that leaves looks like a load on a neighbour.
         """
         links = len(self.estimator.bodies)
         of = np.zeros((len(self.candidates), links))
