@@ -5,8 +5,8 @@ motion has another mean than f(q̄, v̄, v̇): with δ² = T²/12 the variance o
 
     mean f(q, v, v̇) = f(q̄, v̄, v̇) + ½ δ² f''[q̇, v̇, v̈]² + O(T⁴) = ½ Σ± f(q̄ ± δ q̇, v̄ ± δ v̇, v̇ ± δ v̈) + O(T⁴),
 
-Gauss and Legendre's rule of two points (Abramowitz and Stegun 1964, 25.4.29) along the motion's tangent. An arm that turns
-by 0.06 rad in a window of 16 ms has a ten-thousandth of its torque in it: more than the mean of its noise is off.
+Gauss and Legendre's rule of two points (Abramowitz and Stegun 1964, 25.4.29) along the motion's tangent. An arm that
+turns by 0.06 rad in a window of 16 ms has a ten-thousandth of its torque in it: more than the mean of its noise is off.
 """
 
 import dataclasses
