@@ -99,8 +99,9 @@ def damping_step(
     """π̂ moved in proportion to the task's error, by the γ at which s decays at `rate` [1/s] along Y Γ Yᵀ s.
 
     Proportional adaptation (Landau 1979, Adaptive Control) of a π̂ that something else estimates: torques gain
-    −γ Y Γ Yᵀ s, which takes energy from s whatever π̂ is off by. With y = Y Γ Yᵀ s, Γ the natural metric and M the `mass` matrix,
-    γ = rate · sᵀ y / yᵀ M⁻¹ y has the part of s along M⁻¹ y decay at that rate. Physical whenever `pi` is.
+    −γ Y Γ Yᵀ s, which takes energy from s whatever π̂ is off by. With y = Y Γ Yᵀ s, Γ the natural metric and M the
+    `mass` matrix, γ = rate · sᵀ y / yᵀ M⁻¹ y has the part of s along M⁻¹ y decay at that rate. Physical whenever `pi`
+    is.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.control.composite import damping_step
