@@ -9,7 +9,6 @@ import numpy as np
 from benchmarks.harness import results
 from benchmarks.paper.loop import summary
 
-
 TRIALS = 1000
 ASKED = {(r, d) for r in ("arm", "humanoid", "quadruped") for d in ("float32", "float64")}
 """What `nees_in_bounds` needs, all of it: a mean NEES within its 95 % bounds over so many trials."""
