@@ -22,7 +22,7 @@ SETTINGS = Settings(
     prior=Load(4.0, 0.15),
     drift=Tolerance(mass=8.0, com=0.02, spread=0.1),
     iterations=2,
-    damping=220.0,
+    damping=120.0,
 )
 LATE = len(MODES)
 """In a run's `mode`: those who are told the truth late."""

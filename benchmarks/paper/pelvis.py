@@ -25,7 +25,7 @@ SETTINGS = Settings(
     prior=Load(15.0, 0.2),
     drift=Tolerance(mass=1.0, com=0.02, spread=0.05),
     iterations=2,
-    damping=220.0,
+    damping=120.0,
 )
 
 
