@@ -119,8 +119,9 @@ def damping_step(
         "vbp,bp->v", regressor, inertial_parameters.from_pseudo_inertia(metric @ pull @ metric)
     )
     mobility = y @ jnp.linalg.solve(mass, y)
-    gain = rate * (s @ y) / jnp.where(mobility > 0, mobility, 1.0)
-    return composite_step(pi, regressor, s, jnp.where(mobility > 0, gain, 0.0), 1.0)
+    # No error, no movement: s @ y is zero with it.
+    gain = rate * (s @ y) / jnp.maximum(mobility, jnp.finfo(pi.dtype).tiny)
+    return composite_step(pi, regressor, s, gain, 1.0)
 
 
 def divergence(pi: Float[Array, "*b 10"], estimate: Float[Array, "*b 10"]) -> Float[Array, "*b"]:
