@@ -1,11 +1,14 @@
 """What torques of a slow log stand for, against the mean torque of a loop in MuJoCo C that runs at 1 kHz."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
+from scipy import signal
 
 from jax_inertia.logs.log import Log
-from jax_inertia.signals.held import LOOP_LATE, PositionLoop, _jolt, of_loop, position_loop
+from jax_inertia.signals.held import LOOP_LATE, PositionLoop, _jolt, later, of_loop, position_loop
 
 ARMATURE, STEP, HOLD = 0.1, 1e-3, 20
 XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>
@@ -13,19 +16,24 @@ XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>
 <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
 
 
-def run(kp, kd, seconds=10.0):
-    """A log of 50 Hz of targets held for 20 ms, and the mean torque of the 1 kHz loop about each stamp."""
+def run(kp, kd, seconds=10.0, every=HOLD, jump=0.0, steps=1):
+    """A log of targets held for 20 ms, and the mean torque of the 1 kHz loop about each stamp; one row `every` ms.
+
+    Of 1 kHz, `steps` of MuJoCo each: its Euler takes velocities half a step late.
+    """
     model = mujoco.MjModel.from_xml_string(XML)
+    model.opt.timestep = STEP / steps
     data, count = mujoco.MjData(model), round(seconds / STEP)
     torque, rows, target = np.zeros(count), [], 0.0
     for k in range(count):
         if k % HOLD == 0:
-            target = np.sin(2 * np.pi * 0.5 * k * STEP)
+            # A policy's targets move from side to side of where they are going.
+            target = np.sin(2 * np.pi * 0.5 * k * STEP) + jump * (-1) ** (k // HOLD)
         torque[k] = kp * (target - data.qpos[0]) - kd * data.qvel[0]
-        if k % HOLD == 0:
+        if k % every == 0:
             rows.append((k * STEP, target, data.qpos[0], data.qvel[0], torque[k]))
         data.qfrc_applied[0] = torque[k]
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, nstep=steps)
     time, target, q, v, tau = np.array(rows).T
     log = Log(
         time=time,
@@ -36,7 +44,7 @@ def run(kp, kd, seconds=10.0):
         qpos_target=target[:, None],
     )
     # Of the hold before a stamp and the one after it.
-    of_hold = torque.reshape(-1, HOLD).mean(axis=1)
+    of_hold = torque.reshape(-1, every).mean(axis=1)
     mean = 0.5 * (np.concatenate([[0.0], of_hold[:-1]]) + of_hold)
     return log, mean
 
@@ -60,6 +68,35 @@ def test_the_mean_torque_of_a_loop_that_is_seen_at_50_hz(kp, kd):
     assert abs(damping(held)) > 5 * kp * LOOP_LATE
     shifted = 0.5 * (held + np.concatenate([held[:1], held[:-1]]))
     assert abs(damping(shifted)) > 5 * kp * LOOP_LATE
+
+
+@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize(("kp", "kd"), [(35.0, 2.0), (500.0, 25.0)])
+@pytest.mark.parametrize("jump", [0.0, 0.05])
+def test_the_mean_torque_of_a_loop_that_is_seen_at_200_and_500_hz(kp, kd, jump, every):
+    """What is left of the loop's own lateness, which no log shows; by half a sample's hold it would be all of it."""
+    log, mean = run(kp, kd, every=every, jump=jump, steps=10)
+    log = dataclasses.replace(log, qvel=None)
+    loop = position_loop(log)
+    assert loop is not None
+    # A jolt of 4 ms is no more than guessed by differences over 5 ms.
+    assert (loop.kp[0], loop.kd[0]) == pytest.approx((kp, kd), rel=0.2)
+    found = of_loop(log, loop, log.time[:1], np.array([[[ARMATURE + 0.01]]]))[:, 0]
+    inner = slice(200, -200)
+    band = signal.butter(4, 10.0, fs=1000.0 / every, output="sos")
+    v = signal.sosfiltfilt(band, np.gradient(np.asarray(log.qpos)[:, 0], np.asarray(log.time)))
+    a = np.gradient(v, np.asarray(log.time))
+
+    def passes_for(torque):
+        """Damping [N m s/rad] and rotor inertia [kg m²] that the miss passes for, below 10 Hz."""
+        miss = signal.sosfiltfilt(band, torque - mean)
+        return np.linalg.lstsq(np.stack([v, a], axis=1)[inner], miss[inner], rcond=None)[0]
+
+    # The loop of 1 kHz is half a millisecond late, and taken for one of up to a whole.
+    bound = 0.7 * LOOP_LATE * np.array([kp, kd])
+    assert np.all(np.abs(passes_for(found)) < bound)
+    if every == 5:
+        assert np.abs(passes_for(later(np.asarray(log.tau)[:, 0], 0.5)))[0] > 2 * bound[0]
 
 
 def test_a_slow_loop_is_half_a_period_late():

@@ -14,7 +14,8 @@ is by how much the sampled torque exceeds the mean one. A loop much slower than 
 that settles within it leaves more. The loop itself holds its torque for some δ, and so is late by d = δ/2: its mean is
 kp V d more, and the jolts are those of kd − kp d and M − kd d.
 
-A log of 100 Hz and more sees the jolts as they go: there only the target is held for a sample, and r is part of q.
+A log of 100 Hz and more sees the jolts as they go. There the law itself gives the mean over a sample's hold, from the
+mean of q over it and from (q₊ − q)/T, which is the mean velocity whatever jolts there were.
 """
 
 import dataclasses
@@ -22,8 +23,8 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
-from scipy import interpolate
+from jaxtyping import Bool, Float
+from scipy import interpolate, ndimage
 
 from jax_inertia.logs.log import AnyArray, Log, LogError, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
@@ -108,11 +109,19 @@ def position_loop(log: Log) -> PositionLoop | None:
     v = derivative(np.asarray(log.time), q) if log.qvel is None else np.asarray(log.qvel, float)
     gains = np.zeros((tau.shape[1], 2))
     for j, torque in enumerate(tau.T):
-        columns = np.stack([target[:, j] - q[:, j], -v[:, j], np.ones(len(q))], axis=1)
-        fit = np.linalg.lstsq(columns, torque, rcond=None)[0]
-        if fit[0] > 0 and np.var(torque - columns @ fit) <= (1.0 - _LOOP) * np.var(torque):
+        rows = _between_targets(target[:, j]) if log.rate >= FASTER else slice(None)
+        columns = np.stack([target[:, j] - q[:, j], -v[:, j], np.ones(len(q))], axis=1)[rows]
+        fit = np.linalg.lstsq(columns, torque[rows], rcond=None)[0]
+        left = torque[rows] - columns @ fit
+        if fit[0] > 0 and np.var(left) <= (1.0 - _LOOP) * np.var(torque[rows]):
             gains[j] = fit[0], max(fit[1], 0.0)
     return PositionLoop(*gains.T) if gains.any() else None
+
+
+def _between_targets(target: Float[np.ndarray, " T"]) -> slice | Bool[np.ndarray, " T"]:
+    """Samples at which no new target jolts the joint, where differences give its velocity; all, where most have one."""
+    same = np.diff(target, prepend=np.nan) == 0.0
+    return same if same.mean() > 0.5 else slice(None)
 
 
 def of_loop(
@@ -128,16 +137,36 @@ def of_loop(
     target, q = np.asarray(log.qpos_target, float), np.asarray(log.qpos, float)
     time = np.asarray(log.time)
     late = _late(loop, inertia, log.rate)
+    v = derivative(time, q)
+    follows = late * (loop.kp * v + loop.kd * derivative(time, v)) * (loop.kp > 0)
     if log.rate >= FASTER:
-        jolt = np.diag(loop.kp)[None]
-    else:
-        jolts = np.stack([_jolt(loop, x, 1.0 / log.rate, late) for x in inertia])
-        jolt = interpolate.make_interp_spline(at, jolts, k=1)(time) if len(at) > 1 else jolts
+        return later(_over_holds(log, loop, v), 0.5) + follows
+    jolts = np.stack([_jolt(loop, x, 1.0 / log.rate, late) for x in inertia])
+    jolt = interpolate.make_interp_spline(at, jolts, k=1)(time) if len(at) > 1 else jolts
     # −V h/2, also where V changes.
     held = later(target, 0.5) - target
-    v = derivative(time, q)
-    follows = (loop.kp * v + loop.kd * derivative(time, v)) * (loop.kp > 0)
-    return np.asarray(log.tau) + np.einsum("tij,tj->ti", jolt, held) + late * follows
+    return np.asarray(log.tau) + np.einsum("tij,tj->ti", jolt, held) + follows
+
+
+def _over_holds(
+    log: Log, loop: PositionLoop, v: Float[np.ndarray, "T n"]
+) -> Float[np.ndarray, "T n"]:
+    """Mean torque from each stamp to the next [N m], by a loop that is many times as fast.
+
+        τ̄ = kp (q* − q̄) − kd (q₊ − q) / T + r
+
+    q̄: mean of the cubic through four positions. r is what the law leaves of the logged torque (offsets, what is fed
+    forward): of three samples the median, since differences of positions miss a loop's velocity at a new target.
+    """
+    target, q = np.asarray(log.qpos_target, float), np.asarray(log.qpos, float)
+    far = np.concatenate([q[:1], q, q[-1:], q[-1:]])
+    before, own, after, beyond = far[:-3], far[1:-2], far[2:-1], far[3:]
+    mean = (13.0 * (own + after) - before - beyond) / 24.0
+    step = np.diff(np.asarray(log.time), append=np.nan)
+    step[-1] = step[-2]
+    left = np.asarray(log.tau) - loop.kp * (target - q) + loop.kd * v
+    fed = ndimage.median_filter(left, (3, 1), mode="nearest")
+    return loop.kp * (target - mean) - loop.kd * (after - own) / step[:, None] + fed
 
 
 def loop_late(rate: float) -> float:
