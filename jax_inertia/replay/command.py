@@ -82,8 +82,10 @@ def rows_of(log: Log, loop: Loop | None) -> list["Rows"]:
     fed = np.zeros_like(q)
     if feeds_forward(log, loop):
         fed = np.asarray(log.tau_command, float)
-    channels = (q, v, target, speed, fed, tau)
-    return [Rows(time, *(x[:, j] for x in channels), wide) for j in range(q.shape[1])]
+    return [
+        Rows(time, q[:, j], v[:, j], target[:, j], speed[:, j], fed[:, j], tau[:, j], wide)
+        for j in range(q.shape[1])
+    ]
 
 
 class Rows(NamedTuple):

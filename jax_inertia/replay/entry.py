@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.result import Diagnosis as ByTorque
 from jax_inertia.estimation.log_estimate import LogEstimate
@@ -127,7 +129,11 @@ def of_loop(
         return with_loop_torque(
             log, *position_loop(log, compile_spec(load_spec(model), model), kp, kd)
         )
-    return with_loop_torque(log, log.kp if kp is None else kp, log.kd if kd is None else kd)
+    return with_loop_torque(
+        log,
+        log.kp if kp is None else np.asarray(kp, float),
+        log.kd if kd is None else np.asarray(kd, float),
+    )
 
 
 def by_replays(

@@ -116,10 +116,11 @@ def listed(
 
 def _with_ties(effect: Effect, more: Sequence[Tie]) -> Effect:
     """With what else would do; of one family and place, what the equation or the replays say comes first."""
-    ties = {(effect.family, effect.kind, effect.name): None}
+    own = (effect.family, effect.kind, effect.name)
+    ties: dict[tuple[str, str, str], Tie] = {}
     for t in (*effect.ties, *more):
         ties.setdefault((t.family, t.kind, t.name), t)
-    return dataclasses.replace(effect, ties=tuple(t for t in ties.values() if t is not None))
+    return dataclasses.replace(effect, ties=tuple(t for key, t in ties.items() if key != own))
 
 
 def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
