@@ -23,7 +23,7 @@ from jax_inertia.logs.findings import run_bounds
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.signals.dry_friction import sign
-from jax_inertia.signals.held import LOOP_LATE_ERROR, loop_late
+from jax_inertia.signals.held import lateness
 from jax_inertia.signals.torque_residual import needed_torques, without_friction
 
 
@@ -120,8 +120,7 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
     if (loop := context.prepared.loop) is not None:
         rows = list(context.prepared.driven)
         late = np.zeros_like(v)
-        error = LOOP_LATE_ERROR * loop_late(log.rate)
-        late[:, rows] = error * (loop.kp * v[:, rows] + loop.kd * a[:, rows])
+        late[:, rows] = lateness(loop, log.rate, v[:, rows], a[:, rows])
         fixed.append(Columns(late[:, :, None]))
     if context.wrench is not None and context.prepared.support is None:
         # A foot that is set down changes its force by tens of weights a second.

@@ -174,6 +174,16 @@ def loop_late(rate: float) -> float:
     return min(LOOP_LATE, 0.5 / rate)
 
 
+def lateness(
+    loop: PositionLoop, rate: float, v: Float[np.ndarray, "T n"], a: Float[np.ndarray, "T n"]
+) -> Float[np.ndarray, "T n"]:
+    """Torque of one standard deviation of how late a loop is, seen by a log of some rate [Hz]: σ_d (kp q̇ + kd q̈) [N m].
+
+    The loop's period is in no log: this passes for friction and rotor inertia of all its joints at once.
+    """
+    return LOOP_LATE_ERROR * loop_late(rate) * (loop.kp * v + loop.kd * a)
+
+
 def _late(loop: PositionLoop, inertia: Float[np.ndarray, "m n n"], rate: float) -> float:
     """How late the loop is [s]; a loop of d > M / kd would not be stable, and one of half that hardly is."""
     own = np.diagonal(inertia, axis1=1, axis2=2).min(axis=0)

@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from jax_inertia.diagnosis.effects.base import Columns, Effect
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
-from jax_inertia.signals.held import LOOP_LATE_ERROR, loop_late
+from jax_inertia.signals.held import lateness
 
 TIMING = 0.1
 """Standard deviation of when within a sample's period a torque acted, of the period."""
@@ -30,7 +30,7 @@ class InertialTolerances(Effect):
         ]
         slope = np.gradient(context.tau, context.time, axis=0)
         out.append((TIMING * shape[3] * slope)[..., None])
-        out.append(_lateness(context, shape[3])[..., None])
+        out.append(_loop_lateness(context, shape[3])[..., None])
         return Columns(np.concatenate(out, axis=-1))
 
     def scale(self, context, place, shape):
@@ -44,16 +44,12 @@ class InertialTolerances(Effect):
         return {}
 
 
-def _lateness(context: Context, period: float) -> Float[np.ndarray, "T nv"]:
-    """Torque of one standard deviation of how late a position loop is, of the joints that have one [N m].
-
-    The loop's period is in no log: kp q̇ + kd q̈ times half of it passes for friction and rotor inertia of all joints.
-    """
+def _loop_lateness(context: Context, period: float) -> Float[np.ndarray, "T nv"]:
+    """Torque of one standard deviation of how late a position loop is, of the joints that have one [N m]."""
     out = np.zeros_like(context.v)
     if (loop := context.prepared.loop) is not None:
         rows = list(context.prepared.driven)
-        error = LOOP_LATE_ERROR * loop_late(1.0 / period)
-        out[:, rows] = error * (loop.kp * context.v[:, rows] + loop.kd * context.a[:, rows])
+        out[:, rows] = lateness(loop, 1.0 / period, context.v[:, rows], context.a[:, rows])
     return out
 
 
