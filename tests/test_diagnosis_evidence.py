@@ -178,20 +178,21 @@ def check(before, after, noise, expected=1.0, joints=2):
 
 
 @pytest.mark.parametrize(
-    ("case", "listed", "wanted"),
+    ("case", "listed", "another", "wanted"),
     [
-        (check(1.0, 1.0, 0.6), False, Verdict.NO_GAP),
-        (check(5.0, 5.0, 0.6), False, Verdict.UNKNOWN),
-        (check(5.0, 0.5, 0.1), True, Verdict.EXPLAINED),
-        (check(5.0, 0.9, 0.6, expected=0.25), True, Verdict.PARTLY),
-        (check(5.0, 2.0, 0.1), True, Verdict.PARTLY),
-        (check(5.0, 4.5, 0.1), True, Verdict.UNKNOWN),
-        (check(0.5, 0.7, 0.6), True, Verdict.UNKNOWN),
+        (check(1.0, 1.0, 0.6), False, 0.0, Verdict.NO_GAP),
+        (check(5.0, 5.0, 0.6), False, 0.0, Verdict.UNKNOWN),
+        (check(5.0, 0.5, 0.1), True, 0.0, Verdict.EXPLAINED),
+        (check(5.0, 0.5, 0.1), True, 20.0, Verdict.PARTLY),
+        (check(5.0, 0.9, 0.6, expected=0.25), True, 0.0, Verdict.PARTLY),
+        (check(5.0, 2.0, 0.1), True, 0.0, Verdict.PARTLY),
+        (check(5.0, 4.5, 0.1), True, 0.0, Verdict.UNKNOWN),
+        (check(0.5, 0.7, 0.6), True, 0.0, Verdict.UNKNOWN),
     ],
 )
-def test_the_verdict_is_its_table(case, listed, wanted):
+def test_the_verdict_is_its_table(case, listed, another, wanted):
     tolerated = case.before
-    assert verdict(case, tolerated, listed, Settings()) == wanted
+    assert verdict(case, tolerated, listed, another, Settings()) == wanted
 
 
 def test_settings_are_frozen():

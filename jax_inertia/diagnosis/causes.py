@@ -14,20 +14,31 @@ from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.logs.schema import TorqueKind
 
 
-def borne_out(selection: Selection) -> Selection:
+def borne_out(selection: Selection, judge: OtherRun | HeldOut) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
-    `selection` has its noise's whole memory (`remembering`). Each has to pay its odds by parts of the log that tell the
-    same (`Selection.robust_worth`), and against a slow discrepancy in its place (`Evidence.loss`). The faintest first,
-    one at a time, everything else refitted. Effects that happen once are not asked of the log's parts.
+    `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
+    refitted, until each has `evidence_of_cause` for its odds.
     """
     while True:
-        worths = [_sure_worth(selection, h) - h.odds for h in selection.odd]
-        faintest = sorted(zip(worths, selection.odd, strict=True), key=lambda x: x[0])
-        worst = next((h for w, h in faintest if not _pays(selection, h, w)), None)
-        if worst is None:
+        spare = {id(h): evidence_of_cause(selection, judge, h) - h.odds for h in selection.odd}
+        worst = min(selection.odd, key=lambda h: spare[id(h)], default=None)
+        if worst is None or spare[id(worst)] >= 0.0:
             return selection
         selection = remembering(selection, selection.posterior.without(worst))
+
+
+def evidence_of_cause(selection: Selection, judge: OtherRun | HeldOut, h: Hypothesis) -> float:
+    """Log evidence that one of the chosen is a cause, prior odds apart, nats: the lesser of two.
+
+    What it brings by parts of the log that have to tell the same (`Selection.robust_worth`), and what it brings against
+    a slow discrepancy in its place, in both runs: to the log (`Evidence.loss`), and to rows that its numbers were not
+    fitted to (`support`). Of an effect that happens once, neither other parts nor another run say anything.
+    """
+    now, loss = selection.posterior, selection.evidence.loss(selection.posterior, h)
+    if h.family in PASSING:
+        return min(float(selection.evidence.worths(now)[now.chosen.index(h)]), loss)
+    return min(selection.robust_worth(h), loss + judge.support(now, h))
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
@@ -48,16 +59,6 @@ def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]
             if place.kind == "joint" and place.name not in there:
                 yield hypothesis(residual, effect, place, (), 0.0)
 
-
-def _sure_worth(selection: Selection, h: Hypothesis) -> float:
-    if h.family in PASSING:
-        now = selection.posterior
-        return float(selection.evidence.worths(now)[now.chosen.index(h)])
-    return selection.robust_worth(h)
-
-
-def _pays(selection: Selection, h: Hypothesis, worth: float) -> bool:
-    return worth >= 0.0 and selection.evidence.loss(selection.posterior, h) >= h.odds
 
 
 def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:

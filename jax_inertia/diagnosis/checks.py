@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import relinearised
@@ -63,6 +64,24 @@ class _Run(abc.ABC):
     def errors_without(self, now: Posterior, asked: list[Hypothesis]) -> list[float]:
         """Residual after without each of some that are chosen, everything else refitted [N m]."""
         return [self.error(now.without(h)) for h in asked]
+
+    def support(self, now: Posterior, h: Hypothesis) -> float:
+        """Log likelihood that one of the chosen brings to rows its numbers were not fitted to, nats.
+
+            Σⱼ (Nⱼ / mⱼ) ln(σⱼ⁻ / σⱼ)
+
+        σⱼ, σⱼ⁻: residual rms of row j with it and without, everything else refitted (a Gaussian's likelihood at its own
+        variance); Nⱼ: rows; mⱼ: how many of them tell as much as one, of the residual without it, since a slow
+        discrepancy may be in its place (`SlowNoise.repeated`).
+        """
+        weight = self.residual.weight
+        one, without = self.left(now), self.left(now.without(h))
+        least = np.maximum(self.residual.sensors, 1e-12)
+        after = np.maximum(rows(one, weight), least)
+        before = np.maximum(rows(without, weight), least)
+        each = zip(weight.T, (without / before).T, strict=True)
+        repeated = np.array([SlowNoise(w).likeliest(x).repeated for w, x in each])
+        return float(np.sum(weight.sum(axis=0) / repeated * np.log(before / after)))
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""

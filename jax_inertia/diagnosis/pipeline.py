@@ -50,7 +50,7 @@ def diagnose(
     gate, dropped = gated(selection, judge, settings)
     whole = remembering(gate, gate.posterior)
     everything = min(gate.posterior, whole.posterior, key=judge.error)
-    selection = borne_out(whole)
+    selection = borne_out(whole, judge)
     found = summary.summarised(selection, everything, heldout, other, dropped, settings)
     progress("what this log would have shown")
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
@@ -67,7 +67,8 @@ def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings)
     return OtherRun(residual, selection.evidence)
 
 
-LEAST_ROWS = 50
+LEAST_ROWS = 20
+"""Moving rows of a joint: five for each of its four ordinary numbers."""
 
 
 def _require_rows(residual: Residual, log: Log) -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.causes import carried_over
+from jax_inertia.diagnosis.causes import carried_over, evidence_of_cause
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -57,10 +57,10 @@ def summarised(
     listed = {id(h) for h, _ in likely}
     bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
-    judged = verdict(by_cause, tolerated, bool(likely), settings)
+    another = _odds_of_another(selection, everything, causes, dropped, judge)
+    judged = verdict(by_cause, tolerated, bool(likely), another, settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, likely, trust)
-    another = _odds_of_another(selection, everything, causes, dropped)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
@@ -102,11 +102,17 @@ def _causes(
     return carried_over(bounded(selection.residual, selection.evidence, causes), judge)
 
 
-def _odds_of_another(selection, everything: Posterior, causes: Posterior, dropped) -> float:
+def _odds_of_another(
+    selection: Selection,
+    everything: Posterior,
+    causes: Posterior,
+    dropped: tuple[Hypothesis, ...],
+    judge: HeldOut | OtherRun,
+) -> float:
     """Odds that a named effect is there that is not among the causes."""
-    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
     before = dataclasses.replace(selection, posterior=everything)
-    return before.odds_of_another(gone, dropped)
+    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
+    return before.odds_of_another({h: evidence_of_cause(before, judge, h) for h in gone}, dropped)
 
 
 def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:

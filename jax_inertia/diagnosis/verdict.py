@@ -8,7 +8,8 @@
 | else | | | unknown |
 
 All of what the named effects leave: a generic alternative explains nothing. `explained` becomes `partly` where one
-joint keeps more than `excess` times what its sensors and the effects' own equations leave.
+joint keeps more than `excess` times what its sensors and the effects' own equations leave, and where it is not `likely`
+that no further effect is there.
 """
 
 import numpy as np
@@ -18,15 +19,18 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 
 
-def verdict(check: Check, tolerated: float, listed: bool, settings: Settings) -> Verdict:
-    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is."""
+def verdict(
+    check: Check, tolerated: float, listed: bool, another: float, settings: Settings
+) -> Verdict:
+    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is; `another`: odds."""
     limit = settings.noise_ratio * check.noise
     if not listed:
         quiet = tolerated <= limit or check.before <= limit
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     small = check.unexplained < settings.explained or check.after <= limit
     if small and check.after < check.before:
-        return Verdict.PARTLY if np.any(check.excess > settings.excess) else Verdict.EXPLAINED
+        doubted = np.any(check.excess > settings.excess) or 1.0 / (1.0 + another) < settings.likely
+        return Verdict.PARTLY if doubted else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
 
 

@@ -20,10 +20,10 @@ from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.families.friction import PRESLIDING
 from jax_inertia.logs.findings import run_bounds
-from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.logs.log import Log
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.signals.dry_friction import sign
-from jax_inertia.signals.held import lateness
+from jax_inertia.signals.held import lateness, timing_of
 from jax_inertia.signals.torque_residual import needed_torques, without_friction
 
 
@@ -39,12 +39,8 @@ class Tolerance:
     """Relative, about the centre of mass."""
     damping: float = 0.05
     """Relative to the model's own damping, frictionloss and armature."""
-    period: float = 0.08
-    """Of the log's period, when within it a torque acted. One that is held is half a period off at most: that is six of
-    these, and brings just less than a delay has to and costs (`propose.STOP`, `Candidate.price`). One that a sensor
-    sampled, at the moment or over the period that followed, is a quarter off."""
     sampled: float = 0.25
-    """The same for a wrench."""
+    """Of the log's period, when within it a wrench acted."""
 
 
 CAUSES = {
@@ -114,8 +110,8 @@ def nuisances(context: Context, tolerance: Tolerance, log: Log) -> Nuisances:
             fixed.append(Columns(friction * np.stack(turned, axis=1), row))
             if moments := [*_departures(context, row), *_halts(context, row)]:
                 brief.append(Columns(friction * np.stack(moments, axis=1), row))
-    most = 0.25 if log.tau_kind is TorqueKind.SENSOR else 0.5
-    shifts = _shifts(context.time, context.tau, tolerance.period / log.rate, most / log.rate)
+    when = timing_of(log)
+    shifts = _shifts(context.time, context.tau, when.error / log.rate, when.most / log.rate)
     fixed.append(Columns(np.stack(shifts, axis=2)))
     if (loop := context.prepared.loop) is not None:
         rows = list(context.prepared.driven)

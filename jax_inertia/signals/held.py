@@ -1,7 +1,8 @@
 """What a torque in a log stands for, moment by moment, where a drive holds something from one sample to the next.
 
-A value that is held over a period acts half a period late, as seen from its stamp. In a log slower than its drive it is
-the targets q* of a position loop that are held, not its torque: τ = kp (q* − q) − kd q̇ follows the joint many times
+A value that is held over a period acts half a period late, as seen from its stamp. No drive is as slow as a log of
+50 Hz, whose torques may be of the moment or means over the period: `Timing`. In a log slower than its drive it is the
+targets q* of a position loop that are held, not its torque: τ = kp (q* − q) − kd q̇ follows the joint many times
 a sample. Put off as a whole, by 10 ms at 50 Hz, kp q would pass for a damping of kp · 10 ms. And each new target jolts
 the joint; the log, which sees every jolt at the same moment, takes the jolt's torque for a part of the mean.
 
@@ -19,6 +20,7 @@ mean of q over it and from (q₊ − q)/T, which is the mean velocity whatever j
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -36,6 +38,36 @@ LOOP_LATE, LOOP_LATE_ERROR = 1e-3, 0.7
 more."""
 # Of a torque's variance that targets, positions and velocities must explain for it to be a position loop's.
 _LOOP = 0.9
+
+
+SLOWEST_DRIVE = 200.0
+"""Rate [Hz] of the slowest drives: a log below it keeps some of their torques only."""
+
+
+HOLD_ERROR = 0.08
+"""Standard deviation of when within its period a held torque acts, of the period: no hold at all is six of these."""
+
+
+class Timing(NamedTuple):
+    """When a logged torque acts after its stamp, shares of the log's period."""
+
+    late: float
+    error: float
+    """Standard deviation."""
+    most: float
+    """By which it can be off."""
+
+
+def timing_of(log: Log) -> Timing:
+    """When a log's torques act after their stamps.
+
+    A commanded torque or a current is held over its period: half of it. A sensor's sample may be of the moment or of
+    the period that follows, and so may every sample of a log that is slower than its drive: a quarter of it.
+    """
+    if log.rate < SLOWEST_DRIVE:
+        return Timing(0.25, 0.25, 0.25)
+    late = 0.25 if log.tau_kind is TorqueKind.SENSOR else 0.5
+    return Timing(late, HOLD_ERROR, late)
 
 
 class PositionLoop(eqx.Module):

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 from scipy import ndimage, signal
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.logs.log import Log
 from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
@@ -35,7 +35,7 @@ from jax_inertia.signals.dry_friction import at_rest, direction
 from jax_inertia.signals.filtering import Masked, bridged_smoothly, low_pass, mask, resample
 from jax_inertia.signals.generalised_motion import Motion, generalised
 from jax_inertia.signals.ground_support import BASE, Support, supported
-from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop
+from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop, timing_of
 from jax_inertia.signals.outliers import without_outliers
 from jax_inertia.signals.spikes import torque_spikes
 
@@ -158,9 +158,7 @@ def prepare(
     """Put a log through the chain up to the diagnosis's fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
-    equation must agree. A commanded torque or a current is held over its period and so acts half a period late; a
-    sensor's sample may be of the moment or of the period after it, so it is put in the middle between the two
-    (`nuisance` holds the rest). Single samples of torque that no motor makes (`preflight` names them) are taken for
+    equation must agree. When torques act after their stamps is as `timing_of` has it. Single samples of torque that no motor makes (`preflight` names them) are taken for
     missing, those of an encoder for what they should be. `rng` draws errors of what is taken from feet: the base's
     velocity (`base_motion`) and moments at a ball (`ground_support`).
     Raises LogError for what `generalised` refuses.
@@ -217,7 +215,7 @@ def _in_time(robot: Robot, log: Log) -> tuple[Masked, PositionLoop | None]:
     log = dataclasses.replace(log, qpos=without_outliers(np.asarray(log.qpos)), tau=tau)
     source = mask(log)
     data = source.log
-    late = 0.25 if data.tau_kind is TorqueKind.SENSOR else 0.5
+    late = timing_of(data).late
     if (loop := position_loop(data)) is None:
         tau = later(np.asarray(data.tau), late)
     else:

@@ -6,17 +6,14 @@ from jaxtyping import Float, Int
 from jax_inertia.diagnosis.effects.base import Columns, Effect
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
-from jax_inertia.signals.held import lateness
-
-TIMING = 0.1
-"""Standard deviation of when within a sample's period a torque acted, of the period."""
+from jax_inertia.signals.held import HOLD_ERROR, lateness
 
 
 class InertialTolerances(Effect):
     """y = Y Σ (one standard deviation of each number) z.
 
-    Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative); the log's period [s];
-    how many measured numbers these tolerances count for.
+    Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative), and of when within its
+    period a torque acted, of the period; how many measured numbers these tolerances count for; the log's period [s].
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
@@ -28,9 +25,8 @@ class InertialTolerances(Effect):
             every[:, :, robot.body_index(name)] @ change
             for change, name, _ in inertial_changes(context, shape)
         ]
-        slope = np.gradient(context.tau, context.time, axis=0)
-        out.append((TIMING * shape[3] * slope)[..., None])
-        out.append(_loop_lateness(context, shape[3])[..., None])
+        out.append(_timing(context, *shape[3::2])[..., None])
+        out.append(_loop_lateness(context, shape[5])[..., None])
         return Columns(np.concatenate(out, axis=-1))
 
     def scale(self, context, place, shape):
@@ -42,6 +38,15 @@ class InertialTolerances(Effect):
 
     def numbers(self, context, place, shape, theta):
         return {}
+
+
+def _timing(context: Context, error: float, period: float) -> Float[np.ndarray, "T nv"]:
+    """Torque of one standard deviation of when it acted [N m]; a position loop's law says it better."""
+    size = np.full(context.v.shape[1], error * period)
+    if (loop := context.prepared.loop) is not None:
+        of_loop = np.array(context.prepared.driven)[loop.kp > 0]
+        size[of_loop] = np.minimum(size[of_loop], HOLD_ERROR * period)
+    return size * np.gradient(context.tau, context.time, axis=0)
 
 
 def _loop_lateness(context: Context, period: float) -> Float[np.ndarray, "T nv"]:

@@ -18,6 +18,7 @@ from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.search.candidates import make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.signals.held import timing_of
 
 
 class OrdinaryPhysics(NamedTuple):
@@ -69,7 +70,8 @@ def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
     com = settings.com_tolerance * residual.context.scale
     com = com if settings.com_stated is None else settings.com_stated
     own = settings.mass_tolerance, com, settings.inertia_tolerance
-    shape = (*own, 1.0 / residual.log.rate, settings.tolerance_numbers)
+    log = residual.log
+    shape = (*own, timing_of(log).error, settings.tolerance_numbers, 1.0 / log.rate)
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -67,19 +67,15 @@ class Selection:
         return worth(h, mean, covariance)
 
     def odds_of_another(
-        self, gone: Collection[Hypothesis], refuted: Collection[Hypothesis]
+        self, gone: Mapping[Hypothesis, float], refuted: Collection[Hypothesis]
     ) -> float:
-        """Odds that one more named effect is there given the chosen, anywhere; `gone`: chosen, and not stated.
+        """Odds that one more named effect is there given the chosen, anywhere.
 
         Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
-        large as the noise the evidence says neither that it is there nor that it is not. Of those that are gone the
-        evidence is the one by which they went, the less of `robust_worth` and `Evidence.loss`; those that another run
-        `refuted` do not count.
+        large as the noise the evidence says neither that it is there nor that it is not. `gone`: chosen, and not
+        stated, each with the evidence by which it went; those that another run `refuted` do not count.
         """
-        best = {
-            h.key: min(self.robust_worth(h), self.evidence.loss(self.posterior, h)) - h.odds
-            for h in gone
-        }
+        best = {h.key: evidence - h.odds for h, evidence in gone.items()}
         chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
         gains = self.evidence.gains(self.posterior, self.named)
         for c, gain in zip(self.named.candidates, gains, strict=True):
