@@ -1,7 +1,7 @@
 """Which of the effects that help to predict are causes: what pays for itself where slow misfit is no sample."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,32 +13,54 @@ from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.logs.schema import TorqueKind
 
+Judges = Sequence[OtherRun | HeldOut]
 
-def borne_out(selection: Selection, judge: OtherRun | HeldOut) -> Selection:
+
+def borne_out(selection: Selection, judges: Judges) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
     `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
-    refitted, until each has `evidence_of_cause` for its odds.
+    refitted, until each brings its odds by parts of the log and to rows that it was not fitted to.
     """
     while True:
-        spare = {id(h): evidence_of_cause(selection, judge, h) - h.odds for h in selection.odd}
-        worst = min(selection.odd, key=lambda h: spare[id(h)], default=None)
-        if worst is None or spare[id(worst)] >= 0.0:
+        worst = _faintest(selection.odd, by_parts(selection, selection.odd))
+        if worst is None:
+            worst = _faintest(selection.odd, by_other_rows(selection, selection.odd, judges))
+        if worst is None:
             return selection
         selection = remembering(selection, selection.posterior.without(worst))
 
 
-def evidence_of_cause(selection: Selection, judge: OtherRun | HeldOut, h: Hypothesis) -> float:
-    """Log evidence that one of the chosen is a cause, prior odds apart, nats: the lesser of two.
+def _faintest(odd: Sequence[Hypothesis], evidence: Sequence[float]) -> Hypothesis | None:
+    """The one that falls furthest short of its odds, if any does."""
+    spare = [e - h.odds for e, h in zip(evidence, odd, strict=True)]
+    return odd[int(np.argmin(spare))] if min(spare, default=0.0) < 0.0 else None
 
-    What it brings by parts of the log that have to tell the same (`Selection.robust_worth`), and what it brings against
-    a slow discrepancy in its place, in both runs: to the log (`Evidence.loss`), and to rows that its numbers were not
-    fitted to (`support`). Of an effect that happens once, neither other parts nor another run say anything.
+
+def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
+    """Log evidence that each of some that are chosen brings where parts of the log have to tell the same, nats.
+
+    Prior odds apart. Of an effect that happens once parts say nothing.
     """
-    now, loss = selection.posterior, selection.evidence.loss(selection.posterior, h)
-    if h.family in PASSING:
-        return min(float(selection.evidence.worths(now)[now.chosen.index(h)]), loss)
-    return min(selection.robust_worth(h), loss + judge.support(now, h))
+    now = selection.posterior
+    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+    return [
+        float(worths[id(h)]) if h.family in PASSING else selection.robust_worth(h) for h in asked
+    ]
+
+
+def by_other_rows(selection: Selection, asked: Sequence[Hypothesis], judges: Judges) -> list[float]:
+    """Log evidence that each of some that are chosen brings to rows its numbers were not fitted to, nats.
+
+    Prior odds apart, of all judges (`support`). What happens once is not there in other rows: of it, what it brings
+    against a slow discrepancy in its place (`Evidence.loss`).
+    """
+    now, evidence = selection.posterior, selection.evidence
+    supports = np.sum([judge.support(now, asked) for judge in judges], axis=0)
+    return [
+        evidence.loss(now, h) if h.family in PASSING else float(support)
+        for h, support in zip(asked, supports, strict=True)
+    ]
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
@@ -58,7 +80,6 @@ def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]
         for place in effect.places(residual.context):
             if place.kind == "joint" and place.name not in there:
                 yield hypothesis(residual, effect, place, (), 0.0)
-
 
 
 def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -61,12 +62,18 @@ class _Run(abc.ABC):
         """Residual after, rms over moving rows [N m]."""
         return rms(self.left(now), self.residual.weight)
 
-    def errors_without(self, now: Posterior, asked: list[Hypothesis]) -> list[float]:
-        """Residual after without each of some that are chosen, everything else refitted [N m]."""
-        return [self.error(now.without(h)) for h in asked]
+    @abc.abstractmethod
+    def left_without(
+        self, now: Posterior, asked: Sequence[Hypothesis]
+    ) -> Iterator[Float[np.ndarray, "R n"]]:
+        """Residual of every row without each of some that are chosen, everything else refitted [N m]."""
 
-    def support(self, now: Posterior, h: Hypothesis) -> float:
-        """Log likelihood that one of the chosen brings to rows its numbers were not fitted to, nats.
+    def errors_without(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
+        """Its rms over moving rows [N m]."""
+        return [rms(left, self.residual.weight) for left in self.left_without(now, asked)]
+
+    def support(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
+        """Log likelihood that each of some that are chosen brings to rows its numbers were not fitted to, nats.
 
             Σⱼ (Nⱼ / mⱼ) ln(σⱼ⁻ / σⱼ)
 
@@ -74,14 +81,15 @@ class _Run(abc.ABC):
         variance); Nⱼ: rows; mⱼ: how many of them tell as much as one, of the residual without it, since a slow
         discrepancy may be in its place (`SlowNoise.repeated`).
         """
-        weight = self.residual.weight
-        one, without = self.left(now), self.left(now.without(h))
+        weight, out = self.residual.weight, []
         least = np.maximum(self.residual.sensors, 1e-12)
-        after = np.maximum(rows(one, weight), least)
-        before = np.maximum(rows(without, weight), least)
-        each = zip(weight.T, (without / before).T, strict=True)
-        repeated = np.array([SlowNoise(w).likeliest(x).repeated for w, x in each])
-        return float(np.sum(weight.sum(axis=0) / repeated * np.log(before / after)))
+        after = np.maximum(rows(self.left(now), weight), least)
+        for left in self.left_without(now, asked):
+            before = np.maximum(rows(left, weight), least)
+            each = zip(weight.T, (left / before).T, strict=True)
+            repeated = np.array([SlowNoise(w).likeliest(x).repeated for w, x in each])
+            out.append(float(np.sum(weight.sum(axis=0) / repeated * np.log(before / after))))
+        return out
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""
@@ -109,6 +117,9 @@ class OtherRun(_Run):
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of this run at numbers from the first."""
         return self.residual.y - self.predicted(now)
+
+    def left_without(self, now, asked):
+        return (self.left(now.without(h)) for h in asked)
 
     def predicted(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Torque of everything chosen on this run, at numbers from the first."""
@@ -138,10 +149,9 @@ class HeldOut(_Run):
         """Residual of each stretch, fitted to the others."""
         return self._left(self._fits(now))
 
-    def errors_without(self, now, asked):
+    def left_without(self, now, asked):
         fits = self._fits(now)
-        without = ([fit.without(h) for fit in fits] for h in asked)
-        return [rms(self._left(x), self.residual.weight) for x in without]
+        return (self._left([fit.without(h) for fit in fits]) for h in asked)
 
     def _fits(self, now: Posterior) -> list[Posterior]:
         """To all stretches but one, for each."""

@@ -50,7 +50,7 @@ def diagnose(
     gate, dropped = gated(selection, judge, settings)
     whole = remembering(gate, gate.posterior)
     everything = min(gate.posterior, whole.posterior, key=judge.error)
-    selection = borne_out(whole, judge)
+    selection = borne_out(whole, [heldout] if other is None else [heldout, other])
     found = summary.summarised(selection, everything, heldout, other, dropped, settings)
     progress("what this log would have shown")
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)

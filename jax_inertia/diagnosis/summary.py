@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.causes import carried_over, evidence_of_cause
+from jax_inertia.diagnosis.causes import Judges, by_other_rows, by_parts, carried_over
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -57,7 +57,8 @@ def summarised(
     listed = {id(h) for h, _ in likely}
     bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
-    another = _odds_of_another(selection, everything, causes, dropped, judge)
+    judges = [heldout] if other is None else [heldout, other]
+    another = _odds_of_another(selection, everything, causes, dropped, judges)
     judged = verdict(by_cause, tolerated, bool(likely), another, settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, likely, trust)
@@ -107,12 +108,13 @@ def _odds_of_another(
     everything: Posterior,
     causes: Posterior,
     dropped: tuple[Hypothesis, ...],
-    judge: HeldOut | OtherRun,
+    judges: Judges,
 ) -> float:
     """Odds that a named effect is there that is not among the causes."""
     before = dataclasses.replace(selection, posterior=everything)
     gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
-    return before.odds_of_another({h: evidence_of_cause(before, judge, h) for h in gone}, dropped)
+    evidence = map(min, by_parts(before, gone), by_other_rows(before, gone, judges))
+    return before.odds_of_another(dict(zip(gone, evidence, strict=True)), dropped)
 
 
 def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:

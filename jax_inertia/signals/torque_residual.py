@@ -158,9 +158,9 @@ def prepare(
     """Put a log through the chain up to the diagnosis's fast grid.
 
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
-    equation must agree. When torques act after their stamps is as `timing_of` has it. Single samples of torque that no motor makes (`preflight` names them) are taken for
-    missing, those of an encoder for what they should be. `rng` draws errors of what is taken from feet: the base's
-    velocity (`base_motion`) and moments at a ball (`ground_support`).
+    equation must agree. When torques act after their stamps is as `timing_of` has it. Single samples of torque that no
+    motor makes (`preflight` names them) are taken for missing, those of an encoder for what they should be. `rng` draws
+    errors of what is taken from feet: the base's velocity (`base_motion`) and moments at a ball (`ground_support`).
     Raises LogError for what `generalised` refuses.
     """
     if bands is None:
