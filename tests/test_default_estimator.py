@@ -153,6 +153,7 @@ def test_a_consistent_sample_is_no_outlier():
 # --- gradients ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "gate",
     [None, pytest.param(1.0, marks=pytest.mark.slow)],

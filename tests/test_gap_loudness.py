@@ -103,6 +103,7 @@ def biased():
     return find(finder(prepare(robot, log), log, Tolerance(), list(LIBRARY), 3))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parts", "first", "taken"), [(True, -1, 0), (True, 0, 0), (False, -1, -1)]
 )
@@ -113,6 +114,7 @@ def test_where_the_ways_part_the_likelier_end_is_taken(biased, monkeypatch, part
     assert len(misfits) == len(chosen) + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "taken"), [(1.0, -1), (1e-6, 0)])
 def test_far_above_the_noise_the_end_that_foretells_more_is_taken(
     biased, monkeypatch, noise, taken
@@ -123,6 +125,7 @@ def test_far_above_the_noise_the_end_that_foretells_more_is_taken(
     assert select.select(biased.pool, 3, noise * biased.noise_by_row)[0] == ends[taken]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", ["nothing", "the cause"])
 def test_what_cannot_lead_is_left_out_and_nothing_else(biased, beside):
     """No effect explains more than its columns may with any weights, so the best are fitted as among all."""

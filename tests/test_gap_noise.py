@@ -106,6 +106,7 @@ def learned(robot, log):
     return Learner(evidence, 1.0).beside(nothing, evidence.y), evidence
 
 
+@pytest.mark.slow
 def test_a_number_of_the_model_beyond_its_tolerance_is_named(robot):
     _, right = learned(robot, simulate())
     assert not strained(Left(right, right.y))

@@ -23,6 +23,7 @@ def seldom(torque, every):
     return dataclasses.replace(log, time=log.time[pick], qpos=log.qpos[pick], tau=log.tau[pick])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_fast_motion_seldom_sampled_is_no_gap(robot, every):
     """At 5 Hz, second-order differences lose 3 % of an acceleration in 100 Hz, torques put off along lines 1 %."""
@@ -30,6 +31,7 @@ def test_a_fast_motion_seldom_sampled_is_no_gap(robot, every):
     assert found.verdict is Verdict.NO_GAP
 
 
+@pytest.mark.slow
 def test_a_weak_motor_is_sized_in_a_log_of_100_hz(robot):
     found = diagnose(robot, seldom(lambda t, q, v, u: np.array([0.0, -0.03 * u[1]]), 5))
     assert found.verdict is Verdict.EXPLAINED

@@ -20,6 +20,7 @@ def the_one(size, **hidden):
     return effect, {name: p.value for name, p in effect.parameters.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [CRANE, FINGER])
 def test_a_load_is_found_on_a_robot_of_any_size(size):
     """On a crane 2.4 m from the joint."""
@@ -30,6 +31,7 @@ def test_a_load_is_found_on_a_robot_of_any_size(size):
     assert value["com_z"] == pytest.approx(at[2], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_centre_of_mass_that_is_off_by_a_millimetre_is_a_gap_on_a_finger():
     def edit(model):
         model.body_ipos[2, 2] -= 1.2e-3
@@ -39,6 +41,7 @@ def test_a_centre_of_mass_that_is_off_by_a_millimetre_is_a_gap_on_a_finger():
     assert value["com_shift_z"] == pytest.approx(-1.2e-3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_crane_is_pushed_by_more_than_a_person():
     force = np.array([9000.0, 0.0, -6000.0])
     effect, value = the_one(CRANE, force=lambda t: force * (3.0 <= t < 4.2))

@@ -102,6 +102,7 @@ def test_sigma_is_the_spread_of_fits_to_many_noisy_logs():
     )
 
 
+@pytest.mark.slow
 def test_every_combination_is_as_well_known_as_it_says():
     model, robot = arm()
     bodies, prior = ["gimbal", "tip"], Load(0.5)

@@ -104,6 +104,7 @@ def flown(imu_body: str = "trunk") -> tuple[Log, np.ndarray]:
     return Log(time=time, joint_names=names, imu_body=imu_body, **out), force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("imu_body", ["trunk", "FL_shank"])
 def test_an_imu_stands_for_position_and_velocity_of_the_base(imu_body):
     """All rows of the inverse dynamics, though the robot flies past at 7 m/s."""

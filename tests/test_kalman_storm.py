@@ -74,7 +74,10 @@ def storm(chart: charts.Chart, key: jax.Array, bodies: int, iterations: int):
 
 @pytest.mark.parametrize(
     ("chart", "bodies", "iterations"),
-    [(charts.LogCholesky(), 2, 1), (charts.LogCholeskyUUt(), 1, 3)],
+    [
+        (charts.LogCholesky(), 2, 1),
+        pytest.param(charts.LogCholeskyUUt(), 1, 3, marks=pytest.mark.slow),
+    ],
     ids=["UtU", "UUt iterated"],
 )
 def test_every_estimate_is_a_body_and_every_covariance_one(chart, bodies, iterations):

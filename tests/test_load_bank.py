@@ -55,7 +55,8 @@ def small():
     return who, bank, lambda log: links.follow(bank, jax.tree.map(jnp.asarray, log))
 
 
-@pytest.mark.parametrize("shocks", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("shocks", [False, True])
 def test_the_hand_s_load_is_the_hand_s(small, shocks):
     who, bank, run = small
     rng = np.random.default_rng(5)

@@ -168,6 +168,7 @@ def test_other_kinds_are_refused(tmp_path):
     assert refusal(lists)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_stream_from_a_file_is_the_stream_from_memory(tmp_path):
     pytest.importorskip("pyarrow")
     log = swing(seconds=6.0)

@@ -153,8 +153,8 @@ SAID = [
 ]
 
 
-# A robot of its own is some seconds of compiling: two are in the fast run.
-FAST = ("leg", "crane")
+# A robot of its own is some seconds of compiling: one is in the fast run.
+FAST = ("leg",)
 LINES = [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] not in FAST)) for one in SAID]
 
 

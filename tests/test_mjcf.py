@@ -246,7 +246,14 @@ def test_disabled_forces_and_reflected_inertia(load):
         np.testing.assert_allclose(ji.passive_torque(robot, q, v), data.qfrc_passive, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["three_joints", "floating_tree", "two_trees"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "three_joints",
+        pytest.param("floating_tree", marks=pytest.mark.slow),
+        pytest.param("two_trees", marks=pytest.mark.slow),
+    ],
+)
 def test_gravity_compensation_is_mujoco_s(cases, name):
     case, share = cases(name), itertools.cycle((0.7, 1.0, 0.0, -0.2))
     text = re.sub("<body ", lambda m: f'<body gravcomp="{next(share)}" ', MODELS[name])

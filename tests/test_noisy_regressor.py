@@ -99,7 +99,10 @@ def last(estimator: Estimator, log: Observation) -> np.ndarray:
     return np.asarray(run(estimator, estimator.initial(), log)[1].estimate.pi[-1])
 
 
-@pytest.mark.parametrize(("chart", "iterations"), [("Linear", 1), ("LogCholeskyUUt", 3)])
+@pytest.mark.parametrize(
+    ("chart", "iterations"),
+    [("Linear", 1), pytest.param("LogCholeskyUUt", 3, marks=pytest.mark.slow)],
+)
 def test_without_noise_it_is_the_paper_s_filter(chart, iterations):
     options = {"chart": getattr(charts, chart)(), "iterations": iterations}
     (exact, log), (paper, _) = arm(sigma_a=0.0, **options), arm(**options)
@@ -134,6 +137,7 @@ def test_rows_that_are_not_measured_say_nothing():
     np.testing.assert_array_equal(answers[0], answers[2])
 
 
+@pytest.mark.slow
 def test_float32_stays_close_to_float64():
     wide, log = arm(sigma_a=0.05, iterations=3)
     narrow, _ = arm(jnp.float32, sigma_a=0.05, iterations=3)

@@ -1,6 +1,6 @@
 """The notebooks: cleared of outputs, each opening with a picture, and their code runs.
 
-All but the first compile for a minute and stand on code that has tests of its own: they are `slow`.
+Their code compiles for a minute each and stands on code that has tests of its own: it is `slow`, and CI runs it.
 """
 
 import ast
@@ -14,14 +14,6 @@ import pytest
 
 HERE = Path(__file__).parent
 NOTEBOOKS = sorted((HERE.parent / "notebooks").glob("*.ipynb"))
-SLOW = {
-    "2_log_cholesky",
-    "3_gate_and_noise",
-    "4_monte_carlo",
-    "5_your_robot",
-    "6_your_own_effect",
-    "7_servo_arm",
-}
 
 
 def cells_of(path: Path) -> list[dict]:
@@ -49,11 +41,9 @@ def test_a_notebook_is_text_and_code_without_outputs(path):
         ast.parse("".join(cell["source"]))
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in SLOW), id=p.stem) for p in NOTEBOOKS],
-)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_a_notebook_runs(path, tmp_path):
     # In a process of its own, as for a reader: nothing is left of the tests' settings.
     settings = {"MPLBACKEND": "Agg"}

@@ -192,7 +192,9 @@ def test_a_sound_robot_has_no_gap():
     [
         ({"delay": 0.02}, "target_delay", "global", 0.02, 2e-3),
         ({"kp": (1.0, 0.7)}, "kp_scale", "elbow", 0.7, 0.03),
-        ({"dry": (0.6, 0.0)}, "coulomb_friction", "shoulder", 0.6, 0.06),
+        pytest.param(
+            {"dry": (0.6, 0.0)}, "coulomb_friction", "shoulder", 0.6, 0.06, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_what_is_wrong_is_found_and_its_replay_proves_it(effects, family, place, size, tolerance):

@@ -222,6 +222,7 @@ def test_stands_for_a_second_and_the_ground_carries_its_weight(terrain):
     assert cells == pytest.approx(-(total - feet), rel=0.01)
 
 
+@pytest.mark.slow
 def test_mjx_finds_the_same_accelerations_and_contact_forces():
     """With the solver run to its end on uneven ground: what is left is the model, and it is one."""
     model = model_of(

@@ -137,6 +137,7 @@ def test_it_weighs_the_load_and_leaves_out_what_was_not_measured():
 # --- memory ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log():
     """What is held once Python's garbage (cycles) is collected, a few chunks in and many chunks later."""
     sound = rows(log(), slice(0, 1000))

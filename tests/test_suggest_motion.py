@@ -59,6 +59,7 @@ def test_limits_come_from_the_model():
     np.testing.assert_allclose(limits.velocity, 2.0)
 
 
+@pytest.mark.slow
 def test_limits_hold_in_mujocos_inverse_dynamics_and_some_bind():
     model, _, limits, found = suggested()
     needed = torques(model, found.q, found.v, found.a)
@@ -117,6 +118,7 @@ def information(robot: ji.Robot, q, v, a) -> np.ndarray:
     return np.eye(10) + scaled.T @ scaled
 
 
+@pytest.mark.slow
 def test_it_tells_more_than_any_of_twenty_random_motions():
     """By 4 nats at least over the best, 6 over the median: σ smaller by a half on (geometric) average."""
     model, robot, limits, found = suggested()

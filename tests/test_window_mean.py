@@ -55,7 +55,7 @@ def moving(base: str) -> tuple[mujoco.MjModel, Observation]:
     return plant, Observation(dataclasses.replace(every.motion, **kept), every.a[::WINDOW])
 
 
-@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("base", ["hinge", "free", pytest.param("ball", marks=pytest.mark.slow)])
 def test_a_window_s_torque_is_that_of_the_mean_rows(base):
     plant, log = moving(base)
     robot = load_model(plant)
