@@ -1,12 +1,13 @@
 """The one score against a brute-force marginal likelihood, and the verdict's table row by row."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from jax_inertia.diagnosis.checks import Check
+from jax_inertia.diagnosis.checks import Check, _Run
 from jax_inertia.diagnosis.detectability import information, smallest
 from jax_inertia.diagnosis.effects.actuator import TorqueSaturation
 from jax_inertia.diagnosis.effects.base import Place
@@ -198,3 +199,32 @@ def test_the_verdict_is_its_table(case, listed, another, wanted):
 def test_settings_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         Settings().gate = 0.5
+
+
+class Predicted(_Run):
+    """Rows of two joints: what is left with an effect and without it."""
+
+    def __init__(self, with_it, without):
+        self.residual = SimpleNamespace(weight=np.ones(with_it.shape), sensors=np.zeros(2))
+        self._left, self._without = with_it, without
+
+    def left(self, now):
+        return self._left
+
+    def left_without(self, now, asked):
+        return iter([self._without] * len(asked))
+
+
+def test_support_is_a_likelihood_of_as_many_rows_as_are_independent():
+    rng, rows = np.random.default_rng(2), 3000
+    asked = hypotheses(rng, 1)
+    nothing = Posterior((), (), np.zeros(0), np.zeros((0, 0)), np.zeros((rows, 2)))
+    white = rng.normal(size=(rows, 2))
+    loud = white * [1.0, 3.0]
+    (found,) = Predicted(white, loud).support(nothing, asked)
+    assert found == pytest.approx(rows * np.log(3.0), rel=0.02)
+    assert Predicted(loud, white).support(nothing, asked)[0] < 0.0
+    slow = np.convolve(rng.normal(size=rows + 400), np.exp(-np.arange(401) / 100), "valid")
+    hidden = np.stack([white[:, 0], 3.0 * slow[:rows] / np.std(slow)], axis=1)
+    (found,) = Predicted(white, hidden).support(nothing, asked)
+    assert 3.0 < found < rows * np.log(3.0) / 20
