@@ -59,6 +59,8 @@ class Inputs:
     more: tuple[Log, ...] = ()
     of_loop: bool = False
     """Whether torques are not of the log, but what a position loop gives."""
+    replayed: bool = False
+    """Whether targets are replayed."""
     uncertainty: tuple[float, float, float] | None = None
     """Standard deviations of the model's masses (relative), centres [m] and inertias (relative), where stated."""
 
@@ -119,13 +121,18 @@ def read(
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)
-    if more and logs[0].tau is not None:
+    replayed = logs[0].tau is None or (
+        not of_loop and entry.replayable(model, given, gains.kp, gains.kd, held)
+    )
+    if more and not replayed:
         raise ValueError(
-            f"--more-logs is for logs of targets without torque, and {log.name} has torque: leave it out"
+            f"--more-logs is for logs of targets that are replayed, and {log.name} is diagnosed by its torque: leave "
+            "it out"
         )
     last = len(more) + 1
     test = logs[last] if test_log is not None else None
-    return Inputs(model, log, robot, logs[0], test, tuple(quality), tuple(logs[1:last]), of_loop)
+    more_logs = tuple(logs[1:last])
+    return Inputs(model, log, robot, logs[0], test, tuple(quality), more_logs, of_loop, replayed)
 
 
 def diagnosed(
@@ -138,9 +145,9 @@ def diagnosed(
 ) -> Callable[..., None]:
     """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`.
 
-    By replays where there is no torque; where there are both, by torque, and the position loop on its own.
+    By replays of the targets where the loop is known, torque or none; else by torque, and the loop on its own.
     """
-    if inputs.log.tau is None:
+    if inputs.replayed:
         paths, logs = (inputs.path, inputs.model), (inputs.log, *inputs.more)
         return replay_run.diagnosed(
             folder, paths, logs, inputs.test_log, gains, exclude, inputs.quality, stage

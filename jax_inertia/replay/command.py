@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from jax_inertia.logs.log import Log
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Loop
 from jax_inertia.replay.record import feeds_forward
 
 _LONGEST = 0.1
-_CLEAR = 0.9
+_CLEAR, _MOSTLY = 0.9, 0.5
 _CUT, _SHORT, _LOW = 0.01, 0.03, 0.6
 """Of rows, cut-off ones at least; of the largest torque, what those lack at least, and below what none is."""
 _FALLS, _STRAIGHT = 0.1, 0.1
@@ -70,6 +70,22 @@ def command_half(log: Log, loop: Loop | None = None) -> tuple[Half, ...]:
         return ()
     found = [_joint(n, r) for n, r in zip(log.joint_names, rows_of(log, loop), strict=True)]
     return tuple(h for h in found if h is not None and h.explained >= _CLEAR and h.kp > 0)
+
+
+def of_the_loop(log: Log, loop: Loop | None) -> bool:
+    """Whether a log's torques are those of its position loop, in N m, at most joints that give any.
+
+    They are where the law accounts for more of their variance than it leaves: a limit or a lag, which it does not have
+    here, takes a third. What a sensor behind a gear measures is less the gear's friction, and not the loop's.
+    """
+    if log.tau is None or log.qpos_target is None:
+        return False
+    if log.tau_unit is not TorqueUnit.NEWTON_METRE or log.tau_kind is TorqueKind.SENSOR:
+        return False
+    active = np.nanvar(np.asarray(log.tau, float), axis=0) > 0
+    found = [_joint(n, r) for n, r in zip(log.joint_names, rows_of(log, loop), strict=True)]
+    shown = [h is not None and h.kp > 0 and h.explained > _MOSTLY for h in found]
+    return 2 * int(np.sum(shown)) > int(np.sum(active))
 
 
 def rows_of(log: Log, loop: Loop | None) -> list["Rows"]:

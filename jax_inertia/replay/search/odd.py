@@ -15,6 +15,7 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
@@ -57,14 +58,15 @@ def add_odd(
     records: Sequence[Record],
     held_out: Sequence[Record],
     torque: Float[np.ndarray, " n"],
-    floor: float,
+    floor: Float[np.ndarray, " m"],
     exclude: Sequence[str],
     progress: Callable[[str], None],
 ) -> "Search":
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
-    best, out, possible = _square(plant, found, held_out), [], []
+    run = unseen.Unseen(plant, held_out)
+    best, out, possible = run.missed(found), [], []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         about = Parabola(found, plant.loop, found.samples)
@@ -84,7 +86,7 @@ def add_odd(
             # does if it does no harm.
             simpler = new.kept + len(c.parameters) < now.kept
             least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-            if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
+            if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
                 passed.append((evidence, c, tried))
             elif evidence > -AS_GOOD:
                 possible.append(c)
@@ -96,7 +98,7 @@ def add_odd(
             plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=_ROUNDS,
             known=(tried.error, tried.columns),
         )  # fmt: skip
-        best = _square(plant, found, held_out)
+        best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
         rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
         out.append(Odd(first, rows, rivals))
@@ -107,11 +109,6 @@ def add_odd(
 def _price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
-
-
-def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
-    error = fitting.errors(plant, found.table, found.theta[None], records)[0]
-    return float(np.mean(error**2))
 
 
 def _finalists(
@@ -145,7 +142,11 @@ def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Wo
 
 
 def _from_nominal(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits that start at the nominal model with one effect and few ordinary numbers.
 
@@ -192,12 +193,16 @@ def tried_errors(
         changed = fitting.errors(plant, (*found.table, *more), thetas, records)
         for k in mine:
             c, start = tries[k]
-            touched = fitting.touches(plant, c.parameters[:1])[0]
+            touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
 
 
 def _afresh(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits with a dead band that do not start at the numbers without one.
 
@@ -207,7 +212,8 @@ def _afresh(
     error = np.sqrt(np.mean(found.error**2, axis=0))
     pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
     pool = sorted(
-        (c for c in pool if error[c.place[0]] > _ROUGH * floor), key=lambda c: -error[c.place[0]]
+        (c for c in pool if error[c.place[0]] > _ROUGH * floor[c.place[0]]),
+        key=lambda c: -error[c.place[0]],
     )
     where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
     out = []
