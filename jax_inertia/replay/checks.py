@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.torque import WINDOW, Windows
+from jax_inertia.replay.simulate import WINDOW, Windows
 
 LOOSE_TIME = 1e-3
 """How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""
@@ -68,9 +68,9 @@ def torque_floor(
     square, count = np.zeros(len(loop.kp)), 0
     for r in records:
         windows = Windows(r.time)
-        encoder = encoder_noise(r.q)
+        counts = encoder_noise(r.q)
         speed = np.stack([windows.slope(x) for x in r.torque.T])
-        own = (loop.kp * encoder) ** 2 + (loop.kd * encoder / WINDOW) ** 2 / 2.0
+        own = (loop.kp * counts) ** 2 + (loop.kd * counts / WINDOW) ** 2 / 2.0
         own = own + encoder_noise(r.torque) ** 2 + clock**2 * np.mean(speed**2, axis=1)
         square, count = square + len(r.q) * own, count + len(r.q)
     return np.sqrt(square / count)

@@ -6,7 +6,7 @@ an independent one, and a Gaussian prior about the nominal model:
     Σ_j Σ_t (q̂_tj − q_tj)² / (σ_j² T_j)  +  Σ_j Σ_t (τ̂_tj − τ_tj)² / (σ'_j² T'_j)  +  Σ_p ((θ_p − θ⁰_p) / s_p)²
 
 with T_j the integrated autocorrelation time of joint j's error [samples]; torques τ where they are logged, τ̂ what the
-loop gives at the measured positions (`torque.py`). Replays of a position-controlled robot
+loop gives at the measured positions (`simulate.py`). Replays of a position-controlled robot
 do not drift apart: the whole log is one shot, and no velocities have to be guessed between.
 """
 
@@ -19,8 +19,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.simulate import replay
-from jax_inertia.replay.torque import misses
+from jax_inertia.replay.simulate import misses, replay
 
 ROUNDS = 12
 _ENOUGH = 2e-3
@@ -82,7 +81,7 @@ def errors(
 ) -> Float[np.ndarray, "B N m"]:
     """Replay minus log of every vector, all records one after the other, where they count [rad].
 
-    Where torque is logged it is a second output of every joint, after all positions: `torque.misses` [N m].
+    Where torque is logged it is a second output of every joint, after all positions: `simulate.misses` [N m].
     """
     parts = []
     for r in records:

@@ -229,7 +229,7 @@ _LATE = {
 
 
 def at_floor(r: Replayed) -> bool:
-    """Whether nothing shows: no joint's replay, nor its torque where logged, errs more than encoders and clocks leave."""
+    """Whether nothing shows: no joint's replay or logged torque errs by more than encoders and clocks leave."""
     quiet = np.all(r.before <= AT_FLOOR * r.floor)
     return bool(quiet and (r.torques is None or _torque_is_as_said(r.torques)))
 

@@ -176,7 +176,7 @@ def ordinary(
     """What every robot of this kind has: five numbers a joint and one delay of the targets.
 
     A joint whose kd differs between `settings`, the loops of the logs, has a number for kd too, and every joint has
-    where torque is logged, which says what the loop's part of damping is; what is left is the joint's, and not negative.
+    where torque is logged, which says what the loop's part of damping is; the rest is the joint's, and not negative.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
     model lacks may be. Stamps of targets may be up to one `period` of the log late.
@@ -199,7 +199,7 @@ def ordinary(
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
         ]
-        told = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
-        if told or (torque_logged and loop.kd[j] > 0):
+        varies = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
+        if varies or (torque_logged and loop.kd[j] > 0):
             out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
     return (*out, Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))

@@ -12,10 +12,10 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.command import of_the_loop
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
-from jax_inertia.replay.command import of_the_loop
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import odd, parsimony

@@ -13,8 +13,7 @@ from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.result import Replayed, Torques, rms, total
-from jax_inertia.replay.simulate import replay
-from jax_inertia.replay.torque import misses
+from jax_inertia.replay.simulate import misses, replay
 
 Numbered = tuple[Sequence[Parameter], np.ndarray]
 _DRAWN = 32

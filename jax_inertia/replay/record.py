@@ -44,7 +44,7 @@ class Record(NamedTuple):
     torque: Float[np.ndarray, "T n"] | None = None
     """What the loop gave, where it was logged [N m]."""
     velocity: Float[np.ndarray, "T n"] | None = None
-    """As the drive told it, where it did and torque is logged."""
+    """As the drive measured it, where it did and torque is logged."""
 
     @property
     def period(self) -> float:

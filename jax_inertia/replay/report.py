@@ -19,7 +19,7 @@ from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
 def to_report(found: Diagnosis, *, quality=(), halves: tuple[Half, ...] = ()) -> dict[str, Any]:
-    """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN; `halves`: loops by torque alone."""
+    """The diagnosis in the contract's form, schema 1, in JSON's own types, no NaN; `halves`: loops by torque alone."""
     r = found.replayed
     energy = np.maximum(r.before**2 - r.floor**2, 0.0)
     rest = np.maximum(r.after**2 - r.floor**2, 0.0)
@@ -112,7 +112,7 @@ def torque_report(names, r: Replayed) -> dict[str, Any] | None:
 
 
 def command_report(halves: tuple[Half, ...], loop: Loop, out: dict[str, Any]) -> dict | None:
-    """The `command` key: each joint's loop as its torque alone shows it, and what the whole search says of this half."""
+    """The `command` key: each joint's loop as its torque alone shows it, and what the search says of this half."""
     said = measured(halves, loop.kp, loop.kd, list(out["loop"]["joints"]))
     if said is None:
         return None
