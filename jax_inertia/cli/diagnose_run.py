@@ -18,6 +18,7 @@ from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
 from jax_inertia.cli.conventions import met
 from jax_inertia.cli.replay_run import SILENT, Gains
+from jax_inertia.diagnosis.effects.registry import NAMES as BY_TORQUE
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap.diagnosis import diagnose
@@ -149,9 +150,14 @@ def diagnosed(
     """
     if inputs.replayed:
         paths, logs = (inputs.path, inputs.model), (inputs.log, *inputs.more)
-        return replay_run.diagnosed(
-            folder, paths, logs, inputs.test_log, gains, exclude, inputs.quality, stage
+        loop = {"kp": gains.kp, "kd": gains.kd, "fix_base": gains.fix_base}
+        found = entry.by_replays(
+            inputs.model, logs, inputs.test_log, exclude, progress=stage, **loop
         )
+        if not entry.left_to_torque(found, logs):
+            stage("writing")
+            return replay_run.written(folder, paths, found, inputs.log, gains, inputs.quality)
+        exclude = [x for x in exclude if x in BY_TORQUE]
     show_it = by_torque(folder, inputs, exclude, max_effects, stage)
     if inputs.of_loop:
         return show_it

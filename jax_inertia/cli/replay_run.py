@@ -24,7 +24,7 @@ from jax_inertia.preflight.preflight import Finding, Severity
 from jax_inertia.replay import command, report, simulate
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
-from jax_inertia.replay.entry import by_replays, nominal_spec, usable
+from jax_inertia.replay.entry import nominal_spec, usable
 from jax_inertia.replay.figures import replays
 from jax_inertia.replay.loop import Loop, position_loop
 from jax_inertia.replay.plant import Plant
@@ -119,32 +119,19 @@ def show_replay(out: dict, where: Path) -> None:
     console.print(f"figure: {escape(str(where / 'replay.png'))}", soft_wrap=True, highlight=False)
 
 
-def diagnosed(
+def written(
     folder: Path,
     paths: tuple[Path, Path],
-    logs: Sequence[Log],
-    test_log: Log | None,
+    found: Diagnosis,
+    log: Log,
     gains: Gains,
-    exclude: Sequence[str],
     quality: Sequence[Finding],
-    stage: Callable[[str], None],
 ) -> Callable[..., None]:
-    """Diagnose from targets and positions, write all; what prints it. `paths`: first log and model."""
+    """Write all that replays found; what prints it. `paths`: first log and model."""
     source, model = paths
-    found = by_replays(
-        model,
-        logs,
-        test_log,
-        exclude,
-        kp=gains.kp,
-        kd=gains.kd,
-        fix_base=gains.fix_base,
-        progress=stage,
-    )
-    stage("writing")
     spec = nominal_spec(model, gains.fix_base)
     remarks = corrected(spec, found)
-    halves = command.command_half(logs[0], found.loop) if found.replayed.torques else ()
+    halves = command.command_half(log, found.loop) if found.replayed.torques else ()
     out = report.to_report(found, quality=quality, halves=halves)
     out["notes"] += remarks
     (folder / "report.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
@@ -157,7 +144,7 @@ def diagnosed(
     page = report.page(found, out, (source.name, model.name))
     if halves:
         loop_effects = out["command"]["effects"]
-        page = with_section(page, command_page.part(halves, logs[0], found.loop, loop_effects))
+        page = with_section(page, command_page.part(halves, log, found.loop, loop_effects))
     (folder / "report.html").write_text(page)
     return functools.partial(show, found, out)
 
@@ -202,7 +189,7 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
         joints.add_row(escape(name), *(number(own[k]) for k in ("before", "after", "floor")))
     console.print(joints)
     if (x := found.replayed.torques) is not None:
-        said = [number(v) for v in (total(x.before), total(x.after), total(x.floor))]
+        said = [number(v) for v in (total(x.before), total(x.after), total(x.replay_floor))]
         console.print(f"torque of the replays: {said[0]} → {said[1]} N m (floor {said[2]})")
     for text in (*out["doubts"], *out["notes"]):
         console.print(f"note: {escape(text)}", highlight=False, soft_wrap=True)

@@ -77,7 +77,7 @@ def torque_floor(
 
 
 def least(records: Sequence[Record], loop: Loop) -> Float[np.ndarray, " m"]:
-    """What is left of each output's error at least: what encoders leave.
+    """What remains of each output's error at least: what encoders leave.
 
     What the clocks leave is no noise of a sample: a fit may take it up in its delay.
     """

@@ -31,6 +31,8 @@ _WINDOW = 0.01
 """Half of what is averaged over where velocities were not logged [s]."""
 _SAME = 1e-5
 """Of the torque's variance, by how much squares may differ that are the same."""
+_SURE = 3.0
+"""Of a number, standard deviations from none."""
 _LOOP_PERIOD, _HOLD = 2e-3, 1e-3
 _GAIN_TOLERANCE = 0.03
 _WIDTHS = np.linspace(0.05, 0.8, 16)
@@ -86,6 +88,16 @@ def of_the_loop(log: Log, loop: Loop | None) -> bool:
     found = [_joint(n, r) for n, r in zip(log.joint_names, rows_of(log, loop), strict=True)]
     shown = [h is not None and h.kp > 0 and h.explained > _MOSTLY for h in found]
     return 2 * int(np.sum(shown)) > int(np.sum(active))
+
+
+def with_damping(loop: Loop, log: Log) -> Loop:
+    """The loop with the kd that the log's torques show, where nobody says one at any joint."""
+    if loop.source == "model" or loop.kd.any():
+        return loop
+    kd = np.zeros_like(loop.kd)
+    for half in command_half(log, loop):
+        kd[log.joint_names.index(half.joint)] = half.kd * (half.kd > _SURE * half.kd_sd)
+    return loop._replace(kd=kd)
 
 
 def rows_of(log: Log, loop: Loop | None) -> list["Rows"]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.result import Diagnosis as ByTorque
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import either
 from jax_inertia.gap.finding import Diagnosis as OfOne
@@ -92,16 +93,19 @@ def diagnose(
             log, kp, kd = of_loop(log, *of), None, None
             test_log = None if test_log is None else of_loop(test_log, *of)
     by_file = not isinstance(robot, Robot)
-    logs = [log, *more_logs, *([] if test_log is None else [test_log])]
-    if log.tau is None or (by_file and replayable(Path(robot), logs, kp, kd, fix_base)):
+    every = [log, *more_logs, *([] if test_log is None else [test_log])]
+    if log.tau is None or (by_file and replayable(Path(robot), every, kp, kd, fix_base)):
         if isinstance(robot, Robot):
             raise LogError(
                 "a log without torque is replayed, which takes the model's file: diagnose('arm.xml', log)"
             )
         logs = [log, *more_logs]
-        return by_replays(
+        found = by_replays(
             Path(robot), logs, test_log, exclude, kp=kp, kd=kd, fix_base=fix_base, progress=progress
         )
+        if fix_base or not left_to_torque(found, logs):
+            return found
+        exclude, kp, kd = [x for x in exclude if x in NAMES], None, None
     for name, value in (("more_logs", more_logs), ("kp", kp), ("kd", kd), ("fix_base", fix_base)):
         if value:
             raise ValueError(
@@ -136,6 +140,11 @@ def replayable(
     except (LogError, KeyError):
         return False
     return all(of_the_loop(one, loop) for one, loop in zip(logs, loops, strict=True))
+
+
+def left_to_torque(found: Diagnosis, logs: Sequence[Log]) -> bool:
+    """Whether replays explain nothing of a log with torque, which may show what they do not seek: pushes, springs."""
+    return found.verdict is Verdict.UNKNOWN and len(logs) == 1 and logs[0].tau is not None
 
 
 def of_loop(

@@ -269,7 +269,7 @@ def headline(of: Verdict, r: Replayed) -> str:
     return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks){torque}"
 
 
-def notes(everything: Fit, loop: Loop) -> list[str]:
+def notes(everything: Fit, loop: Loop, torque_logged: bool) -> list[str]:
     """What is to be said of stamps and gains."""
     out = []
     shared = [p.family == "target_delay" and p.joint == ALL for p in everything.table]
@@ -279,7 +279,7 @@ def notes(everything: Fit, loop: Loop) -> list[str]:
                 f"positions lead their targets by {-1e3 * late:.1f} ms: are the stamps of targets late? "
                 "No model can hold that; other numbers take it up"
             )
-    if loop.source == "model":
+    if loop.source == "model" and not torque_logged:
         out.append(
             "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
         )

@@ -12,7 +12,7 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.command import of_the_loop
+from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
@@ -54,10 +54,13 @@ def diagnose(
     names = logs[0].joint_names
     check_base(spec().compile())
     loops = [position_loop(log, spec().compile(), kp, kd) for log in logs]
-    loop = loops[0]
-    test_loop = loop if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
+    test_loop = loops[0] if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
     every = [*zip(logs, loops, strict=True), *([] if test_log is None else [(test_log, test_loop)])]
     torque_logged = all(of_the_loop(one, own) for one, own in every)
+    if torque_logged:
+        loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
+        test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
+    loop = loops[0]
     wholes, records, held, of = _parts(logs, loops, test_log, test_loop, torque_logged)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
     progress("replaying the nominal model")
@@ -88,7 +91,7 @@ def diagnose(
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     notes = [n for r in records for n in checks.objections(r, names)]
-    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop)]
+    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop, torque_logged)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)

@@ -35,7 +35,8 @@ def with_torques(r: Replayed, plant: Plant, nominal: Numbered, corrected: Number
         for of, paths in ((nominal, r.nominal), (corrected, r.corrected))
     ]  # fmt: skip
     floor = checks.torque_floor(r.records, plant.loop)
-    return dataclasses.replace(r, torques=Torques(*loop, *replays, floor))
+    along = np.hypot(floor, plant.loop.kp * r.floor)
+    return dataclasses.replace(r, torques=Torques(*loop, *replays, floor, along))
 
 
 def _torque_error(plant: Plant, of: Numbered, records: Sequence[Record]) -> np.ndarray:

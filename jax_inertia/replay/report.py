@@ -101,13 +101,17 @@ def torque_report(names, r: Replayed) -> dict[str, Any] | None:
     return {
         "before": total(x.before),
         "after": total(x.after),
-        "noise": total(x.floor),
+        "noise": total(x.replay_floor),
         "unit": "N m",
         "per_joint": {
             name: {"before": b, "after": a}
             for name, b, a in zip(names, x.before, x.after, strict=True)
         },
-        "loop": {"before": total(x.loop_before), "after": total(x.loop_after)},
+        "loop": {
+            "before": total(x.loop_before),
+            "after": total(x.loop_after),
+            "noise": total(x.floor),
+        },
     }
 
 

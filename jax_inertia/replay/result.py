@@ -71,7 +71,9 @@ class Torques(NamedTuple):
     """Along the nominal model's replay: both halves."""
     after: Float[np.ndarray, " n"]
     floor: Float[np.ndarray, " n"]
-    """What encoders and clocks leave."""
+    """What encoders and clocks leave of the loop's."""
+    replay_floor: Float[np.ndarray, " n"]
+    """And of the replay's, which is at positions that are off by theirs."""
 
 
 OTHER_RUN = "the other run"
