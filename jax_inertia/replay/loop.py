@@ -147,6 +147,11 @@ ORDINARY = (
     "kd_scale",
     "target_delay",
 )
+COMMAND = (
+    "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
+    "dead_band",
+)  # fmt: skip
+"""Families between what a joint is commanded and its torque; the others are between torque and motion."""
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
 _KP_SAID, _KP_GUESSED = 0.3, 2.0
 _OFFSET, _DELAY = 0.05, 0.02

@@ -11,7 +11,7 @@ from jax_inertia.replay.command import to_report as measured
 from jax_inertia.replay.corrected import policy
 from jax_inertia.replay.figures import replays
 from jax_inertia.replay.listing import PARAMETERS, size_of
-from jax_inertia.replay.loop import UNITS, Loop
+from jax_inertia.replay.loop import COMMAND, UNITS, Loop
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Effect, Replayed, total
 from jax_inertia.replay.varying_friction import law
 from jax_inertia.text.report_page import rendered
@@ -153,13 +153,6 @@ def _effect(e: Effect) -> dict[str, Any]:
             for tie in e.ties
         ],
     }
-
-
-COMMAND = (
-    "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
-    "dead_band",
-)  # fmt: skip
-"""Families between what a joint is commanded and its torque; the others are between torque and motion."""
 
 
 def _size(s) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import COMMAND
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import held_out as unseen
@@ -65,19 +66,22 @@ def add_odd(
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
-    run = unseen.Unseen(plant, held_out)
+    run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
     best, out, possible = run.missed(found), [], []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
+        excess = _excess(found, floor, len(plant.names))
+        here = _sought(pool, excess, torque_logged)
         about = Parabola(found, plant.loop, found.samples)
         now = about.worth()
         fits = [
             (c, _fitted(plant, found, c, start, records, floor))
-            for c, start in _finalists(plant, about, now.total, pool, records)
+            for c, start in _finalists(plant, about, now.total, here, records)
         ]
+        if k == 0 or torque_logged:
+            fits += _afresh(plant, found, here, excess, records, floor)
         if k == 0:
-            fits += _afresh(plant, found, pool, records, floor)
-            fits += _from_nominal(plant, found, pool, records, floor)
+            fits += _from_nominal(plant, found, here, records, floor)
         passed, possible = [], []
         for c, tried in fits:
             new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
@@ -104,6 +108,24 @@ def add_odd(
         out.append(Odd(first, rows, rivals))
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
     return Search(found, tuple(out), tuple(possible), tuple(pool))
+
+
+def _excess(found: Fit, floor: Float[np.ndarray, " m"], joints: int) -> Float[np.ndarray, " n"]:
+    """Error of each joint's last output, torque where it is logged, over what encoders leave of it."""
+    return np.sqrt(np.mean(found.error**2, axis=0))[-joints:] / floor[-joints:]
+
+
+def _sought(
+    pool: Sequence[Candidate], excess: Float[np.ndarray, " n"], torque_logged: bool
+) -> list[Candidate]:
+    """Where torque is logged, no effect of a loop whose torque is as it should be: it would be in it."""
+    if not torque_logged:
+        return list(pool)
+    off = excess > _ROUGH
+    return [
+        c for c in pool
+        if c.family not in COMMAND or (off.any() if c.place[0] < 0 else off[c.place[0]])
+    ]  # fmt: skip
 
 
 def _price(found: Fit, c: Candidate) -> float:
@@ -201,19 +223,18 @@ def _afresh(
     plant: Plant,
     found: Fit,
     pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
     records: Sequence[Record],
     floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits with a dead band that do not start at the numbers without one.
 
     A soft loop with much friction passes for a stiff one with a dead band, and no small step leads from one to the
-    other: gain, friction and dead band are looked for together, at the joints whose replays err most.
+    other: gain, friction and dead band are looked for together, at the joints whose replays, or torques, err most.
     """
-    error = np.sqrt(np.mean(found.error**2, axis=0))
     pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
     pool = sorted(
-        (c for c in pool if error[c.place[0]] > _ROUGH * floor[c.place[0]]),
-        key=lambda c: -error[c.place[0]],
+        (c for c in pool if excess[c.place[0]] > _ROUGH), key=lambda c: -excess[c.place[0]]
     )
     where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
     out = []
