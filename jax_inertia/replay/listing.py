@@ -55,7 +55,7 @@ _IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
 
 
 def distinct(found: Fit, k: int, loop: Loop) -> bool:
-    """Whether a number's interval leaves the nominal one out."""
+    """Whether a number's interval leaves the nominal one out; it does where that is none."""
     p, sd = found.table[k], np.hypot(found.sigma[k], checks.loose(found.table, loop)[k])
     return bool(abs(found.theta[k] - p.nominal) > 1.96 * sd)
 
@@ -202,6 +202,9 @@ def ties_of(
     if (family, p.family) == ("kd_scale", "viscous_friction"):
         exact = (("viscous_friction", _SUM),)
     out = [Tie(tie, *place, text, True) for tie, text in exact]
+    if family == "target_delay" and len(names) == 1:
+        own = ("joint", names[0]) if p.joint == ALL else ("global", "global")
+        out.append(Tie(family, *own, "of one joint, its own delay is that of all", True))
     out += [Tie(tie, *place, text, False) for tie, text in _IN_PART.get(family, ())]
     sigma = found.sigma
     for i, other in enumerate(found.table):

@@ -85,8 +85,8 @@ def diagnose(
         found = _on_all(plant, found, wholes)
     kept = {
         k: s for k, s in shares.items()
-        if (max(k) >= len(table) and s > min(_LISTED, left))
-        or (s > _LISTED and listing.distinct(found, min(k), loop))
+        if s > (min(_LISTED, left) if max(k) >= len(table) else _LISTED)
+        and listing.distinct(found, min(k), loop)
     }  # fmt: skip
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)

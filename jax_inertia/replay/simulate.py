@@ -132,19 +132,24 @@ def misses(
     table: Sequence[Parameter],
     thetas: Float[np.ndarray, "B P"],
     record: Record,
-) -> Float[np.ndarray, "B T n"]:
-    """Torque that the loop gives minus the one that was logged [N m], means over windows, of every vector."""
+    joints: Sequence[int] | None = None,
+) -> Float[np.ndarray, "B T j"]:
+    """Torque that the loop gives minus the one that was logged [N m], means over windows, of every vector.
+
+    Of all joints, or of some.
+    """
     every = [plant.numbers(table, theta, record.loop) for theta in thetas]
     windows = Windows(record.time)
-    out = np.empty((len(thetas), *record.q.shape))
-    for j in range(record.q.shape[1]):
+    joints = range(record.q.shape[1]) if joints is None else joints
+    out = np.empty((len(thetas), len(record.time), len(joints)))
+    for k, j in enumerate(joints):
         # Most numbers of a vector are not the loop's, and most that are, another joint's.
         done: dict[tuple[float, ...], np.ndarray] = {}
         for b, x in enumerate(every):
             own = tuple(float(getattr(x, name)[j]) for name in _LAW)
             if own not in done:
                 done[own] = _miss(record, windows, x, j)
-            out[b, :, j] = done[own]
+            out[b, :, k] = done[own]
     return out
 
 

@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.loop import COMMAND
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
@@ -25,8 +25,8 @@ LOG_ODDS = float(np.log(20.0))
 """Against any one odd effect: one robot in twenty has it."""
 _GAIN = 0.02
 _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
-_ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
-"""Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
+_AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
+"""Fits from afresh: how many, and by what logarithms gains are raised."""
 _FROM_NOMINAL = 1
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
@@ -70,17 +70,19 @@ def add_odd(
     best, out, possible = run.missed(found), [], []
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
-        excess = _excess(found, floor, len(plant.names))
-        here = _sought(pool, excess, torque_logged)
+        excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
+        if torque_logged:
+            excess = by_law.excess(plant, found, records, floor)
+            loops, here = by_law.sought(pool, excess)
         about = Parabola(found, plant.loop, found.samples)
         now = about.worth()
         fits = [
             (c, _fitted(plant, found, c, start, records, floor))
             for c, start in _finalists(plant, about, now.total, here, records)
         ]
-        if k == 0 or torque_logged:
-            fits += _afresh(plant, found, here, excess, records, floor)
+        fits += _by_law(plant, found, loops, excess, records, floor)
         if k == 0:
+            fits += _afresh(plant, found, here, excess, records, floor)
             fits += _from_nominal(plant, found, here, records, floor)
         passed, possible = [], []
         for c, tried in fits:
@@ -110,22 +112,9 @@ def add_odd(
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
-def _excess(found: Fit, floor: Float[np.ndarray, " m"], joints: int) -> Float[np.ndarray, " n"]:
-    """Error of each joint's last output, torque where it is logged, over what encoders leave of it."""
-    return np.sqrt(np.mean(found.error**2, axis=0))[-joints:] / floor[-joints:]
-
-
-def _sought(
-    pool: Sequence[Candidate], excess: Float[np.ndarray, " n"], torque_logged: bool
-) -> list[Candidate]:
-    """Where torque is logged, no effect of a loop whose torque is as it should be: it would be in it."""
-    if not torque_logged:
-        return list(pool)
-    off = excess > _ROUGH
-    return [
-        c for c in pool
-        if c.family not in COMMAND or (off.any() if c.place[0] < 0 else off[c.place[0]])
-    ]  # fmt: skip
+def _rms(found: Fit) -> Float[np.ndarray, " m"]:
+    """Of each output, rms."""
+    return np.sqrt(np.mean(found.error**2, axis=0))
 
 
 def _price(found: Fit, c: Candidate) -> float:
@@ -161,6 +150,26 @@ def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Wo
     p, own = c.parameters[0], start[0]
     ends = sorted((p.low / own, p.high / own))
     return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
+
+
+def _by_law(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with what a joint's torque says of its loop; none where no torque is logged."""
+    out = []
+    for c, theta, _ in by_law.starts(plant, found, pool, excess, records) if pool else ():
+        table, free = (
+            (*found.table, *c.parameters),
+            np.append(found.free, [True] * len(c.parameters)),
+        )
+        fit = fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
+        out.append((c, fit))
+    return out
 
 
 def _from_nominal(
@@ -234,7 +243,7 @@ def _afresh(
     """
     pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
     pool = sorted(
-        (c for c in pool if excess[c.place[0]] > _ROUGH), key=lambda c: -excess[c.place[0]]
+        (c for c in pool if excess[c.place[0]] > by_law.ROUGH), key=lambda c: -excess[c.place[0]]
     )
     where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
     out = []
