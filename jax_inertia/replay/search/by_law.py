@@ -21,8 +21,10 @@ from jax_inertia.replay.simulate import misses
 
 ROUGH = 3.0
 """Error of a joint's output in units of what encoders leave, from which something of its loop is sought."""
+AS_GOOD = 2.0 * float(np.log(20.0))
+"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 _JOINTS, _MOST = 3, 2
-"""Joints looked at, the worst ones, and starts that are left."""
+"""Joints looked at, the worst ones, and starts that are left of each."""
 _STEPS = 8
 
 
@@ -62,23 +64,29 @@ def starts(
     pool: Sequence[Candidate],
     excess: Float[np.ndarray, " n"],
     records: Sequence[Record],
-) -> list[Start]:
-    """The likeliest effects of loops, each with its joint's gains and its own numbers as the torque has them."""
-    out: list[Start] = []
+) -> list[list[Start]]:
+    """Joint by joint, the likeliest effect of its loop and what may be in its place, the likeliest joint first.
+
+    Each with the joint's gains and its own numbers as the torque has them.
+    """
+    out: list[list[Start]] = []
     n = len(plant.names)
     for j in np.argsort(-excess)[:_JOINTS].tolist():
-        own = [c for c in pool if c.place[0] == j]
         now = float(np.mean(found.error[:, n + j] ** 2))
         samples = len(found.error) / found.weights.correlated[n + j]
         best: dict[str, Start] = {}
-        for c in own:
+        for c in (c for c in pool if c.place[0] == j):
             for s in c.starts:
                 theta, square = _fitted(plant, found, c, s, j, records)
                 gain = samples * np.log(now / square) - len(c.parameters) * np.log(samples)
                 if c.family not in best or gain > best[c.family].gain:
                     best[c.family] = Start(c, theta, float(gain))
-        out += best.values()
-    return sorted((x for x in out if x.gain > 0), key=lambda x: -x.gain)[:_MOST]
+        # What the torque leaves open, replays and the ties of the report are asked about.
+        least = max(max((x.gain for x in best.values()), default=0.0) - AS_GOOD, 0.0)
+        near = sorted((x for x in best.values() if x.gain > least), key=lambda x: -x.gain)
+        if near:
+            out.append(near[:_MOST])
+    return sorted(out, key=lambda near: -near[0].gain)
 
 
 def _fitted(plant, found: Fit, c: Candidate, start, j: int, records) -> tuple[np.ndarray, float]:

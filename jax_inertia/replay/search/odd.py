@@ -17,6 +17,7 @@ from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
+from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
@@ -30,8 +31,6 @@ _AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 _FROM_NOMINAL = 1
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
-AS_GOOD = 2.0 * float(np.log(20.0))
-"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 
 
 class Search(NamedTuple):
@@ -67,35 +66,27 @@ def add_odd(
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
-    best, out, possible = run.missed(found), [], []
+    best, out, possible, afresh = run.missed(found), [], [], True
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
         if torque_logged:
             excess = by_law.excess(plant, found, records, floor)
             loops, here = by_law.sought(pool, excess)
-        about = Parabola(found, plant.loop, found.samples)
-        now = about.worth()
-        fits = [
-            (c, _fitted(plant, found, c, start, records, floor))
-            for c, start in _finalists(plant, about, now.total, here, records)
-        ]
-        fits += _by_law(plant, found, loops, excess, records, floor)
-        if k == 0:
-            fits += _afresh(plant, found, here, excess, records, floor)
-            fits += _from_nominal(plant, found, here, records, floor)
+        # The loop's half first: its torque tells it, whatever the robot makes of it.
         passed, possible = [], []
-        for c, tried in fits:
-            new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-            evidence = now.total - new.total - _price(found, c)
-            # A number that does not carry over to another stretch is none of the robot's; one that stands for several
-            # does if it does no harm.
-            simpler = new.kept + len(c.parameters) < now.kept
-            least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-            if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
-                passed.append((evidence, c, tried))
-            elif evidence > -AS_GOOD:
-                possible.append(c)
+        for fits in _by_law(plant, found, loops, excess, records, floor):
+            passed, more = _judged(plant, found, fits, run, best)
+            possible += more
+            if passed:
+                break
+        if not passed:
+            fits = _finalists(plant, found, here, records, floor)
+            if afresh:
+                fits += _afresh(plant, found, here, excess, records, floor)
+                fits += _from_nominal(plant, found, here, records, floor)
+            passed, more = _judged(plant, found, fits, run, best)
+            possible, afresh = [*possible, *more], False
         if not passed:
             break
         passed.sort(key=lambda x: -x[0])
@@ -112,6 +103,26 @@ def add_odd(
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
+def _judged(
+    plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
+) -> tuple[list[tuple[float, Candidate, Fit]], list[Candidate]]:
+    """(those that evidence and held-out runs both ask for, with the evidence; those that are nearly as good)."""
+    now = Parabola(found, plant.loop, found.samples).worth()
+    passed, possible = [], []
+    for c, tried in fits:
+        new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+        evidence = now.total - new.total - _price(found, c)
+        # A number that does not carry over to another stretch is none of the robot's; one that stands for several
+        # does if it does no harm.
+        simpler = new.kept + len(c.parameters) < now.kept
+        least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
+        if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
+            passed.append((evidence, c, tried))
+        elif evidence > -AS_GOOD:
+            possible.append(c)
+    return passed, possible
+
+
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
     """Of each output, rms."""
     return np.sqrt(np.mean(found.error**2, axis=0))
@@ -124,16 +135,17 @@ def _price(found: Fit, c: Candidate) -> float:
 
 def _finalists(
     plant: Plant,
-    about: Parabola,
-    now: float,
+    found: Fit,
     pool: Sequence[Candidate],
     records: Sequence[Record],
-) -> list[tuple[Candidate, tuple[float, ...]]]:
-    """The candidates that promise most, and where each starts."""
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with the candidates that promise most."""
     tries = [(c, s) for c in pool for s in c.starts]
     if not tries:
         return []
-    found = about.found
+    about = Parabola(found, plant.loop, found.samples)
+    now = about.worth().total
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
         worth, share = _scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
@@ -142,7 +154,11 @@ def _finalists(
             best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
-    return [(c, start) for gain, c, start in order if gain >= least]
+    return [
+        (c, _fitted(plant, found, c, start, records, floor))
+        for gain, c, start in order
+        if gain >= least
+    ]
 
 
 def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
@@ -159,17 +175,16 @@ def _by_law(
     excess: Float[np.ndarray, " n"],
     records: Sequence[Record],
     floor: np.ndarray,
-) -> list[tuple[Candidate, Fit]]:
-    """Fits with what a joint's torque says of its loop; none where no torque is logged."""
-    out = []
-    for c, theta, _ in by_law.starts(plant, found, pool, excess, records) if pool else ():
-        table, free = (
-            (*found.table, *c.parameters),
-            np.append(found.free, [True] * len(c.parameters)),
-        )
-        fit = fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
-        out.append((c, fit))
-    return out
+) -> Iterator[list[tuple[Candidate, Fit]]]:
+    """Joint by joint, fits with what its torque says of its loop; none where no torque is logged."""
+    for near in by_law.starts(plant, found, pool, excess, records) if pool else ():
+        fits = []
+        for c, theta, _ in near:
+            table = (*found.table, *c.parameters)
+            free = np.append(found.free, [True] * len(c.parameters))
+            fit = fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
+            fits.append((c, fit))
+        yield fits
 
 
 def _from_nominal(
