@@ -69,9 +69,9 @@ def torque_floor(
     for r in records:
         windows = Windows(r.time)
         counts = encoder_noise(r.q)
-        speed = np.stack([windows.slope(x) for x in r.torque.T])
+        speed = np.stack([windows.slope(x) for x in r.tau.T])
         own = (loop.kp * counts) ** 2 + (loop.kd * counts / WINDOW) ** 2 / 2.0
-        own = own + encoder_noise(r.torque) ** 2 + clock**2 * np.mean(speed**2, axis=1)
+        own = own + encoder_noise(r.tau) ** 2 + clock**2 * np.mean(speed**2, axis=1)
         square, count = square + len(r.q) * own, count + len(r.q)
     return np.sqrt(square / count)
 

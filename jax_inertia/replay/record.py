@@ -52,6 +52,13 @@ class Record(NamedTuple):
         return float(np.median(np.diff(self.time)))
 
     @property
+    def tau(self) -> Float[np.ndarray, "T n"]:
+        """The torque that was logged; ValueError where none was."""
+        if self.torque is None:
+            raise ValueError("the record holds no torque")
+        return self.torque
+
+    @property
     def target(self) -> Float[np.ndarray, "T n"]:
         """Positions commanded at the stamps of the stretch."""
         first = len(self.commanded.time) - len(self.time)

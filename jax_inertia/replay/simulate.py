@@ -189,14 +189,15 @@ def _miss(record: Record, windows: Windows, x: Numbers, j: int) -> Float[np.ndar
         asked = asked + kd * _held(record, targets.velocity[:, j], x, j)
     if targets.torque is not None:
         asked = asked + _held(record, targets.torque[:, j], x, j)
-    logged = record.velocity is not None
-    v = record.velocity[:, j] if logged else windows.slope(q, _SLOPE)
+    if record.velocity is None:
+        v, mean_v = windows.slope(q, _SLOPE), windows.slope(q)
+    else:
+        v, mean_v = record.velocity[:, j], windows.mean(record.velocity[:, j])
     short = 0.0
     if np.isfinite(x.limit[j]):
         whole = asked - (kd - back) * v
         short = np.clip(whole, -x.limit[j], x.limit[j]) - whole
-    mean_v = windows.mean(v) if logged else windows.slope(q)
-    return windows.mean(asked + short - record.torque[:, j]) - kd * mean_v
+    return windows.mean(asked + short - record.tau[:, j]) - kd * mean_v
 
 
 def _held(record: Record, what: Float[np.ndarray, " S"], x: Numbers, j: int) -> np.ndarray:
