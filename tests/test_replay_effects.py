@@ -147,7 +147,7 @@ def test_broydens_formula_says_what_the_last_step_did():
     rng = np.random.default_rng(0)
     plant = Plant(two(), NAMES, LOOP)
     table = tuple(Parameter("kp_scale", j, 0.0, 0.3, -9.0, 9.0) for j in range(2))
-    columns = rng.normal(size=(2, 7, 2)) * fit.touches(plant, table)[:, None]
+    columns = rng.normal(size=(2, 7, 2)) * fit.touches(plant, table, 2)[:, None]
     step, change = rng.normal(size=2), rng.normal(size=(7, 2))
     mended = fit.mend(plant, table, columns, step, change)
     np.testing.assert_allclose(np.einsum("p,pnj->nj", step, mended), change)

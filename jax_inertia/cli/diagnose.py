@@ -11,8 +11,8 @@ from jax_inertia.cli.gains import add_gains
 _DESCRIPTION = """
 Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
 shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG without torque, of a
-position-controlled robot, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
+effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG of a position-controlled robot, with
+the torque of its loop or without, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
 """
 _EXAMPLES = """
 examples:
@@ -51,7 +51,7 @@ def add_parser(subparsers) -> None:
     add("--model", type=Path, required=True, help="MJCF or URDF, the robot as modelled")
     test_help = "another motion of the same robot, used to validate only"
     add("--test-log", type=Path, metavar="LOG2", help=test_help)
-    more_help = "further logs without torque, fitted with LOG; their gains may be others"
+    more_help = "further logs of targets, fitted with LOG; their gains may be others"
     add(
         "--more-logs",
         nargs="+",

@@ -18,6 +18,7 @@ from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
 from jax_inertia.cli.conventions import met
 from jax_inertia.cli.replay_run import SILENT, Gains
+from jax_inertia.diagnosis.effects.registry import NAMES as BY_TORQUE
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap.diagnosis import diagnose
@@ -59,6 +60,8 @@ class Inputs:
     more: tuple[Log, ...] = ()
     of_loop: bool = False
     """Whether torques are not of the log, but what a position loop gives."""
+    replayed: bool = False
+    """Whether targets are replayed."""
     uncertainty: tuple[float, float, float] | None = None
     """Standard deviations of the model's masses (relative), centres [m] and inertias (relative), where stated."""
 
@@ -119,13 +122,18 @@ def read(
     for finding in quality:
         if finding.severity is Severity.WARNING:
             warn(finding.message)
-    if more and logs[0].tau is not None:
+    replayed = logs[0].tau is None or (
+        not of_loop and entry.replayable(model, given, gains.kp, gains.kd, held)
+    )
+    if more and not replayed:
         raise ValueError(
-            f"--more-logs is for logs of targets without torque, and {log.name} has torque: leave it out"
+            f"--more-logs is for logs of targets that are replayed, and {log.name} is diagnosed by its torque: leave "
+            "it out"
         )
     last = len(more) + 1
     test = logs[last] if test_log is not None else None
-    return Inputs(model, log, robot, logs[0], test, tuple(quality), tuple(logs[1:last]), of_loop)
+    more_logs = tuple(logs[1:last])
+    return Inputs(model, log, robot, logs[0], test, tuple(quality), more_logs, of_loop, replayed)
 
 
 def diagnosed(
@@ -138,13 +146,18 @@ def diagnosed(
 ) -> Callable[..., None]:
     """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`.
 
-    By replays where there is no torque; where there are both, by torque, and the position loop on its own.
+    By replays of the targets where the loop is known, torque or none; else by torque, and the loop on its own.
     """
-    if inputs.log.tau is None:
+    if inputs.replayed:
         paths, logs = (inputs.path, inputs.model), (inputs.log, *inputs.more)
-        return replay_run.diagnosed(
-            folder, paths, logs, inputs.test_log, gains, exclude, inputs.quality, stage
+        loop = {"kp": gains.kp, "kd": gains.kd, "fix_base": gains.fix_base}
+        found = entry.by_replays(
+            inputs.model, logs, inputs.test_log, exclude, progress=stage, **loop
         )
+        if not entry.left_to_torque(found, logs):
+            stage("writing")
+            return replay_run.written(folder, paths, found, inputs.log, gains, inputs.quality)
+        exclude = [x for x in exclude if x in BY_TORQUE]
     show_it = by_torque(folder, inputs, exclude, max_effects, stage)
     if inputs.of_loop:
         return show_it

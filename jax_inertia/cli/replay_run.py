@@ -1,4 +1,4 @@
-"""What `jax-inertia replay`, and `diagnose` of a log without torque, compute, write and print."""
+"""What `jax-inertia replay`, and `diagnose` of a log of targets, compute, write and print."""
 
 import functools
 import json
@@ -24,7 +24,7 @@ from jax_inertia.preflight.preflight import Finding, Severity
 from jax_inertia.replay import command, report, simulate
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
-from jax_inertia.replay.entry import by_replays, nominal_spec, usable
+from jax_inertia.replay.entry import nominal_spec, usable
 from jax_inertia.replay.figures import replays
 from jax_inertia.replay.loop import Loop, position_loop
 from jax_inertia.replay.plant import Plant
@@ -119,32 +119,20 @@ def show_replay(out: dict, where: Path) -> None:
     console.print(f"figure: {escape(str(where / 'replay.png'))}", soft_wrap=True, highlight=False)
 
 
-def diagnosed(
+def written(
     folder: Path,
     paths: tuple[Path, Path],
-    logs: Sequence[Log],
-    test_log: Log | None,
+    found: Diagnosis,
+    log: Log,
     gains: Gains,
-    exclude: Sequence[str],
     quality: Sequence[Finding],
-    stage: Callable[[str], None],
 ) -> Callable[..., None]:
-    """Diagnose from targets and positions, write all; what prints it. `paths`: first log and model."""
+    """Write all that replays found; what prints it. `paths`: first log and model."""
     source, model = paths
-    found = by_replays(
-        model,
-        logs,
-        test_log,
-        exclude,
-        kp=gains.kp,
-        kd=gains.kd,
-        fix_base=gains.fix_base,
-        progress=stage,
-    )
-    stage("writing")
     spec = nominal_spec(model, gains.fix_base)
     remarks = corrected(spec, found)
-    out = report.to_report(found, quality=quality)
+    halves = command.command_half(log, found.loop) if found.replayed.torques else ()
+    out = report.to_report(found, quality=quality, halves=halves)
     out["notes"] += remarks
     (folder / "report.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
     (folder / "policy.json").write_text(json.dumps(out["policy"], indent=1) + "\n")
@@ -153,7 +141,11 @@ def diagnosed(
         text = f"<!-- {said} -->\n{text}"
         warn(said)
     (folder / "corrected.xml").write_text(text)
-    (folder / "report.html").write_text(report.page(found, out, (source.name, model.name)))
+    page = report.page(found, out, (source.name, model.name))
+    if halves:
+        loop_effects = out["command"]["effects"]
+        page = with_section(page, command_page.part(halves, log, found.loop, loop_effects))
+    (folder / "report.html").write_text(page)
     return functools.partial(show, found, out)
 
 
@@ -196,6 +188,9 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
     for name, own in out["shrink"]["replay"]["per_joint"].items():
         joints.add_row(escape(name), *(number(own[k]) for k in ("before", "after", "floor")))
     console.print(joints)
+    if (x := found.replayed.torques) is not None:
+        said = [number(v) for v in (total(x.before), total(x.after), total(x.replay_floor))]
+        console.print(f"torque of the replays: {said[0]} → {said[1]} N m (floor {said[2]})")
     for text in (*out["doubts"], *out["notes"]):
         console.print(f"note: {escape(text)}", highlight=False, soft_wrap=True)
     console.print(f"report: {escape(str(where / 'report.html'))}", soft_wrap=True, highlight=False)

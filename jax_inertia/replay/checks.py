@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.simulate import WINDOW, Windows
 
 LOOSE_TIME = 1e-3
 """How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""
@@ -60,8 +61,35 @@ def floor(records: Sequence[Record]) -> Float[np.ndarray, " n"]:
     return np.sqrt(square / sum(len(r.q) for r in records))
 
 
+def torque_floor(
+    records: Sequence[Record], loop: Loop, clock: float = LOOSE_TIME
+) -> Float[np.ndarray, " n"]:
+    """What the loop's torque errs by though nothing is wrong, rms [N m]: by encoders, and `clock` at its speed."""
+    square, count = np.zeros(len(loop.kp)), 0
+    for r in records:
+        windows = Windows(r.time)
+        counts = encoder_noise(r.q)
+        speed = np.stack([windows.slope(x) for x in r.tau.T])
+        own = (loop.kp * counts) ** 2 + (loop.kd * counts / WINDOW) ** 2 / 2.0
+        own = own + encoder_noise(r.tau) ** 2 + clock**2 * np.mean(speed**2, axis=1)
+        square, count = square + len(r.q) * own, count + len(r.q)
+    return np.sqrt(square / count)
+
+
+def least(records: Sequence[Record], loop: Loop) -> Float[np.ndarray, " m"]:
+    """What remains of each output's error at least: what encoders leave.
+
+    What the clocks leave is no noise of a sample: a fit may take it up in its delay.
+    """
+    encoders = np.sqrt(np.mean([np.mean(encoder_noise(r.q) ** 2) for r in records]))
+    positions = np.full(len(loop.kp), encoders)
+    if records[0].torque is None:
+        return positions
+    return np.concatenate([positions, torque_floor(records, loop, 0.0)])
+
+
 def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
-    """What `LOOSE_TIME` adds to each number's deviation: kp · δ is a damping, kd · δ an inertia."""
+    """What `LOOSE_TIME` adds to each number's deviation: kp · δ is a damping or so much of kd, kd · δ an inertia."""
     sd = LOOSE_TIME / np.sqrt(3.0)
     out = np.zeros(len(table))
     for k, p in enumerate(table):
@@ -71,4 +99,6 @@ def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
             out[k] = loop.kp[p.joint] * sd
         elif p.family == "armature":
             out[k] = loop.kd[p.joint] * sd
+        elif p.family == "kd_scale":
+            out[k] = loop.kp[p.joint] * sd / loop.kd[p.joint]
     return out

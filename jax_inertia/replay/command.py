@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from jax_inertia.logs.log import Log
+from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Loop
 from jax_inertia.replay.record import feeds_forward
 
 _LONGEST = 0.1
-_CLEAR = 0.9
+_CLEAR, _MOSTLY = 0.9, 0.5
 _CUT, _SHORT, _LOW = 0.01, 0.03, 0.6
 """Of rows, cut-off ones at least; of the largest torque, what those lack at least, and below what none is."""
 _FALLS, _STRAIGHT = 0.1, 0.1
@@ -31,6 +31,10 @@ _WINDOW = 0.01
 """Half of what is averaged over where velocities were not logged [s]."""
 _SAME = 1e-5
 """Of the torque's variance, by how much squares may differ that are the same."""
+_COARSE, _ROWS = 5e-3, 20
+"""Steps of delays [s] by which it is seen whether there is a loop at all, and rows that a fit takes at least."""
+_SURE = 3.0
+"""Of a number, standard deviations from none."""
 _LOOP_PERIOD, _HOLD = 2e-3, 1e-3
 _GAIN_TOLERANCE = 0.03
 _WIDTHS = np.linspace(0.05, 0.8, 16)
@@ -70,6 +74,41 @@ def command_half(log: Log, loop: Loop | None = None) -> tuple[Half, ...]:
         return ()
     found = [_joint(n, r) for n, r in zip(log.joint_names, rows_of(log, loop), strict=True)]
     return tuple(h for h in found if h is not None and h.explained >= _CLEAR and h.kp > 0)
+
+
+def of_the_loop(log: Log, loop: Loop | None) -> bool:
+    """Whether a log's torques are those of its position loop, in N m, at most joints that give any.
+
+    They are where the law accounts for more of their variance than it leaves: a limit or a lag, which it does not have
+    here, takes a third. What a sensor behind a gear measures is less the gear's friction, and not the loop's.
+    """
+    if log.tau is None or log.qpos_target is None:
+        return False
+    if log.tau_unit is not TorqueUnit.NEWTON_METRE or log.tau_kind is TorqueKind.SENSOR:
+        return False
+    active = int(np.sum(np.nanvar(np.asarray(log.tau, float), axis=0) > 0))
+    return 2 * sum(_shows_a_loop(rows) for rows in rows_of(log, loop)) > active
+
+
+def _shows_a_loop(rows: "Rows") -> bool:
+    """Whether kp (q*(t − d) − q) − kd q̇ is more of a joint's torque than not, at one of a few delays."""
+    good = np.all(np.isfinite(np.stack(rows[:-1])), axis=0)
+    good &= rows.time >= rows.time[0] + _LONGEST
+    if good.sum() < _ROWS or np.var(rows.tau[good]) == 0:
+        return False
+    fits = [rows.fit(d, good) for d in np.arange(0.0, _LONGEST, _COARSE)]
+    (kp, *_), square = min(fits, key=lambda x: x[1])
+    return bool(kp > 0 and square < (1.0 - _MOSTLY) * np.var(rows.tau[good]))
+
+
+def with_damping(loop: Loop, log: Log) -> Loop:
+    """The loop with the kd that the log's torques show, where nobody says one at any joint."""
+    if loop.source == "model" or loop.kd.any():
+        return loop
+    kd = np.zeros_like(loop.kd)
+    for half in command_half(log, loop):
+        kd[log.joint_names.index(half.joint)] = half.kd * (half.kd > _SURE * half.kd_sd)
+    return loop._replace(kd=kd)
 
 
 def rows_of(log: Log, loop: Loop | None) -> list["Rows"]:
@@ -156,7 +195,7 @@ def _joint(name: str, rows: Rows) -> Half | None:
     known &= np.all(np.isfinite(np.stack(rows[:-1])), axis=0)
     top = float(np.percentile(np.abs(rows.tau[known]), 99.8)) if known.any() else 0.0
     low = known & (np.abs(rows.tau) < _LOW * top)
-    if len(rows.averaged(0.0, low)[1]) < 20 or np.var(rows.tau[low]) == 0:
+    if len(rows.averaged(0.0, low)[1]) < _ROWS or np.var(rows.tau[low]) == 0:
         return None
     good, limit, falls = _without_cut(rows, rows.delay(low), known, low, top)
     delay = rows.delay(good)
@@ -203,7 +242,7 @@ def _without_cut(
     (limit, falls), *_ = np.linalg.lstsq(line, size, rcond=None)
     rest = size - line @ np.array([limit, falls])
     good = known & ~short
-    if limit <= 0 or np.std(rest) > _STRAIGHT * limit or len(rows.averaged(0.0, good)[1]) < 20:
+    if limit <= 0 or np.std(rest) > _STRAIGHT * limit or len(rows.averaged(0.0, good)[1]) < _ROWS:
         # Not a limit: a torque that is noisy, or another law.
         return known, None, 0.0
     spread = falls * np.ptp(np.percentile(line[:, 1], [5.0, 95.0]))

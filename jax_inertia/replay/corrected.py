@@ -34,7 +34,7 @@ _FINEST = 5e-4
 
 def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
     """Put what was found into a spec, which is changed; what has no attribute is in the remarks."""
-    loop, names, x, was = found.loop, found.names, found.numbers, found.original
+    loop, names, x, was = found.loop, found.names, found.numbers.at_joint, found.original
     if loop.source != "model":
         with_loop(spec, names, loop)
     for j, name in enumerate(names):
@@ -111,7 +111,7 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
 
 
 def _set_gains(actuator, found: Diagnosis, j: int) -> None:
-    x, was, gear = found.numbers, found.original, float(actuator.gear[0])
+    x, was, gear = found.numbers.at_joint, found.original, float(actuator.gear[0])
     ratio = float(x.kp[j] / was.kp[j])
     bias = np.array(actuator.biasprm, float)
     if ratio != 1.0:

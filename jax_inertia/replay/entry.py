@@ -1,4 +1,4 @@
-"""One call that diagnoses a log with torque by its torques, and one without by closed-loop replays of its targets."""
+"""One call that diagnoses a log by closed-loop replays of its targets, or by its torques where no loop is known."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -9,6 +9,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.result import Diagnosis as ByTorque
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import either
 from jax_inertia.gap.finding import Diagnosis as OfOne
@@ -18,6 +19,7 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import Finding, preflight
 from jax_inertia.replay import pipeline, report
+from jax_inertia.replay.command import of_the_loop
 from jax_inertia.replay.loop import UNITS, position_loop
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import fixed_base
@@ -67,12 +69,13 @@ def diagnose(
 ) -> OfOne | ByTorque | Diagnosis:
     """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds.
 
-    `robot` is a loaded model, or the path of its file, which a log without torque needs: its targets are replayed.
+    `robot` is a loaded model, or the path of its file, which a log of targets needs: they are replayed, through the
+    loop whose gains are known, where the base is fixed; torques of that loop are a further output of the replays.
     All results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of each.
     `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
     effects. Of logs with torque: `max_effects` holds where single effects are sought; torques that are no N m get one
     drive gain per joint from the log itself, and a note says so; computed in double precision, whatever JAX is set to.
-    Of logs without: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the
+    Of logs of targets: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the
     position loop (one or each) and `fix_base` as in the command. Of a base that floats, the torque is what that loop
     makes of the targets. Raises ValueError for an unknown family or an argument
     of the other kind of log, and LogError for a log that cannot be used.
@@ -89,18 +92,25 @@ def diagnose(
             of = own, None if isinstance(robot, Robot) else Path(robot), kp, kd
             log, kp, kd = of_loop(log, *of), None, None
             test_log = None if test_log is None else of_loop(test_log, *of)
-    if log.tau is None:
+    by_file = not isinstance(robot, Robot)
+    every = [log, *more_logs, *([] if test_log is None else [test_log])]
+    if log.tau is None or (by_file and replayable(Path(robot), every, kp, kd, fix_base)):
         if isinstance(robot, Robot):
             raise LogError(
                 "a log without torque is replayed, which takes the model's file: diagnose('arm.xml', log)"
             )
         logs = [log, *more_logs]
-        return by_replays(
+        found = by_replays(
             Path(robot), logs, test_log, exclude, kp=kp, kd=kd, fix_base=fix_base, progress=progress
         )
+        if fix_base or not left_to_torque(found, logs):
+            return found
+        exclude, kp, kd = [x for x in exclude if x in NAMES], None, None
     for name, value in (("more_logs", more_logs), ("kp", kp), ("kd", kd), ("fix_base", fix_base)):
         if value:
-            raise ValueError(f"{name} is for logs of targets without torque; this log has torque")
+            raise ValueError(
+                f"{name} is for logs of targets that are replayed; this log is diagnosed by its torque"
+            )
     loaded = robot if isinstance(robot, Robot) else load_model(robot)
     return either.diagnose(
         loaded,
@@ -110,6 +120,31 @@ def diagnose(
         max_effects=max_effects,
         progress=progress,
     )
+
+
+def replayable(
+    model: Path,
+    logs: Sequence[Log],
+    kp: Sequence[float] | None = None,
+    kd: Sequence[float] | None = None,
+    fix_base: bool = False,
+) -> bool:
+    """Whether logs with torque are to be replayed: fixed base, known gains, and torques that are those of the loop."""
+    if any(one.qpos_target is None for one in logs):
+        return False
+    compiled = compile_spec(nominal_spec(model, fix_base), model)
+    if load_model(compiled).has_free_base:
+        return False
+    try:
+        loops = [position_loop(one, compiled, kp, kd) for one in logs]
+    except (LogError, KeyError):
+        return False
+    return all(of_the_loop(one, loop) for one, loop in zip(logs, loops, strict=True))
+
+
+def left_to_torque(found: Diagnosis, logs: Sequence[Log]) -> bool:
+    """Whether replays explain nothing of a log with torque, which may show what they do not seek: pushes, springs."""
+    return found.verdict is Verdict.UNKNOWN and len(logs) == 1 and logs[0].tau is not None
 
 
 def of_loop(

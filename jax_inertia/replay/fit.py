@@ -1,11 +1,12 @@
 """The numbers of a replay that fits: Gauss–Newton over MuJoCo replays.
 
-The cost is the replays' error, joint by joint in units of what remains of it, every sample counting for its share of
+The cost is the replays' error, output by output in units of what remains of it, every sample counting for its share of
 an independent one, and a Gaussian prior about the nominal model:
 
-    Σ_j Σ_t (q̂_tj − q_tj)² / (σ_j² T_j)  +  Σ_p ((θ_p − θ⁰_p) / s_p)²
+    Σ_j Σ_t (q̂_tj − q_tj)² / (σ_j² T_j)  +  Σ_j Σ_t (τ̂_tj − τ_tj)² / (σ'_j² T'_j)  +  Σ_p ((θ_p − θ⁰_p) / s_p)²
 
-with T_j the integrated autocorrelation time of joint j's error [samples]. Replays of a position-controlled robot
+with T_j the integrated autocorrelation time of joint j's error [samples]; torques τ where they are logged, τ̂ what the
+loop gives at the measured positions (`simulate.py`). Replays of a position-controlled robot
 do not drift apart: the whole log is one shot, and no velocities have to be guessed between.
 """
 
@@ -18,7 +19,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.simulate import misses, replay
 
 ROUNDS = 12
 _ENOUGH = 2e-3
@@ -43,8 +44,9 @@ class Fit(NamedTuple):
     """Half the second derivative of the cost, prior included."""
     samples: float
     """How many independent samples the errors are worth."""
-    error: Float[np.ndarray, "N n"]
-    columns: Float[np.ndarray, "P N n"]
+    error: Float[np.ndarray, "N m"]
+    """Of the joints' positions [rad], and then of their torques [N m] where those are logged."""
+    columns: Float[np.ndarray, "P N m"]
     """Derivatives of the error, there or a last small step before."""
     weights: "Weights"
 
@@ -60,13 +62,13 @@ class Fit(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """What an error of a joint counts: remaining rms σ [rad] and autocorrelation time T [samples]."""
+    """What an error of an output counts: remaining rms σ [rad or N m] and autocorrelation time T [samples]."""
 
-    sigma: Float[np.ndarray, " n"]
-    correlated: Float[np.ndarray, " n"]
+    sigma: Float[np.ndarray, " m"]
+    correlated: Float[np.ndarray, " m"]
 
     @property
-    def root(self) -> Float[np.ndarray, " n"]:
+    def root(self) -> Float[np.ndarray, " m"]:
         """The square root of one sample's weight."""
         return 1.0 / (self.sigma * np.sqrt(self.correlated))
 
@@ -76,14 +78,21 @@ def errors(
     table: Sequence[Parameter],
     thetas: Float[np.ndarray, "B P"],
     records: Sequence[Record],
-) -> Float[np.ndarray, "B N n"]:
-    """Replay minus log of every vector, all records one after the other, where they count [rad]."""
-    return np.concatenate(
-        [(replay(plant, table, thetas, r) - r.q)[:, r.settled] for r in records], axis=1
-    )
+) -> Float[np.ndarray, "B N m"]:
+    """Replay minus log of every vector, all records one after the other, where they count [rad].
+
+    Where torque is logged it is a second output of every joint, after all positions: `simulate.misses` [N m].
+    """
+    parts = []
+    for r in records:
+        error = replay(plant, table, thetas, r) - r.q
+        if r.torque is not None:
+            error = np.concatenate([error, misses(plant, table, thetas, r)], axis=2)
+        parts.append(error[:, r.settled])
+    return np.concatenate(parts, axis=1)
 
 
-def weights(error: Float[np.ndarray, "N n"], floor: float) -> Weights:
+def weights(error: Float[np.ndarray, "N m"], floor: float | Float[np.ndarray, " m"]) -> Weights:
     """From an error as it is."""
     sigma = np.maximum(np.sqrt(np.mean(error**2, axis=0)), floor)
     return Weights(sigma, np.array([autocorrelation_time(e) for e in error.T]))
@@ -122,10 +131,10 @@ def start(
             tries[k, late] = d
     short = [r.between(0, int(np.searchsorted(r.time, _LOOK))) for r in records]
     square = np.mean(errors(plant, table, tries, short) ** 2, axis=1).reshape(
-        len(delays), len(scales), -1
+        len(delays), len(scales), -1, len(plant.names)
     )
-    # Joints in units of their own best.
-    relative = np.log(square + 1e-8)
+    # Outputs in units of their own best; a joint's are its position and, where logged, its torque.
+    relative = np.log(square + 1e-8).sum(axis=2)
     best = int(np.argmin(relative.min(axis=1).sum(axis=-1)))
     theta[gains] = scales[np.argmin(relative[best], axis=0)][[table[k].joint for k in gains]]
     if late is not None:
@@ -140,7 +149,7 @@ def fit(
     theta: Float[np.ndarray, " P"],
     *,
     free: Bool[np.ndarray, " P"] | None = None,
-    floor: float = 1e-4,
+    floor: float | Float[np.ndarray, " m"] = 1e-4,
     rounds: int = ROUNDS,
     known: tuple[np.ndarray, np.ndarray] | None = None,
     mended_only: bool = False,
@@ -190,7 +199,7 @@ class _Problem(NamedTuple):
     plant: Plant
     table: tuple[Parameter, ...]
     records: Sequence[Record]
-    floor: float
+    floor: float | np.ndarray
     free: np.ndarray
 
     @property
@@ -229,19 +238,18 @@ def mend(plant: Plant, table, columns, step, change) -> np.ndarray:
     """Derivatives that say of the last step what it did (Broyden), each joint's by the numbers of its tree."""
     step = np.nan_to_num(step)
     scaled = step / np.array([p.sd for p in table])
-    share = scaled[:, None] * touches(plant, table)
+    share = scaled[:, None] * touches(plant, table, change.shape[-1])
     lacking = change - np.einsum("p,pnj->nj", step, columns)
     size = np.maximum(np.sum(share**2, axis=0), 1e-300)
     by = share / size / np.array([p.sd for p in table])[:, None]
     return columns + by[:, None] * lacking
 
 
-def touches(plant: Plant, table: Sequence[Parameter]) -> Bool[np.ndarray, "P n"]:
-    """Which joints' positions each number can change."""
+def touches(plant: Plant, table: Sequence[Parameter], outputs: int) -> Bool[np.ndarray, "P m"]:
+    """Which outputs each number can change: positions, and perhaps torques, of the joints of its tree."""
     trees = [plant.tree_of(p) for p in table]
-    return np.array(
-        [np.ones_like(plant.trees, bool) if t is None else plant.trees == t for t in trees]
-    )
+    joints = [np.ones_like(plant.trees, bool) if t is None else plant.trees == t for t in trees]
+    return np.tile(np.array(joints), outputs // len(plant.trees))
 
 
 def _told(problem: _Problem, theta, error, columns) -> Fit:
@@ -287,7 +295,7 @@ def derivatives(plant, table, records, theta, free) -> tuple[np.ndarray, np.ndar
     jacobian = np.zeros((len(table), *out.shape[1:]))
     for k, row in zip(go, rows, strict=True):
         jacobian[k] = (out[row + 1] - out[0]) / steps[k]
-    return out[0], jacobian * touches(plant, table)[:, None]
+    return out[0], jacobian * touches(plant, table, out.shape[-1])[:, None]
 
 
 def together(trees: Sequence[int | None]) -> list[int]:

@@ -12,7 +12,7 @@ from jax_inertia.replay.loop import ALL, Loop, Parameter
 class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
-        τ = clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇
+        τ = gain · (clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇)
         friction = (dry + load |τ| + stiction exp(−(q̇ / slow)²)) sign(q̇) + damping q̇
 
     dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
@@ -36,6 +36,8 @@ class Numbers(NamedTuple):
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
+    gain: Float[np.ndarray, " n"]
+    """Of the joint's torque over the one that the loop says."""
     mass: Mapping[str, float]
     """Added to bodies."""
 
@@ -44,12 +46,18 @@ class Numbers(NamedTuple):
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
         return bool(np.any(self.load > 0) or np.any(self.stiction > 0))
 
+    @property
+    def at_joint(self) -> "Numbers":
+        """The same numbers as the joint feels them, every torque times the gain."""
+        felt = {k: self.gain * getattr(self, k) for k in ("kp", "kd", "bias", "limit", "back")}
+        return self._replace(**felt, gain=np.ones_like(self.gain))
+
     def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
         miss = commanded - q
         miss = miss - np.clip(miss, -self.dead, self.dead)
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
-        return np.clip(asked, -self.limit, self.limit) - self.back * v
+        return self.gain * (np.clip(asked, -self.limit, self.limit) - self.back * v)
 
     def friction(self, torque: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Dry friction's size at a torque and a velocity."""
@@ -79,7 +87,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, delay, lag, {},
+        none + 0.1, none, delay, lag, none + 1.0, {},
     )  # fmt: skip
 
 
@@ -108,6 +116,8 @@ def decoded(
             whole[p.joint] = x
         elif p.family == "torque_saturation":
             new["limit"][at] = np.exp(x)
+        elif p.family == "torque_gain":
+            new["gain"][at] = np.exp(x)
         elif p.family == "payload":
             mass[p.body] = x
     rest = whole - base.kd

@@ -9,7 +9,7 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
-from jax_inertia.replay.result import Effect, Replayed, Size, Tie, total
+from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
@@ -27,7 +27,7 @@ PARAMETERS = {
     "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
-    "stribeck_velocity": "stribeck_velocity",
+    "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
@@ -55,7 +55,7 @@ _IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
 
 
 def distinct(found: Fit, k: int, loop: Loop) -> bool:
-    """Whether a number's interval leaves the nominal one out."""
+    """Whether a number's interval leaves the nominal one out; it does where that is none."""
     p, sd = found.table[k], np.hypot(found.sigma[k], checks.loose(found.table, loop)[k])
     return bool(abs(found.theta[k] - p.nominal) > 1.96 * sd)
 
@@ -197,10 +197,14 @@ def ties_of(
 ) -> tuple[Tie, ...]:
     """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
     p = found.table[k]
-    exact = _EXACT.get(family, ())
+    # Torque tells a loop from a motor, and kd from damping.
+    exact = _EXACT.get(family, ()) if found.error.shape[1] == len(names) else ()
     if (family, p.family) == ("kd_scale", "viscous_friction"):
         exact = (("viscous_friction", _SUM),)
     out = [Tie(tie, *place, text, True) for tie, text in exact]
+    if family == "target_delay" and len(names) == 1:
+        own = ("joint", names[0]) if p.joint == ALL else ("global", "global")
+        out.append(Tie(family, *own, "of one joint, its own delay is that of all", True))
     out += [Tie(tie, *place, text, False) for tie, text in _IN_PART.get(family, ())]
     sigma = found.sigma
     for i, other in enumerate(found.table):
@@ -227,15 +231,31 @@ _LATE = {
 }  # fmt: skip
 
 
+def at_floor(r: Replayed) -> bool:
+    """Whether nothing shows: no joint's replay or logged torque errs by more than encoders and clocks leave."""
+    quiet = np.all(r.before <= AT_FLOOR * r.floor)
+    return bool(quiet and (r.torques is None or _torque_is_as_said(r.torques)))
+
+
+def _torque_is_as_said(x: Torques) -> bool:
+    return bool(np.all(x.loop_before <= AT_FLOOR * x.floor))
+
+
 def verdict(replayed: Replayed, effects: Sequence[Effect]) -> tuple[Verdict, float]:
     """Verdict and how sure it is, by the replays' error before, after, and what encoders and clocks leave."""
     before, after, floor = (total(x) for x in (replayed.before, replayed.after, replayed.floor))
-    if np.all(replayed.before <= AT_FLOOR * replayed.floor):
+    if at_floor(replayed):
         return Verdict.NO_GAP, 0.9
-    left = np.sqrt(max(after**2 - floor**2, 0.0)) / before
-    if not effects or after > _SOME * before:
+    sizes = [] if np.all(replayed.before <= AT_FLOOR * replayed.floor) else [(before, after, floor)]
+    x = replayed.torques
+    if x is not None and not _torque_is_as_said(x):
+        # Each joint in units of its own: a jaw's torque is a hundredth of a shoulder's.
+        own = np.maximum(x.floor, 1e-12)
+        sizes.append((total(x.loop_before / own), total(x.loop_after / own), 1.0))
+    if not effects or all(a > _SOME * b for b, a, _ in sizes):
         return Verdict.UNKNOWN, 0.9
-    if after <= 1.5 * floor or after <= _NEARLY * before:
+    if all(a <= 1.5 * f or a <= _NEARLY * b for b, a, f in sizes):
+        left = max(np.sqrt(max(a**2 - f**2, 0.0)) / b for b, a, f in sizes)
         return Verdict.EXPLAINED, float(np.clip(1.0 - left, 0.5, 0.97))
     return Verdict.PARTLY, 0.8
 
@@ -245,10 +265,14 @@ def headline(of: Verdict, r: Replayed) -> str:
     before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
     if of is Verdict.NO_GAP:
         return f"replay error on {r.of}: {before:.2g} rad, no more than encoders and clocks leave ({floor:.2g} rad)"
-    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks)"
+    torque = ""
+    if r.torques is not None:
+        was, now = total(r.torques.before), total(r.torques.after)
+        torque = f", of torque {was:.2g} → {now:.2g} N m"
+    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks){torque}"
 
 
-def notes(everything: Fit, loop: Loop) -> list[str]:
+def notes(everything: Fit, loop: Loop, torque_logged: bool) -> list[str]:
     """What is to be said of stamps and gains."""
     out = []
     shared = [p.family == "target_delay" and p.joint == ALL for p in everything.table]
@@ -258,7 +282,7 @@ def notes(everything: Fit, loop: Loop) -> list[str]:
                 f"positions lead their targets by {-1e3 * late:.1f} ms: are the stamps of targets late? "
                 "No model can hold that; other numbers take it up"
             )
-    if loop.source == "model":
+    if loop.source == "model" and not torque_logged:
         out.append(
             "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
         )

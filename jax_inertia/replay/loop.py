@@ -134,8 +134,9 @@ UNITS: Mapping[str, str] = {
     "load_friction": "1",
     "stribeck_friction": "N m",
     "stribeck_velocity": "rad/s",
+    "torque_gain": "1",
 }
-LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation")
+LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""
 ORDINARY = (
     "armature",
@@ -146,6 +147,11 @@ ORDINARY = (
     "kd_scale",
     "target_delay",
 )
+COMMAND = (
+    "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
+    "dead_band",
+)  # fmt: skip
+"""Families between what a joint is commanded and its torque; the others are between torque and motion."""
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
 _KP_SAID, _KP_GUESSED = 0.3, 2.0
 _OFFSET, _DELAY = 0.05, 0.02
@@ -169,10 +175,13 @@ def ordinary(
     torque: Float[np.ndarray, " n"],
     period: float,
     settings: Sequence[Loop] = (),
+    *,
+    torque_logged: bool = False,
 ) -> tuple[Parameter, ...]:
     """What every robot of this kind has: five numbers a joint and one delay of the targets.
 
-    A joint whose kd differs between `settings`, the loops of the logs, has a number for kd too.
+    A joint whose kd differs between `settings`, the loops of the logs, has a number for kd too, and every joint has
+    where torque is logged, which says what the loop's part of damping is; the rest is the joint's, and not negative.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
     model lacks may be. Stamps of targets may be up to one `period` of the log late.
@@ -190,11 +199,12 @@ def ordinary(
             Parameter(
                 "armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), -held, np.inf
             ),
-            Parameter("viscous_friction", j, viscous, typical, 0.0, np.inf),
+            Parameter("viscous_friction", j, viscous, typical, loop.kd[j] * torque_logged, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
         ]
-        if any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings):
+        varies = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
+        if varies or (torque_logged and loop.kd[j] > 0):
             out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
     return (*out, Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))

@@ -1,4 +1,4 @@
-"""From logs of targets and encoders to what the model lacks, proved by replays."""
+"""From logs of targets and encoders, and torques where logged, to what the model lacks, proved by replays."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -12,12 +12,14 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
-from jax_inertia.replay.result import Diagnosis, Replayed, total
+from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import odd, parsimony
+from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
 FIT_SHARE = 0.7
@@ -42,7 +44,9 @@ def diagnose(
     exclude: Sequence[str] = (),
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
-    """Find what the model lacks, from targets and positions alone; `spec` gives the nominal model anew at each call.
+    """Find what the model lacks, from targets and positions; `spec` gives the nominal model anew at each call.
+
+    Torques are a further output of the replays where every log has those of its loop (`command.of_the_loop`).
 
     The fit sees `logs` (without a test log, the first 70 % of each); verdict, shares and gate are of replays of the
     rest. Logs may be of different gains. Raises `LogError` where joints or gains are missing.
@@ -50,20 +54,28 @@ def diagnose(
     names = logs[0].joint_names
     check_base(spec().compile())
     loops = [position_loop(log, spec().compile(), kp, kd) for log in logs]
+    test_loop = loops[0] if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
+    every = [*zip(logs, loops, strict=True), *([] if test_log is None else [(test_log, test_loop)])]
+    torque_logged = all(of_the_loop(one, own) for one, own in every)
+    if torque_logged:
+        loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
+        test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
     loop = loops[0]
-    test_loop = loop if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
-    wholes, records, held, of = _parts(logs, loops, test_log, test_loop)
+    wholes, records, held, of = _parts(logs, loops, test_log, test_loop, torque_logged)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
     progress("replaying the nominal model")
-    nominal = proof.paths(bare, (), np.zeros(0), held)
+    nothing = (), np.zeros(0)
+    nominal = proof.paths(bare, *nothing, held)
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
+    replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
     table = tuple(p for p in _ordinary(plant, records, torque, loops) if p.family not in exclude)
-    sound = bool(np.all(replayed.before <= listing.AT_FLOOR * replayed.floor))
-    done = _fitted(plant, table, records, held, torque, replayed.before, sound, exclude, progress)
+    sound = listing.at_floor(replayed)
+    done = _fitted(plant, table, records, held, torque, sound, exclude, progress)
     everything, found, shares = done.everything, done.found, done.shares
     after = nominal if sound else proof.paths(plant, found.table, found.theta, held)
-    replayed = Replayed(held, nominal, after, replayed.floor, of)
+    replayed = dataclasses.replace(replayed, corrected=after)
+    replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
         fan = proof.fan(plant, found, held[replayed.shown])
         replayed = dataclasses.replace(replayed, fan=fan)
@@ -73,13 +85,13 @@ def diagnose(
         found = _on_all(plant, found, wholes)
     kept = {
         k: s for k, s in shares.items()
-        if (max(k) >= len(table) and s > min(_LISTED, left))
-        or (s > _LISTED and listing.distinct(found, min(k), loop))
+        if s > (min(_LISTED, left) if max(k) >= len(table) else _LISTED)
+        and listing.distinct(found, min(k), loop)
     }  # fmt: skip
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     notes = [n for r in records for n in checks.objections(r, names)]
-    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop)]
+    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop, torque_logged)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -99,10 +111,9 @@ class _Fitted(NamedTuple):
     """Of the gap, by the rows of each number or odd effect."""
 
 
-def _fitted(plant, table, records, held, torque, before, sound, exclude, progress) -> _Fitted:
+def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _Fitted:
     """All numbers at once, those that are needed, odd effects, what each takes, and what would do instead."""
-    # What the clocks leave is no noise of a sample: the fit may take it up in its delay.
-    least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in held])))
+    least = checks.least(held, plant.loop)
     progress("looking for kp and delay")
     start = fitting.start(plant, table, records, plant.loop.source == "model")
     scale = np.array(
@@ -123,7 +134,7 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
         everything = search.found
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
-    found, shares = _gated(plant, found, [o.rows for o in search.odd], held, before)
+    found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
     large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
         :_LARGEST
     ]
@@ -135,7 +146,7 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
     """The numbers that are in, fitted to what was held back too, once it has said which those are."""
     nominal = np.array([p.nominal for p in found.table])
     free = found.free & (found.theta != nominal)
-    least = float(np.sqrt(np.mean([np.mean(checks.encoder_noise(r.q) ** 2) for r in wholes])))
+    least = checks.least(wholes, plant.loop)
     return fitting.fit(plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3)
 
 
@@ -146,19 +157,26 @@ def _ordinary(
     m, dofs = plant.model, plant.dof
     inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
-    return ordinary(plant.loop, *own, inertia, torque, records[0].period, loops)
+    logged = records[0].torque is not None
+    period = records[0].period
+    return ordinary(plant.loop, *own, inertia, torque, period, loops, torque_logged=logged)
 
 
 def _parts(
-    logs: Sequence[Log], loops: Sequence[Loop], test_log: Log | None, test_loop: Loop
+    logs: Sequence[Log],
+    loops: Sequence[Loop],
+    test_log: Log | None,
+    test_loop: Loop,
+    torque: bool,
 ) -> tuple[list[Record], list[Record], tuple[Record, ...], str]:
     """Whole records, what is fitted of them, what is replayed, and what the latter is called."""
-    records = [record_of(log, loop) for log, loop in zip(logs, loops, strict=True)]
+    records = [record_of(log, loop, torque=torque) for log, loop in zip(logs, loops, strict=True)]
+    wholes = records
     for r in records:
         if np.ptp(r.target, axis=0).max() < 1e-3:
             raise LogError("qpos_target never changes: it cannot show how the robot follows")
     if test_log is not None:
-        held, of = (record_of(test_log, test_loop),), "the other run"
+        held, of = (record_of(test_log, test_loop, torque=torque),), OTHER_RUN
     else:
         cuts = [int(FIT_SHARE * len(r.time)) for r in records]
         held = tuple(r.between(k, len(r.time)) for r, k in zip(records, cuts, strict=True))
@@ -166,9 +184,8 @@ def _parts(
         of = f"the rest of the log{'s' if len(logs) > 1 else ''}"
     longest = max(LONGEST / len(records), SHORTEST)
     records = [_first(r, longest) for r in records]
-    wholes = [_first(record_of(log, x), longest) for log, x in zip(logs, loops, strict=True)]
     return (
-        wholes,
+        [_first(r, longest) for r in wholes],
         records,
         held if test_log is not None else tuple(_first(r, longest) for r in held),
         of,
@@ -234,20 +251,21 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
     few = fitting.fit(
         plant, full.table, records, start, free=free, floor=least, rounds=5, progress=progress
     )
-    both = np.stack([full.theta, few.theta])
-    square = np.mean(fitting.errors(plant, full.table, both, held) ** 2, axis=(1, 2))
-    return few if square[1] <= _SPARSER**2 * square[0] else full
+    whole, fewer = Unseen(plant, held).misses(full.table, np.stack([full.theta, few.theta]))
+    return few if np.all(fewer <= _SPARSER**2 * whole) else full
 
 
 def _gated(
-    plant, found: Fit, odd_rows: Sequence[tuple[int, ...]], held, before
+    plant, found: Fit, odd_rows: Sequence[tuple[int, ...]], held
 ) -> tuple[Fit, dict[tuple[int, ...], float]]:
     """Without the numbers that make the held-out replay worse, and what share of its error each of the others takes.
 
-    Numbers of one effect come and go together.
+    Numbers of one effect come and go together. Where torque is logged, an effect's share is that of positions or of
+    torques, whichever is larger: what a loop does to the torque, a stiff joint may hardly show.
     """
     nominal = np.array([p.nominal for p in found.table])
-    energy = float(np.mean(before**2))
+    run = Unseen(plant, held)
+    energy = run.misses(found.table, nominal[None])[0]
     theta, units, shares = found.theta.copy(), [], np.zeros(0)
     odd_ones = {k for rows in odd_rows for k in rows}
     for _ in range(3):
@@ -257,10 +275,11 @@ def _gated(
         thetas = np.repeat(theta[None], len(units) + 1, axis=0)
         for b, rows in enumerate(units):
             thetas[b + 1, list(rows)] = nominal[list(rows)]
-        square = np.mean(fitting.errors(plant, found.table, thetas, held) ** 2, axis=(1, 2))
-        shares = (square[1:] - square[0]) / energy
-        if not np.any(shares < -_IDLE):
+        square = run.misses(found.table, thetas)
+        each = (square[1:] - square[0]) / energy
+        shares, sums = each.max(axis=1, initial=-np.inf), each.sum(axis=1)
+        if not np.any(sums < -_IDLE):
             break
-        worst = list(units[int(np.argmin(shares))])
+        worst = list(units[int(np.argmin(sums))])
         theta[worst] = nominal[worst]
     return found._replace(theta=theta), dict(zip(units, shares.tolist(), strict=True))

@@ -184,6 +184,7 @@ class Plant:
         return m.copies[: len(some)]
 
     def _set(self, m: Compiled, structure: Structure, model: MjModel, x: Numbers) -> None:
+        x = x.at_joint
         # Behind play there is nothing but the rotor.
         least = np.where(x.play > 0, _ROTOR, -np.inf)
         model.dof_armature[m.dof] = np.maximum(x.armature, least)

@@ -1,17 +1,21 @@
 """Replays that prove or disprove the numbers of a fit, and what is to be said of them."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
-from jax_inertia.replay.result import Replayed, total
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.result import Replayed, Torques, rms, total
+from jax_inertia.replay.simulate import misses, replay
 
+Numbered = tuple[Sequence[Parameter], np.ndarray]
 _DRAWN = 32
 _CREEPS = 1.1
 
@@ -19,6 +23,26 @@ _CREEPS = 1.1
 def paths(plant: Plant, table, theta, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Positions (T, n) of each record, replayed."""
     return tuple(replay(plant, table, theta[None], r)[0] for r in records)
+
+
+def with_torques(r: Replayed, plant: Plant, nominal: Numbered, corrected: Numbered) -> Replayed:
+    """With what torques err by, where they are logged; `nominal` and `corrected`: table and vector of each."""
+    if r.records[0].torque is None:
+        return r
+    loop = [_torque_error(plant, of, r.records) for of in (nominal, corrected)]
+    replays = [
+        _torque_error(plant, of, [x._replace(q=q, velocity=None) for x, q in zip(r.records, paths, strict=True)])
+        for of, paths in ((nominal, r.nominal), (corrected, r.corrected))
+    ]  # fmt: skip
+    floor = checks.torque_floor(r.records, plant.loop)
+    along = np.hypot(floor, plant.loop.kp * r.floor)
+    return dataclasses.replace(r, torques=Torques(*loop, *replays, floor, along))
+
+
+def _torque_error(plant: Plant, of: Numbered, records: Sequence[Record]) -> np.ndarray:
+    table, theta = of
+    parts = [misses(plant, table, theta[None], x)[0][x.settled] for x in records]
+    return rms(np.concatenate(parts))
 
 
 def fan(plant: Plant, found: Fit, record: Record) -> tuple[np.ndarray, np.ndarray]:

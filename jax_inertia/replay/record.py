@@ -41,11 +41,22 @@ class Record(NamedTuple):
     commanded: Commanded
     loop: Loop | None = None
     """Gains while this was recorded; none where they are those of the plant."""
+    torque: Float[np.ndarray, "T n"] | None = None
+    """What the loop gave, where it was logged [N m]."""
+    velocity: Float[np.ndarray, "T n"] | None = None
+    """As the drive measured it, where it did and torque is logged."""
 
     @property
     def period(self) -> float:
         """Median, s."""
         return float(np.median(np.diff(self.time)))
+
+    @property
+    def tau(self) -> Float[np.ndarray, "T n"]:
+        """The torque that was logged; ValueError where none was."""
+        if self.torque is None:
+            raise ValueError("the record holds no torque")
+        return self.torque
 
     @property
     def target(self) -> Float[np.ndarray, "T n"]:
@@ -63,19 +74,22 @@ class Record(NamedTuple):
         q, time = self.q[first:last], self.time[first:last]
         before = len(self.commanded.time) - len(self.time)
         commanded = self.commanded.upto(before + first + len(time), time[0])
-        return Record(time - time[0], q, slope(time, q), commanded, self.loop)
+        more = [None if x is None else x[first:last] for x in (self.torque, self.velocity)]
+        return Record(time - time[0], q, slope(time, q), commanded, self.loop, *more)
 
 
-def record_of(log: Log, loop: Loop | None = None) -> Record:
-    """The record of a log with targets, what is not finite bridged."""
+def record_of(log: Log, loop: Loop | None = None, *, torque: bool = False) -> Record:
+    """The record of a log with targets, what is not finite bridged; with its torques where asked for."""
     time = np.asarray(log.time, float)
     time = time - time[0]
     q, target = (_bridged(time, np.asarray(x, float)) for x in (log.qpos, log.qpos_target))
     speed = None if log.qvel_target is None else np.nan_to_num(np.asarray(log.qvel_target, float))
-    torque = None
+    fed = None
     if feeds_forward(log, loop):
-        torque = np.nan_to_num(np.asarray(log.tau_command, float))
-    return Record(time, q, slope(time, q), Commanded(time, target, speed, torque), loop)
+        fed = np.nan_to_num(np.asarray(log.tau_command, float))
+    logged = log.tau if torque else None, log.qvel if torque else None
+    more = [None if x is None else _bridged(time, np.asarray(x, float)) for x in logged]
+    return Record(time, q, slope(time, q), Commanded(time, target, speed, fed), loop, *more)
 
 
 def feeds_forward(log: Log, loop: Loop | None) -> bool:

@@ -6,18 +6,20 @@ from typing import Any
 
 import numpy as np
 
+from jax_inertia.replay.command import Half
+from jax_inertia.replay.command import to_report as measured
 from jax_inertia.replay.corrected import policy
 from jax_inertia.replay.figures import replays
 from jax_inertia.replay.listing import PARAMETERS, size_of
-from jax_inertia.replay.loop import UNITS, Loop
-from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
+from jax_inertia.replay.loop import COMMAND, UNITS, Loop
+from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Effect, Replayed, total
 from jax_inertia.replay.varying_friction import law
 from jax_inertia.text.report_page import rendered
 from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
-def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> dict[str, Any]:
-    """The diagnosis in the contract's form, schema 1: only JSON's own types, no NaN."""
+def to_report(found: Diagnosis, *, quality=(), halves: tuple[Half, ...] = ()) -> dict[str, Any]:
+    """The diagnosis in the contract's form, schema 1, in JSON's own types, no NaN; `halves`: loops by torque alone."""
     r = found.replayed
     energy = np.maximum(r.before**2 - r.floor**2, 0.0)
     rest = np.maximum(r.after**2 - r.floor**2, 0.0)
@@ -28,7 +30,7 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
         if p.body:
             continue
         (joints[found.names[p.joint]] if p.joint >= 0 else shared)[p.family] = _size(size)
-    return clean(
+    out = clean(
         {
             "schema": 1,
             "verdict": str(found.verdict),
@@ -45,8 +47,8 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
             "joints": joints,
             "all_joints": shared,
             "shrink": {
-                "heldout": None,
-                "test_log": None,
+                "heldout": None if r.of == OTHER_RUN else torque_report(found.names, r),
+                "test_log": torque_report(found.names, r) if r.of == OTHER_RUN else None,
                 "rollout": None,
                 "replay": replay_report(found.names, r),
             },
@@ -57,7 +59,7 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
                 "resembles": "",
             },
             "loop": loop_report(found.names, found.loop),
-            "command": command,
+            "command": None,
             "friction_law": law(found),
             "policy": policy(found),
             "when": [],
@@ -70,6 +72,9 @@ def to_report(found: Diagnosis, *, quality=(), command: dict | None = None) -> d
             "notes": list(found.notes),
         }
     )  # fmt: skip
+    if halves:
+        out["command"] = clean(command_report(halves, found.loop, out))
+    return out
 
 
 def replay_report(names, r: Replayed) -> dict[str, Any]:
@@ -86,6 +91,36 @@ def replay_report(names, r: Replayed) -> dict[str, Any]:
             for name, b, a, f in zip(names, r.before, r.after, r.floor, strict=True)
         },
     }
+
+
+def torque_report(names, r: Replayed) -> dict[str, Any] | None:
+    """Torque along the replays against what was logged; `loop`: of the loop alone, at the measured positions."""
+    x = r.torques
+    if x is None:
+        return None
+    return {
+        "before": total(x.before),
+        "after": total(x.after),
+        "noise": total(x.replay_floor),
+        "unit": "N m",
+        "per_joint": {
+            name: {"before": b, "after": a}
+            for name, b, a in zip(names, x.before, x.after, strict=True)
+        },
+        "loop": {
+            "before": total(x.loop_before),
+            "after": total(x.loop_after),
+            "noise": total(x.floor),
+        },
+    }
+
+
+def command_report(halves: tuple[Half, ...], loop: Loop, out: dict[str, Any]) -> dict | None:
+    """The `command` key: each joint's loop as its torque alone shows it, and what the search says of this half."""
+    said = measured(halves, loop.kp, loop.kd, list(out["loop"]["joints"]))
+    if said is None:
+        return None
+    return said | {"effects": [e for e in out["effects"] if e["half"] == "command"]}
 
 
 def loop_report(names, loop: Loop) -> dict[str, Any]:
@@ -118,13 +153,6 @@ def _effect(e: Effect) -> dict[str, Any]:
             for tie in e.ties
         ],
     }
-
-
-COMMAND = (
-    "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
-    "dead_band",
-)  # fmt: skip
-"""Families between what a joint is commanded and its torque; the others are between torque and motion."""
 
 
 def _size(s) -> dict[str, Any]:

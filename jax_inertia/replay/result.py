@@ -61,6 +61,25 @@ class Tie(NamedTuple):
     """By the equation; else on this motion only."""
 
 
+class Torques(NamedTuple):
+    """What torques err by on a run that played no part in the fit, rms of each joint [N m]."""
+
+    loop_before: Float[np.ndarray, " n"]
+    """Of the loop as said, at the positions that were measured: targets → torque alone."""
+    loop_after: Float[np.ndarray, " n"]
+    before: Float[np.ndarray, " n"]
+    """Along the nominal model's replay: both halves."""
+    after: Float[np.ndarray, " n"]
+    floor: Float[np.ndarray, " n"]
+    """What encoders and clocks leave of the loop's."""
+    replay_floor: Float[np.ndarray, " n"]
+    """And of the replay's, which is at positions that are off by theirs."""
+
+
+OTHER_RUN = "the other run"
+"""What a replayed test log is called."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replayed:
     """Replays of runs that played no part in the fit."""
@@ -74,6 +93,8 @@ class Replayed:
     """Which: "the other run", "the rest of the log" or "the rest of the logs"."""
     fan: tuple[np.ndarray, np.ndarray] | None = None
     """Of the shown run: between which positions nine tenths of replays lie, of numbers drawn as the fit knows them."""
+    torques: Torques | None = None
+    """Where they are logged."""
 
     def error(self, paths: tuple[np.ndarray, ...]) -> Float[np.ndarray, " n"]:
         """Of replays at each joint, rms over all that counts [rad]."""

@@ -32,6 +32,8 @@ class Candidate(NamedTuple):
 # Prior deviations: of torque as a share of a joint's typical one, of times [s], of angles [rad], of a mass's share.
 _BIAS_SHARE, _LAG, _OWN_DELAY, _MASS_SHARE = 0.5, 0.02, 0.01, 0.5
 _ANGLE, _LOAD = 0.015, 0.15
+_STRENGTH = 0.2
+"""Of a motor, prior deviation of its logarithm."""
 _DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
 _LOADS = (0.08, 0.2)
 _LIMITS = (0.9, 0.75, 0.6, 0.45)
@@ -52,6 +54,10 @@ def candidates(
     asked, fastest = demands(records, now)
     out = []
     for j in range(len(plant.names)):
+        if records[0].torque is not None:
+            out.append(
+                _one("torque_gain", j, 0.0, _STRENGTH, -2.0, 2.0, (0.3 * _STRENGTH,), scales=True)
+            )
         out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
         out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]))
         joint = plant.model.joint(plant.names[j])

@@ -15,6 +15,9 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import by_law
+from jax_inertia.replay.search import held_out as unseen
+from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
@@ -23,13 +26,11 @@ LOG_ODDS = float(np.log(20.0))
 """Against any one odd effect: one robot in twenty has it."""
 _GAIN = 0.02
 _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
-_ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
-"""Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
+_AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
+"""Fits from afresh: how many, and by what logarithms gains are raised."""
 _FROM_NOMINAL = 1
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
-AS_GOOD = 2.0 * float(np.log(20.0))
-"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 
 
 class Search(NamedTuple):
@@ -57,37 +58,35 @@ def add_odd(
     records: Sequence[Record],
     held_out: Sequence[Record],
     torque: Float[np.ndarray, " n"],
-    floor: float,
+    floor: Float[np.ndarray, " m"],
     exclude: Sequence[str],
     progress: Callable[[str], None],
 ) -> "Search":
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
-    best, out, possible = _square(plant, found, held_out), [], []
+    run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
+    best, out, possible, afresh = run.missed(found), [], [], True
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
-        about = Parabola(found, plant.loop, found.samples)
-        now = about.worth()
-        fits = [
-            (c, _fitted(plant, found, c, start, records, floor))
-            for c, start in _finalists(plant, about, now.total, pool, records)
-        ]
-        if k == 0:
-            fits += _afresh(plant, found, pool, records, floor)
-            fits += _from_nominal(plant, found, pool, records, floor)
+        excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
+        if torque_logged:
+            excess = by_law.excess(plant, found, records, floor)
+            loops, here = by_law.sought(pool, excess)
+        # The loop's half first: its torque tells it, whatever the robot makes of it.
         passed, possible = [], []
-        for c, tried in fits:
-            new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-            evidence = now.total - new.total - _price(found, c)
-            # A number that does not carry over to another stretch is none of the robot's; one that stands for several
-            # does if it does no harm.
-            simpler = new.kept + len(c.parameters) < now.kept
-            least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-            if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
-                passed.append((evidence, c, tried))
-            elif evidence > -AS_GOOD:
-                possible.append(c)
+        for fits in _by_law(plant, found, loops, excess, records, floor):
+            passed, more = _judged(plant, found, fits, run, best)
+            possible += more
+            if passed:
+                break
+        if not passed:
+            fits = _finalists(plant, found, here, records, floor)
+            if afresh:
+                fits += _afresh(plant, found, here, excess, records, floor)
+                fits += _from_nominal(plant, found, here, records, floor)
+            passed, more = _judged(plant, found, fits, run, best)
+            possible, afresh = [*possible, *more], False
         if not passed:
             break
         passed.sort(key=lambda x: -x[0])
@@ -96,7 +95,7 @@ def add_odd(
             plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=_ROUNDS,
             known=(tried.error, tried.columns),
         )  # fmt: skip
-        best = _square(plant, found, held_out)
+        best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
         rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
         out.append(Odd(first, rows, rivals))
@@ -104,28 +103,49 @@ def add_odd(
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
+def _judged(
+    plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
+) -> tuple[list[tuple[float, Candidate, Fit]], list[Candidate]]:
+    """(those that evidence and held-out runs both ask for, with the evidence; those that are nearly as good)."""
+    now = Parabola(found, plant.loop, found.samples).worth()
+    passed, possible = [], []
+    for c, tried in fits:
+        new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+        evidence = now.total - new.total - _price(found, c)
+        # A number that does not carry over to another stretch is none of the robot's; one that stands for several
+        # does if it does no harm.
+        simpler = new.kept + len(c.parameters) < now.kept
+        least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
+        if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
+            passed.append((evidence, c, tried))
+        elif evidence > -AS_GOOD:
+            possible.append(c)
+    return passed, possible
+
+
+def _rms(found: Fit) -> Float[np.ndarray, " m"]:
+    """Of each output, rms."""
+    return np.sqrt(np.mean(found.error**2, axis=0))
+
+
 def _price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
-def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
-    error = fitting.errors(plant, found.table, found.theta[None], records)[0]
-    return float(np.mean(error**2))
-
-
 def _finalists(
     plant: Plant,
-    about: Parabola,
-    now: float,
+    found: Fit,
     pool: Sequence[Candidate],
     records: Sequence[Record],
-) -> list[tuple[Candidate, tuple[float, ...]]]:
-    """The candidates that promise most, and where each starts."""
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with the candidates that promise most."""
     tries = [(c, s) for c in pool for s in c.starts]
     if not tries:
         return []
-    found = about.found
+    about = Parabola(found, plant.loop, found.samples)
+    now = about.worth().total
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
         worth, share = _scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
@@ -134,7 +154,11 @@ def _finalists(
             best[key] = gain, c, tuple(share * np.array(start))
     order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
-    return [(c, start) for gain, c, start in order if gain >= least]
+    return [
+        (c, _fitted(plant, found, c, start, records, floor))
+        for gain, c, start in order
+        if gain >= least
+    ]
 
 
 def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
@@ -144,8 +168,31 @@ def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Wo
     return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
 
 
+def _by_law(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> Iterator[list[tuple[Candidate, Fit]]]:
+    """Joint by joint, fits with what its torque says of its loop; none where no torque is logged."""
+    for near in by_law.starts(plant, found, pool, excess, records) if pool else ():
+        fits = []
+        for c, theta, _ in near:
+            table = (*found.table, *c.parameters)
+            free = np.append(found.free, [True] * len(c.parameters))
+            fit = fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
+            fits.append((c, fit))
+        yield fits
+
+
 def _from_nominal(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits that start at the nominal model with one effect and few ordinary numbers.
 
@@ -192,22 +239,26 @@ def tried_errors(
         changed = fitting.errors(plant, (*found.table, *more), thetas, records)
         for k in mine:
             c, start = tries[k]
-            touched = fitting.touches(plant, c.parameters[:1])[0]
+            touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
 
 
 def _afresh(
-    plant: Plant, found: Fit, pool: Sequence[Candidate], records: Sequence[Record], floor: float
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits with a dead band that do not start at the numbers without one.
 
     A soft loop with much friction passes for a stiff one with a dead band, and no small step leads from one to the
-    other: gain, friction and dead band are looked for together, at the joints whose replays err most.
+    other: gain, friction and dead band are looked for together, at the joints whose replays, or torques, err most.
     """
-    error = np.sqrt(np.mean(found.error**2, axis=0))
     pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
     pool = sorted(
-        (c for c in pool if error[c.place[0]] > _ROUGH * floor), key=lambda c: -error[c.place[0]]
+        (c for c in pool if excess[c.place[0]] > by_law.ROUGH), key=lambda c: -excess[c.place[0]]
     )
     where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
     out = []

@@ -1,0 +1,54 @@
+"""How far replays of runs that played no part in a fit err, output by output."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay import checks
+from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import Parameter
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record
+
+WORSE = 1.02
+"""Of an output's error, what passes for no worse."""
+
+
+class Unseen:
+    """Runs that played no part: mean squares of their positions [rad²] and, where logged, of their torques.
+
+    The latter in units of what the loop's torque errs by though nothing is wrong, and no less than 1: joints are of
+    very different strength, and what a clock does to a torque is no merit of a model.
+    """
+
+    def __init__(self, plant: Plant, records: Sequence[Record]):
+        self._plant, self._records, self._floor = plant, records, None
+        if records[0].torque is not None:
+            self._floor = checks.torque_floor(records, plant.loop)
+
+    def missed(self, found: Fit) -> Float[np.ndarray, " k"]:
+        """Of a fit; one number, or two."""
+        return self.misses(found.table, found.theta[None])[0]
+
+    def misses(
+        self, table: Sequence[Parameter], thetas: Float[np.ndarray, "B P"]
+    ) -> Float[np.ndarray, "B k"]:
+        """Of every vector."""
+        errors = fitting.errors(self._plant, table, thetas, self._records)
+        return np.array([self.squares(np.mean(e**2, axis=0)) for e in errors])
+
+    def squares(self, square: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
+        """Of the mean square of each output."""
+        n = len(self._plant.names)
+        position = float(np.mean(square[:n]))
+        if self._floor is None:
+            return np.array([position])
+        torque = square[n:] / np.maximum(self._floor, 1e-12) ** 2
+        return np.array([position, max(float(np.mean(torque)), 1.0)])
+
+
+def carries_over(new: np.ndarray, old: np.ndarray, least: float) -> bool:
+    """Whether one output errs `least` times as much at most, and none more than `WORSE` times."""
+    return bool(np.all(new <= max(WORSE, least) ** 2 * old) and np.any(new <= least**2 * old))
