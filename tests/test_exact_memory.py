@@ -80,7 +80,7 @@ def test_settings_that_cannot_be_are_one_line():
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_its_plus_minus_is_honest(dtype):
-    found = honest.trials("small", 64, dtype)
+    found = honest.trials("small", honest.logs(honest.subject("small"), 64), dtype)
     assert 0.85 <= found["within_2_sigma"] <= 1.0
     assert found["nees_below_95"] >= 0.85
     assert found["nis_per_row"] == pytest.approx(1.0, abs=0.05)
@@ -89,5 +89,5 @@ def test_its_plus_minus_is_honest(dtype):
 @pytest.mark.slow
 def test_windows_in_which_an_arm_turns_bias_nothing():
     """Seven joints at 1 Hz: rows of the windows' mean motion, for the mean rows, had a NEES of twice its mean."""
-    found = honest.trials("arm", 96, "float32")
+    found = honest.trials("arm", honest.logs(honest.subject("arm"), 96), "float32")
     assert found["nees_mean_in_bounds"]
