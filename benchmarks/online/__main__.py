@@ -1,7 +1,4 @@
-"""Gather what `all.sh` wrote into results/online.json: python -m benchmarks.online FOLDER
-
-Elbow, pelvis and blind walks are the paper's experiments (results/paper.json), whose figures are watched here.
-"""
+"""Gather what `all.sh` wrote into results/online.json: python -m benchmarks.online FOLDER"""
 
 import json
 import sys
@@ -10,16 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import results
+from benchmarks.online.draws import NAMES
+from benchmarks.paper.loop import summary
 
 TRIALS = 1000
-ASKED = {(r, d) for r in ("arm", "humanoid", "quadruped") for d in ("float32", "float64")}
+ASKED = {(r, d) for r in NAMES for d in ("float32", "float64")}
 """What `nees_in_bounds` needs, all of it: a mean NEES within its 95 % bounds over so many trials."""
 
 
 def gathered(folder: Path) -> dict:
     """Every part that ran, and the figures that are watched."""
     part = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
-    out: dict = {}
+    out: dict = {"commits": {name: commit_of(v) for name, v in part.items()}}
     honest = [row for k, v in part.items() if k.startswith("honest_") for row in v]
     out["covariance"] = honest
     kinds = [v for k, v in part.items() if k.startswith("links_")]
@@ -47,6 +46,14 @@ def gathered(folder: Path) -> dict:
             "right_link": sum(s["right_link"] for s in steps),
             "false": sum(s["false"] for s in steps),
         }
+    for name, figure in (("elbow", "elbow_rmse_rad"), ("pelvis", "pelvis_rmse_m")):
+        loop = _controllers([v for k, v in part.items() if k.startswith(f"{name}_")])
+        if loop:
+            out[name], out[figure] = loop, loop["composite"]["rmse"]["median"]
+    blind = _controllers([v for k, v in part.items() if k.startswith("blind_")])
+    if blind:
+        own = blind["adaptive"]
+        out["blind"], out["blind_up"] = blind, own["rmse"]["seeds"] - own["fell"]
     good = {
         (h["robot"], h["dtype"])
         for h in honest
@@ -57,20 +64,26 @@ def gathered(folder: Path) -> dict:
     return out
 
 
-def in_the_loop(paper: dict) -> dict:
-    """The paper's figures of composite adaptation and of blind walks."""
-    highest = max(paper["blind"]["rows"], key=lambda row: row["amplitude_m"])
+def commit_of(part: dict | list) -> str:
+    """The code that a part was made by."""
+    return (part[0] if isinstance(part, list) else part)["commit"]
+
+
+def _controllers(parts: list[dict]) -> dict:
+    """Summaries over all parts of an experiment in the loop, by controller."""
+    names = [name for name in parts[0] if name not in ("seeds", "commit")] if parts else []
     return {
-        "elbow_rmse_rad": paper["elbow"]["composite"],
-        "pelvis_rmse_m": paper["pelvis"]["composite"],
-        "blind_up": highest["up"],
-        "paper_commits": {k: paper[k]["about"]["commit"] for k in ("elbow", "pelvis", "blind")},
+        name: {
+            "rmse": summary(np.concatenate([p[name]["rmse"] for p in parts])),
+            "fell": sum(p[name]["fell"] for p in parts),
+            "unphysical": sum(p[name]["unphysical"] for p in parts),
+        }
+        for name in names
     }
 
 
 if __name__ == "__main__":
-    paper_ = json.loads((results.RESULTS / "paper.json").read_text())
-    found_ = {**gathered(Path(sys.argv[1])), **in_the_loop(paper_)}
+    found_ = gathered(Path(sys.argv[1]))
     results.save_json(results.RESULTS / "online.json", {"about": results.circumstances(), **found_})
     shown = ("load_link", "load_link_worst", "false_switches_per_min", "spike_kg", "elbow_rmse_rad")
     more = ("pelvis_rmse_m", "blind_up", "nees_in_bounds", "touchdowns")

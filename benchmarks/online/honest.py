@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 
+from benchmarks.harness.results import commit
 from benchmarks.online.draws import (
     RATE,
     REACH,
@@ -33,6 +34,7 @@ from jax_inertia import load_model, mass_matrix
 from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
 from jax_inertia.estimation.online.exact_memory import ExactEstimator, make_exact_estimator
 from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.model.load import body_pi
 
 SECONDS, SEED, SETTLED = 2.0, 77, 30
@@ -93,6 +95,7 @@ def trials(name: str, drawn: tuple, dtype: str, kind: str = "exact") -> dict:
     count = len(true)
     own = _exact(who, dtype) if kind == "exact" else _extended(who, dtype)
 
+    @in_full_precision
     def one(x):
         belief, kept = _follow(own, x)
         x = belief.mean.reshape(-1, 10)
@@ -111,6 +114,7 @@ def trials(name: str, drawn: tuple, dtype: str, kind: str = "exact") -> dict:
     used = good[:, SETTLED:] > 0
     below = float(np.mean(four < scipy.stats.chi2.ppf(0.95, 4)))
     return {
+        "commit": commit(),
         "robot": name,
         "dtype": dtype,
         "filter": kind,

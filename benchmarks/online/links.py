@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.harness.results import commit
 from benchmarks.online.draws import (
     RATE,
     REACH,
@@ -115,7 +116,12 @@ def main() -> None:
         sys.argv[4],
     )
     who = subject(name)
-    found = {"robot": name, "kind": kind, **scored(bank_of(who), who, seeds, **KINDS[kind])}
+    found = {
+        "commit": commit(),
+        "robot": name,
+        "kind": kind,
+        **scored(bank_of(who), who, seeds, **KINDS[kind]),
+    }
     with open(out, "w") as file:
         json.dump(found, file)
     print(name, kind, found["right"], found["false"])

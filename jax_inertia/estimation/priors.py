@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia.maths import charts, inertial_parameters, spatial
+from jax_inertia.maths.precision import in_full_precision
 
 
 class Uncertainty(eqx.Module):
@@ -37,6 +38,7 @@ class Load(Uncertainty):
         powers = jnp.array([0.0] + [1.0] * 3 + [2.0] * 6, self.mass.dtype)
         return self.mass * self.reach**powers
 
+    @in_full_precision
     def covariance(
         self, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
     ) -> Float[Array, "bodies 10 10"]:
@@ -92,6 +94,7 @@ class Tolerance(Uncertainty):
     com: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     spread: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.3)
 
+    @in_full_precision
     def covariance(
         self, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
     ) -> Float[Array, "bodies 10 10"]:

@@ -218,15 +218,12 @@ class ExactEstimator(eqx.Module):
         solution, made a body, is a second place to start from, and the lower end counts.
         """
 
-        # By how much |z − R π|² of one and the same point may differ, over |z − R π|: no reason to turn back.
-        rounding = 4.0 * jnp.finfo(memory.dtype).eps * jnp.linalg.norm(memory[:, -1])
-
         def again(_, carry):
             x, cost, share = carry
             step = self._believed(x, memory)[0]
             trial = self.chart.project((x + share * step).reshape(-1, 10)).ravel()
             value = self._cost(trial, memory)
-            good = value <= cost + rounding * jnp.sqrt(cost)
+            good = value <= cost
             share = jnp.where(good, jnp.minimum(1.0, 4.0 * share), 0.25 * share)
             return jnp.where(good, trial, x), jnp.where(good, value, cost), share
 
@@ -252,6 +249,7 @@ class ExactEstimator(eqx.Module):
         return jnp.where(jnp.all(jnp.isfinite(x)), x, self.prior.mean.reshape(-1, 10)).ravel()
 
 
+@in_full_precision
 def make_exact_estimator(
     robot: Robot,
     bodies: Sequence[int | str],
