@@ -1,6 +1,6 @@
-"""Composite adaptation in the humanoid's loop, and blind walks: the paper's experiments, seed by seed, beside EKF.
+"""Composite adaptation in the humanoid's loop: the paper's experiments, seed by seed, beside EKF.
 
-    python -m benchmarks.online.loops elbow | pelvis | blind FIRST COUNT OUT
+    python -m benchmarks.online.loops elbow | pelvis FIRST COUNT OUT
 
 One value a seed and controller, so that parts of many processes are gathered without loss.
 """
@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from benchmarks.harness.results import commit
-from benchmarks.paper import blind, elbow, pelvis
+from benchmarks.paper import elbow, pelvis
 from benchmarks.paper.brain import ADAPTIVE, COMPOSITE, MODES
 from benchmarks.paper.loop import Run, rms
 
@@ -45,13 +45,7 @@ def pelvis_of(seeds: np.ndarray) -> dict:
     return _rows(found, pelvis.errors(found))
 
 
-def blind_of(seeds: np.ndarray) -> dict:
-    """RMSE of the pelvis's height [m] and falls, over boxes of ±2 cm that the robot does not know."""
-    found = blind.walk(seeds, (ADAPTIVE,), 0.02)
-    return _rows(found, pelvis.errors(found))
-
-
-EXPERIMENTS = {"elbow": elbow_of, "pelvis": pelvis_of, "blind": blind_of}
+EXPERIMENTS = {"elbow": elbow_of, "pelvis": pelvis_of}
 
 
 if __name__ == "__main__":
