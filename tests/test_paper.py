@@ -3,7 +3,6 @@
 import json
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -47,7 +46,7 @@ def test_waveforms_are_the_papers_table():
 
 def test_bodies_answer_for_the_error_of_the_joints_that_carry_them(plant):
     robot = load_model(plant)
-    arm = SimpleNamespace(arm=tuple("elbow" in n or "shoulder" in n for n in robot.joint_names[1:]))
+    arm = tuple("elbow" in name or "shoulder" in name for name in robot.joint_names[1:])
 
     def rows(body: str) -> list[str | int]:
         own = np.flatnonzero(carrying_rows(robot, arm, (robot.body_index(body),)))

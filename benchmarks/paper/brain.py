@@ -154,7 +154,7 @@ class Brain(eqx.Module):
         bodies = self.estimator.bodies
         regressor = torque_regressor(self.robot, x.q, x.v, jnp.zeros_like(x.v), bodies)
         s = tracking_error(self.controller, x.q, x.v, memory.reference)
-        s = jnp.where(carrying_rows(self.robot, self.controller, bodies), s, 0.0)
+        s = jnp.where(carrying_rows(self.robot, self.controller.arm, bodies), s, 0.0)
         s = jnp.where(memory.time > 0, s, 0.0)
         mass = mass_matrix(self.robot.with_pi(bodies, pi), x.q)
         return damping_step(pi, regressor, s, mass, self.damping)
@@ -199,16 +199,15 @@ def tracking_error(
 
 
 def carrying_rows(
-    robot: Robot, controller: WholeBody, bodies: tuple[int, ...]
+    robot: Robot, arm: tuple[bool, ...], bodies: tuple[int, ...]
 ) -> Bool[np.ndarray, " nv"]:
-    """Rows of `tracking_error` that the bodies answer for: the arm joints that carry them, else the pelvis's height.
+    """Rows of `tracking_error` that the bodies answer for: joints of `arm` that carry them, else the pelvis's height.
 
     The pelvis carries all 90 kg. What it is off by, by the ground's give for one, is no sign of what a forearm weighs,
     and a forearm that made up for it would hold its own elbow off.
     """
-    arm = np.concatenate([np.zeros(6, bool), controller.arm])
     moved = np.isin(np.arange(robot.nv), moved_rows(robot, bodies))
-    own = arm & moved
+    own = moved & np.concatenate([np.zeros(6, bool), arm])
     return own if own.any() else np.arange(robot.nv) == 2
 
 
