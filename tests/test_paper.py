@@ -12,9 +12,12 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.paper import curl, elbow, pelvis, report  # noqa: E402
+from benchmarks.paper.brain import carrying_rows  # noqa: E402
 from benchmarks.paper.hardware import NOTHING, Effects, hardware  # noqa: E402
-from benchmarks.paper.loop import summary  # noqa: E402
+from benchmarks.paper.loop import Run, summary  # noqa: E402
 from benchmarks.paper.plant import PER_TICK, STEP, Fleet, LinkMass, Sensors, model  # noqa: E402
+from benchmarks.paper.shared_out import merged  # noqa: E402
+from jax_inertia import load_model  # noqa: E402
 from jax_inertia.model.load import body_pi  # noqa: E402
 
 SILENT = Sensors(
@@ -39,6 +42,32 @@ def test_waveforms_are_the_papers_table():
     assert elbow.waveform(0.75) == pytest.approx(1.5)
     assert [float(elbow.waveform(t)) for t in (8.1, 8.6)] == [7.5, 1.5]
     assert [pelvis.waveform(t) for t in (0.1, 2.6, 5.1)] == [35.0, 25.0, 35.0]
+
+
+def test_bodies_answer_for_the_error_of_the_joints_that_carry_them(plant):
+    robot = load_model(plant)
+    arm = tuple("elbow" in name or "shoulder" in name for name in robot.joint_names[1:])
+
+    def rows(body: str) -> list[str | int]:
+        own = np.flatnonzero(carrying_rows(robot, arm, (robot.body_index(body),)))
+        return [robot.joint_names[i - 5] if i > 5 else int(i) for i in own]
+
+    assert rows("torso_link") == [2]  # the pelvis's height
+    left = rows("left_elbow_pitch_link")
+    assert "left_elbow_y" in left
+    assert all(str(name).startswith("left_") for name in left)
+
+
+def test_runs_shared_out_are_one_again():
+    def part(seed: int, mode: int) -> Run:
+        one = np.array([seed])
+        series = {"error": np.full((3, 1), 10.0 * mode + seed)}
+        return Run(np.arange(3.0), np.array([mode]), one, series, 1.0 * one, one, one, 1.0, [])
+
+    found = merged([part(seed, mode) for mode in (0, 1) for seed in (4, 5)])
+    assert found.seed.tolist() == [4, 5, 4, 5]
+    assert found.mode.tolist() == [0, 0, 1, 1]
+    assert found.series["error"][:, found.mode == 1].tolist() == [[14.0, 15.0]] * 3
 
 
 def test_plant_steps_as_mujoco_does(plant):

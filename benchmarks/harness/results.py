@@ -22,9 +22,8 @@ def save_json(path: Path, data: Any) -> None:
     os.replace(part, path)
 
 
-def circumstances() -> dict[str, str]:
-    """Commit, versions and machine of this run."""
-    import jax
+def commit() -> str:
+    """The code that runs: its commit, and whether anything was changed since."""
 
     def git(*command: str) -> str:
         try:
@@ -35,9 +34,16 @@ def circumstances() -> dict[str, str]:
             return ""
         return run.stdout.strip()
 
-    out = {"commit": git("rev-parse", "--short", "HEAD") or "unknown"}
-    if git("status", "--porcelain", "--", "../jax_inertia", "."):
-        out["commit"] += " with changes"
+    own = git("rev-parse", "--short", "HEAD") or "unknown"
+    changed = git("status", "--porcelain", "--", "../jax_inertia", ".")
+    return own + (" with changes" if changed else "")
+
+
+def circumstances() -> dict[str, str]:
+    """Commit, versions and machine of this run."""
+    import jax
+
+    out = {"commit": commit()}
     for name in LIBRARIES:
         try:
             out[name] = importlib.metadata.version(name)

@@ -1,4 +1,7 @@
-"""Gather what `all.sh` wrote into results/online.json: python -m benchmarks.online FOLDER"""
+"""Gather what `all.sh` wrote into results/online.json: python -m benchmarks.online FOLDER
+
+Blind walks are the paper's (results/paper.json), whose highest boxes are watched here.
+"""
 
 import json
 import sys
@@ -7,23 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import results
+from benchmarks.online.draws import NAMES
 from benchmarks.paper.loop import summary
 
 TRIALS = 1000
-ASKED = {(r, d) for r in ("arm", "humanoid", "quadruped") for d in ("float32", "float64")}
+ASKED = {(r, d) for r in NAMES for d in ("float32", "float64")}
 """What `nees_in_bounds` needs, all of it: a mean NEES within its 95 % bounds over so many trials."""
 
 
 def gathered(folder: Path) -> dict:
     """Every part that ran, and the figures that are watched."""
     part = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
-    out: dict = {}
-    honest = [v for k, v in part.items() if k.startswith("honest_")]
+    out: dict = {"commits": {name: commit_of(v) for name, v in part.items()}}
+    honest = [row for k, v in part.items() if k.startswith("honest_") for row in v]
     out["covariance"] = honest
-    links = {k.removeprefix("links_"): v for k, v in part.items() if k.startswith("links_")}
-    out["links"] = links
-    if links:
-        kinds = [kind for robot in links.values() for kind in robot.values()]
+    kinds = [v for k, v in part.items() if k.startswith("links_")]
+    out["links"] = kinds
+    if kinds:
         out["load_link"] = sum(k["right"] for k in kinds) / sum(k["seeds"] for k in kinds)
         out["load_link_worst"] = min(k["right"] / k["seeds"] for k in kinds)
     minutes = [v for k, v in part.items() if k.startswith("minute_")]
@@ -50,10 +53,6 @@ def gathered(folder: Path) -> dict:
         loop = _controllers([v for k, v in part.items() if k.startswith(f"{name}_")])
         if loop:
             out[name], out[figure] = loop, loop["composite"]["rmse"]["median"]
-    blind = _controllers([v for k, v in part.items() if k.startswith("blind_")])
-    if blind:
-        own = blind["adaptive"]
-        out["blind"], out["blind_up"] = blind, own["rmse"]["seeds"] - own["fell"]
     good = {
         (h["robot"], h["dtype"])
         for h in honest
@@ -64,9 +63,14 @@ def gathered(folder: Path) -> dict:
     return out
 
 
+def commit_of(part: dict | list) -> str:
+    """The code that a part was made by."""
+    return (part[0] if isinstance(part, list) else part)["commit"]
+
+
 def _controllers(parts: list[dict]) -> dict:
     """Summaries over all parts of an experiment in the loop, by controller."""
-    names = [name for name in parts[0] if name != "seeds"] if parts else []
+    names = [name for name in parts[0] if name not in ("seeds", "commit")] if parts else []
     return {
         name: {
             "rmse": summary(np.concatenate([p[name]["rmse"] for p in parts])),
@@ -78,7 +82,9 @@ def _controllers(parts: list[dict]) -> dict:
 
 
 if __name__ == "__main__":
-    found_ = gathered(Path(sys.argv[1]))
+    blind_ = json.loads((results.RESULTS / "paper.json").read_text())["blind"]
+    found_ = {**gathered(Path(sys.argv[1])), "blind_up": blind_["rows"][-1]["up"]}
+    found_["commits"]["blind"] = commit_of(blind_["about"])
     results.save_json(results.RESULTS / "online.json", {"about": results.circumstances(), **found_})
     shown = ("load_link", "load_link_worst", "false_switches_per_min", "spike_kg", "elbow_rmse_rad")
     more = ("pelvis_rmse_m", "blind_up", "nees_in_bounds", "touchdowns")

@@ -1,6 +1,6 @@
 """NEES and NIS of the exact filter and of the extended one, by Monte Carlo on MuJoCo C's inverse dynamics.
 
-    python -m benchmarks.online.honest ROBOT TRIALS DTYPE [exact | extended] OUT
+    python -m benchmarks.online.honest ROBOT TRIALS OUT
 
 Each trial: a load drawn at random on the robot's first link, two seconds of motion, noise of torques and velocities.
 NEES is that of mass and first moments (4 numbers, N = 4), which a motion of two seconds sees.
@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 
+from benchmarks.harness.results import commit
 from benchmarks.online.draws import (
     RATE,
     REACH,
@@ -33,6 +34,7 @@ from jax_inertia import load_model, mass_matrix
 from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
 from jax_inertia.estimation.online.exact_memory import ExactEstimator, make_exact_estimator
 from jax_inertia.estimation.priors import Load
+from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.model.load import body_pi
 
 SECONDS, SEED, SETTLED = 2.0, 77, 30
@@ -87,12 +89,13 @@ def _follow(own: ExactEstimator | Estimator, log):
     return state.belief, kept
 
 
-def trials(name: str, count: int, dtype: str, kind: str = "exact") -> dict:
-    """Shares within σ and 2σ of the mass, NEES of mass and first moments, NIS per row."""
-    who = subject(name)
-    log, true = logs(who, count)
+def trials(name: str, drawn: tuple, dtype: str, kind: str = "exact") -> dict:
+    """Shares within σ and 2σ of the mass, NEES of mass and first moments, NIS per row, over the `logs` drawn."""
+    who, (log, true) = subject(name), drawn
+    count = len(true)
     own = _exact(who, dtype) if kind == "exact" else _extended(who, dtype)
 
+    @in_full_precision
     def one(x):
         belief, kept = _follow(own, x)
         x = belief.mean.reshape(-1, 10)
@@ -111,6 +114,7 @@ def trials(name: str, count: int, dtype: str, kind: str = "exact") -> dict:
     used = good[:, SETTLED:] > 0
     below = float(np.mean(four < scipy.stats.chi2.ppf(0.95, 4)))
     return {
+        "commit": commit(),
         "robot": name,
         "dtype": dtype,
         "filter": kind,
@@ -132,8 +136,11 @@ def trials(name: str, count: int, dtype: str, kind: str = "exact") -> dict:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    robot_, count_, dtype_, kind_, out_ = sys.argv[1:]
-    result = trials(robot_, int(count_), dtype_, kind_)
-    with open(out_, "w") as file:
-        json.dump(result, file)
-    print(json.dumps(result))
+    robot_, count_, out_ = sys.argv[1:]
+    drawn_ = logs(subject(robot_), int(count_))
+    result = []
+    for kind_, dtype_ in (("exact", "float64"), ("exact", "float32"), ("extended", "float64")):
+        result.append(trials(robot_, drawn_, dtype_, kind_))
+        print(json.dumps(result[-1]), flush=True)
+        with open(out_, "w") as file:
+            json.dump(result, file)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.harness.results import commit
 from benchmarks.online.draws import (
     RATE,
     REACH,
@@ -102,17 +103,28 @@ def scored(bank: LoadBank, who, seeds, **kind) -> dict:
     return {"right": int(right), "false": false, "seeds": len(rows), "rollouts": rows}
 
 
+KINDS: dict[str, dict] = {"calm": {}, "shocks": {"shocks": True}, "two_loads": {"loads": 2}}
+
+
 def main() -> None:
-    """python -m benchmarks.online.links ROBOT SEEDS OUT"""
+    """python -m benchmarks.online.links ROBOT KIND SEEDS OUT"""
     jax.config.update("jax_enable_x64", True)
-    name, seeds, out = sys.argv[1], FIRST + np.arange(int(sys.argv[2])), sys.argv[3]
+    name, kind, seeds, out = (
+        sys.argv[1],
+        sys.argv[2],
+        FIRST + np.arange(int(sys.argv[3])),
+        sys.argv[4],
+    )
     who = subject(name)
-    bank = bank_of(who)
-    kinds = {"calm": {}, "shocks": {"shocks": True}, "two loads": {"loads": 2}}
-    found = {k: scored(bank, who, seeds, **v) for k, v in kinds.items()}
+    found = {
+        "commit": commit(),
+        "robot": name,
+        "kind": kind,
+        **scored(bank_of(who), who, seeds, **KINDS[kind]),
+    }
     with open(out, "w") as file:
         json.dump(found, file)
-    print(name, {k: (v["right"], v["false"]) for k, v in found.items()})
+    print(name, kind, found["right"], found["false"])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Composite adaptation in the humanoid's loop, and blind walks: the paper's experiments, seed by seed, beside EKF.
+"""Composite adaptation in the humanoid's loop: the paper's experiments, seed by seed, beside EKF.
 
-    python -m benchmarks.online.loops elbow | pelvis | blind FIRST COUNT OUT
+    python -m benchmarks.online.loops elbow | pelvis FIRST COUNT OUT
 
 One value a seed and controller, so that parts of many processes are gathered without loss.
 """
@@ -11,7 +11,8 @@ import sys
 import jax
 import numpy as np
 
-from benchmarks.paper import blind, elbow, pelvis
+from benchmarks.harness.results import commit
+from benchmarks.paper import elbow, pelvis
 from benchmarks.paper.brain import ADAPTIVE, COMPOSITE, MODES
 from benchmarks.paper.loop import Run, rms
 
@@ -44,20 +45,14 @@ def pelvis_of(seeds: np.ndarray) -> dict:
     return _rows(found, pelvis.errors(found))
 
 
-def blind_of(seeds: np.ndarray) -> dict:
-    """RMSE of the pelvis's height [m] and falls, over boxes of ±2 cm that the robot does not know."""
-    found = blind.walk(seeds, 0.02)
-    return _rows(found, pelvis.errors(found))
-
-
-EXPERIMENTS = {"elbow": elbow_of, "pelvis": pelvis_of, "blind": blind_of}
+EXPERIMENTS = {"elbow": elbow_of, "pelvis": pelvis_of}
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     which, first, count, out_ = sys.argv[1:]
     seeds_ = int(first) + np.arange(int(count))
-    result = {"seeds": seeds_.tolist(), **EXPERIMENTS[which](seeds_)}
+    result = {"commit": commit(), "seeds": seeds_.tolist(), **EXPERIMENTS[which](seeds_)}
     with open(out_, "w") as file:
         json.dump(result, file)
     print(which, result)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.harness.results import commit
 from benchmarks.paper import gating, pelvis
 from benchmarks.paper.brain import ORACLE, make_brain, measurement_noise
 from benchmarks.paper.loop import Run, summary
@@ -108,7 +109,8 @@ def minute(seeds: np.ndarray) -> dict:
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     which, first, count, out = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
-    result = {"touchdowns": touchdowns, "minute": minute}[which](first + np.arange(count))
+    found_ = {"touchdowns": touchdowns, "minute": minute}[which](first + np.arange(count))
+    result = {"commit": commit(), **found_}
     with open(out, "w") as file:
         json.dump(result, file)
     print(result)

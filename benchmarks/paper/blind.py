@@ -5,17 +5,20 @@ import numpy as np
 from benchmarks.paper import pelvis
 from benchmarks.paper.brain import ADAPTIVE
 from benchmarks.paper.loop import Run, summary
+from benchmarks.paper.shared_out import Wanted, every
 
 DURATION = 20.0
 AMPLITUDES = (0.01, 0.02)  # m
 LANDING_SPEED = 0.35  # m/s; ground that comes late is looked for while the robot falls sideways
 
 
-def walk(seeds: np.ndarray, amplitude: float, duration: float = DURATION) -> Run:
-    """The adaptive robot on boxes of ± `amplitude` [m] that it does not know."""
+def walk(
+    seeds: np.ndarray, modes: tuple[int, ...], amplitude: float, duration: float = DURATION
+) -> Run:
+    """On boxes of ± `amplitude` [m] that the robot does not know."""
     return pelvis.walk(
         seeds,
-        (ADAPTIVE,),
+        modes,
         amplitude=amplitude,
         knows_ground=False,
         duration=duration,
@@ -27,8 +30,10 @@ def walk(seeds: np.ndarray, amplitude: float, duration: float = DURATION) -> Run
 def results(seeds: np.ndarray, duration: float = DURATION) -> dict:
     """How many robots are still up after `duration` [s], by the boxes' amplitude."""
     rows = []
-    for amplitude in AMPLITUDES:
-        found = walk(seeds, amplitude, duration)
+    wanted = [
+        Wanted(walk, seeds, (ADAPTIVE,), {"amplitude": a, "duration": duration}) for a in AMPLITUDES
+    ]
+    for amplitude, found in zip(AMPLITUDES, every(wanted), strict=True):
         rows.append(
             {
                 "amplitude_m": amplitude,

@@ -8,10 +8,20 @@ import dataclasses
 
 import numpy as np
 
-from benchmarks.paper.brain import ADAPTIVE, GAINS, MODES, ORACLE, Settings, make_brain, standing
+from benchmarks.paper.brain import (
+    ADAPTIVE,
+    GAINS,
+    MODES,
+    NONE,
+    ORACLE,
+    Settings,
+    make_brain,
+    standing,
+)
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import TICK, Fleet, LinkMass, Sensors, model
+from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.model.load import body_pi
 
@@ -42,22 +52,21 @@ def waveform(t: float) -> float:
 
 def run(
     seeds: np.ndarray,
-    modes: tuple[int, ...] = (0, 1, 2),
+    modes: tuple[int, ...] = (NONE, ADAPTIVE, ORACLE),
     *,
-    late: bool = False,
     sensors: Sensors = SENSORS,
     stiffness: float = 100.0,
     nominal_mass: float | None = None,
     duration: float = DURATION,
 ) -> Run:
-    """Errors of the elbow [rad] and estimated masses [kg]; with `late` one more group is told the truth late."""
+    """Errors of the elbow [rad] and estimated masses [kg]; those of mode `LATE` are told the truth late."""
     plant = model()
     gains = dataclasses.replace(GAINS, posture=(stiffness, 2.0 * stiffness**0.5))
     brain = make_brain(
         plant, SETTINGS, sensors, standing(plant), gains=gains, nominal_mass=nominal_mass
     )
-    mode, seed = crew(seeds, (*modes, ORACLE) if late else modes)
-    group = np.repeat([*modes, LATE] if late else modes, len(seeds))
+    group, seed = crew(seeds, modes)
+    mode = np.where(group == LATE, ORACLE, group)
     fleet = Fleet(plant, seed, sensors)
     link = LinkMass(plant, FOREARM)
     body, joint = plant.body(FOREARM).id, plant.joint(JOINT).qposadr[0]
@@ -98,7 +107,12 @@ def lag(found: Run, group: int) -> np.ndarray:
 
 def results(seeds: np.ndarray, sweep_seeds: np.ndarray) -> dict:
     """Everything that the report says of this experiment."""
-    found = run(seeds, tuple(range(len(MODES))), late=True)
+    cells = ((25.0, None), (100.0, None), (400.0, None), (100.0, 4.5))
+    wanted = [Wanted(run, seeds, (*range(len(MODES)), LATE))]
+    for stiffness, nominal in cells:
+        own = {"stiffness": stiffness, "nominal_mass": nominal}
+        wanted.append(Wanted(run, sweep_seeds, (NONE, ADAPTIVE, ORACLE), own))
+    found, *parts = every(wanted)
     on = found.time >= SETTLE
     error = rms(found.series["error"][on])
     out = by_controller(found.mode, error)
@@ -115,8 +129,7 @@ def results(seeds: np.ndarray, sweep_seeds: np.ndarray) -> dict:
     out["unsolved"] = float(found.unsolved.max())
     out["fell"] = int(np.isfinite(found.fell).sum())
     out["sweep"] = []
-    for stiffness, nominal in ((25.0, None), (100.0, None), (400.0, None), (100.0, 4.5)):
-        part = run(sweep_seeds, stiffness=stiffness, nominal_mass=nominal)
+    for (stiffness, nominal), part in zip(cells, parts, strict=True):
         e = rms(part.series["error"][part.time >= SETTLE])
         row = {MODES[i]: float(np.median(e[part.mode == i])) for i in np.unique(part.mode)}
         out["sweep"].append({"stiffness": stiffness, "nominal_mass": nominal or 0.6007, **row})

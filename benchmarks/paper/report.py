@@ -31,15 +31,27 @@ from 1000 on, numbers are of seeds 0, 1, 2, …
 
 def _ran(found: dict[str, Any]) -> str:
     rows = [
-        [name, x["run"]["seeds"], x["run"]["sweep_seeds"], x["run"]["first_seed"], x["wall_s"]]
+        [name, *(x["run"][k] for k in ("seeds", "sweep_seeds", "first_seed")), x["wall_s"], *_of(x)]
         for name in _SECTIONS
         for x in [found.get(name)]
         if x is not None
     ]
-    head = ["experiment", "seeds", "seeds of each sweep or variant", "first seed", "time [s]"]
+    head = [
+        "experiment",
+        "seeds",
+        "seeds of each sweep or variant",
+        "first seed",
+        "time [s]",
+        "commit",
+    ]
     left = [name for name in _SECTIONS if name not in found]
     note = f"\nNot run yet: {', '.join(left)}.\n" if left else ""
     return "## What ran\n\n" + _table(head, rows) + note
+
+
+def _of(x: dict[str, Any]) -> list[str]:
+    """The commit that it is of; older results do not say."""
+    return [x.get("about", {}).get("commit", "")]
 
 
 def _span(x: dict[str, float], scale: float = 1.0, digits: int = 4) -> str:
@@ -152,7 +164,8 @@ def _pelvis(x: dict[str, Any]) -> str:
         "RMSE of the pelvis's height about its reference [mm]; the robot knows the ground's height and steps on boxes, "
         "not on their edges.\n\n"
         + _table(["", "none", "adaptive", "oracle", "composite", "none / adaptive"], rows)
-        + f"\nDistance walked: {x['distance_m']['adaptive']:.1f} m (adaptive). Torso mass RMSE: "
+        + f"\nNone and oracle, which have no filter: {x['intervals']['none']['seeds']} seeds. Distance walked: "
+        f"{x['distance_m']['adaptive']:.1f} m (adaptive). Torso mass RMSE: "
         f"{_span(x['mass_rmse_kg'], digits=2)} kg. Ticks whose program did not converge: "
         f"{100 * x['unsolved']:.3f} % in the worst run.\n\n"
         "Sweep over the height task's stiffness [1/s²] and the nominal mass [kg], 15 s, RMSE [mm]:\n\n"

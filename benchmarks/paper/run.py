@@ -4,15 +4,17 @@
 
 Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`, after every
 experiment. With `--only` the other experiments keep the numbers of the last run; `--resume` leaves out what has run
-with these seeds before, so that a run that was cut off goes on where it was.
+with these seeds before, so that a run that was cut off goes on where it was. PAPER_PROCESSES (1): how many processes an
+experiment shares its seeds out over.
 """
 
 import argparse
 import json
-import multiprocessing
 import os
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[1] / "results" / "paper.json"
@@ -44,9 +46,11 @@ def main(arguments: list[str] | None = None) -> int:
     }
     done = [n for n in NAMES if found.get(n, {}).get("run") == settings] if options.resume else []
     work = [(name, *settings.values()) for name in options.only if name not in done]
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(max(min(options.jobs, len(work)), 1), maxtasksperchild=1) as pool:
-        for name, seconds, result in pool.imap_unordered(_experiment, work):
+    jobs = max(min(options.jobs, len(work)), 1)
+    # Workers of `multiprocessing.Pool` may have no processes of their own (`shared_out`).
+    with ProcessPoolExecutor(jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
+        for job in as_completed([pool.submit(_experiment, one) for one in work]):
+            name, seconds, result = job.result()
             print(f"{name}: {seconds:.0f} s", file=sys.stderr, flush=True)
             found[name] = {**result, "wall_s": round(seconds), "run": settings}
             _write(found)
@@ -66,12 +70,15 @@ def _experiment(work: tuple[str, int, int, int]) -> tuple[str, float, dict]:
 
     import numpy as np
 
+    from benchmarks.harness.results import circumstances
+
     name, seeds, sweep, first = work
+    about = circumstances()
     module = importlib.import_module(f"benchmarks.paper.{name}")
     every, few = first + np.arange(seeds), first + np.arange(min(sweep, seeds))
     started = time.monotonic()
     result = module.results(every, few) if name in WITH_SWEEP else module.results(every)
-    return name, time.monotonic() - started, result
+    return name, time.monotonic() - started, {**result, "about": about}
 
 
 def _write(found: dict) -> None:

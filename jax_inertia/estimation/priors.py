@@ -4,9 +4,11 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia.maths import charts, inertial_parameters, spatial
+from jax_inertia.maths.precision import in_full_precision
 
 
 class Uncertainty(eqx.Module):
@@ -36,12 +38,17 @@ class Load(Uncertainty):
         powers = jnp.array([0.0] + [1.0] * 3 + [2.0] * 6, self.mass.dtype)
         return self.mass * self.reach**powers
 
+    @in_full_precision
     def covariance(
         self, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
     ) -> Float[Array, "bodies 10 10"]:
         """G⁻¹ Σ G⁻ᵀ, with G at the body carrying the load as a ball around its centre of mass, not at the bare body:
         a load that dwarfs the body is a moderate change of the two together, while the bare body's tangent would call
         it e^17.
+
+        With a `shape` the covariance is a whole statement about a load, and G⁻¹ its mean on the way from the bare body
+        to the loaded one, along which it is the chart's exact difference of the two: the load is one σ away. By the
+        loaded body's tangent, one of the body's own weight would be 1.4 σ away, and one of twice that 2.2.
         """
         ball = inertial_parameters.from_com(
             jnp.broadcast_to(self.mass, nominal.shape[:-1]),
@@ -55,7 +62,8 @@ class Load(Uncertainty):
             return _pulled_back(chart.jacobian(chart.from_pi(loaded)), jnp.diag(self.sigma_pi()))
         x = inertial_parameters.to_log_cholesky_uut(loaded)
         g = inertial_parameters.log_cholesky_uut_jacobian(x)
-        own = _pulled_back(g, jnp.diag(self.sigma_pi()))
+        root = _mean_inverse_slope(nominal, loaded) * self.sigma_pi().astype(nominal.dtype)
+        own = root @ jnp.swapaxes(root, -1, -2)
         # Both statements hold at once: the shape's information is added to the six numbers that say it.
         six = slice(1, 7)
         weight = (self.shape * _shape_units(x)) ** -2
@@ -86,6 +94,7 @@ class Tolerance(Uncertainty):
     com: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     spread: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.3)
 
+    @in_full_precision
     def covariance(
         self, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
     ) -> Float[Array, "bodies 10 10"]:
@@ -98,6 +107,19 @@ class Tolerance(Uncertainty):
         sigma = jnp.concatenate([*sigma, self.com * one], axis=-1).astype(nominal.dtype)
         spread = inertial_parameters.log_cholesky_uut_jacobian(x) * sigma[:, None, :]
         return _pulled_back(chart.jacobian(chart.from_pi(nominal)), spread)
+
+
+def _mean_inverse_slope(
+    first: Float[Array, "bodies 10"], last: Float[Array, "bodies 10"]
+) -> Float[Array, "bodies 10 10"]:
+    """Mean of ∂x/∂π of `LogCholeskyUUt` on the straight way between bodies, by Gauss and Legendre's rule: times their
+    difference it is the difference of their coordinates.
+    """
+    at, weight = np.polynomial.legendre.leggauss(16)
+    way = jnp.asarray(0.5 * (1.0 + at), first.dtype)[:, None, None]
+    x = inertial_parameters.to_log_cholesky_uut(first + way * (last - first))
+    inverse = jnp.linalg.inv(inertial_parameters.log_cholesky_uut_jacobian(x))
+    return jnp.einsum("k,kbij->bij", jnp.asarray(0.5 * weight, first.dtype), inverse)
 
 
 def _shape_units(x: Float[Array, "bodies 10"]) -> Float[Array, "bodies 6"]:

@@ -249,6 +249,7 @@ class ExactEstimator(eqx.Module):
         return jnp.where(jnp.all(jnp.isfinite(x)), x, self.prior.mean.reshape(-1, 10)).ravel()
 
 
+@in_full_precision
 def make_exact_estimator(
     robot: Robot,
     bodies: Sequence[int | str],

@@ -318,6 +318,7 @@ class LoadBank(eqx.Module):
         return jnp.asarray(out.reshape(len(out), -1), dtype)
 
 
+@in_full_precision
 def make_load_bank(
     robot: Robot,
     links: Sequence[int | str],
