@@ -220,8 +220,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
         c = with_it.chosen[-1]
         if c.effect.secant:
             behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds
-        possible = c.effect.possible(selection.residual.context, c.place, with_it.of(c)[0])
-        if behind <= reach and possible:
+        if behind <= reach and c.possible(selection.residual, with_it.of(c)[0]):
             best[c.key] = Rival(c, behind)
     out = sorted(best.values(), key=lambda r: r.behind)
     return tuple(out)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
 from jax_inertia.diagnosis.causes import carried_over
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
@@ -78,7 +77,7 @@ def summarised(
         presliding={
             h.place.name: float(h.shape[0]) for h in now.chosen if h.family == "coulomb_friction"
         },
-        as_bought=log_odds_as_bought(selection, settings),
+        as_bought=np.nan,
         heldout=shrinks[0],
         test=shrinks[1],
         remainder=remainder,

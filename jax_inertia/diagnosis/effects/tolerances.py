@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_inertia.diagnosis.effects.base import Columns, Effect
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import lateness
@@ -39,6 +39,34 @@ class InertialTolerances(Effect):
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
         """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timings."""
         return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [3, 3])
+
+    def numbers(self, context, place, shape, theta):
+        return {}
+
+
+class StatedNumbers(Effect):
+    """Errors of the friction and rotor inertia that the model states of a joint, relative to them; marginalised.
+
+    Shape: their standard deviation.
+    """
+
+    name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
+    named, marginal, form_error = False, True, 0.0
+
+    def places(self, context):
+        return [p for p in super().places(context) if self._own(context, p).any()]
+
+    def columns(self, context, place, shape):
+        row, own = place.index, self._own(context, place)
+        motion = context.v[:, row], context.side[:, row], context.acceleration[:, row]
+        return of_row(-shape[0] * np.stack(motion, 1) * own, place)
+
+    def _own(self, context: Context, place: Place) -> Float[np.ndarray, "3"]:
+        every = context.damping, context.frictionloss, context.armature
+        return np.array([float(x[place.index]) for x in every])
+
+    def scale(self, context, place, shape):
+        return np.ones(3)
 
     def numbers(self, context, place, shape, theta):
         return {}

@@ -12,6 +12,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean, worth
+from jax_inertia.diagnosis.settings import CalibrationState
 
 GROUPS = 10
 """Parts of a log for the jackknife."""
@@ -27,6 +28,8 @@ class Selection:
     candidates: tuple[Hypothesis, ...]
     tried: tuple[Hypothesis, ...]
     """Ordinary effects of every joint, those included that no robot can have at their best values."""
+    state: CalibrationState
+    """Whether the model is taken to have its joints' ordinary physics."""
 
     @functools.cached_property
     def named(self) -> Bank:

@@ -7,7 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
@@ -21,21 +21,28 @@ from jax_inertia.diagnosis.search.ordinary import (
     reconsidered,
 )
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 
 
-def select(
-    residual: Residual,
+def started(
+    residual: Residual, library: tuple[Effect, ...], settings: Settings, state: CalibrationState
+) -> Selection:
+    """What is there before anything is searched: tolerances and, where the model lacks it, ordinary physics."""
+    evidence, now, tried = ordinary_physics(residual, library, settings, state)
+    return Selection(residual, evidence, now, (), tried, state)
+
+
+def searched(
+    start: Selection,
     library: tuple[Effect, ...],
     settings: Settings,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Selection:
-    """Ordinary physics at every joint first, then whatever raises the evidence by more than its prior odds."""
-    progress("ordinary physics of every joint")
-    evidence, now, tried = ordinary_physics(residual, library, settings)
-    residual = residual.calibrated(ordinary_of(residual, now))
+    """Then whatever raises the evidence by more than its prior odds."""
+    evidence, now, tried, state = start.evidence, start.posterior, start.tried, start.state
+    residual = start.residual.calibrated(ordinary_of(start.residual, now))
     progress("columns of every other effect at every place")
-    every = tuple(candidates(residual, library, presliding_of(tried), settings))
+    every = tuple(candidates(residual, library, presliding_of(tried), settings, state))
     dry_forms = tuple(e for e in library if isinstance(e, DryFriction))
     progress("odd effects by their evidence")
     push = next((e for e in library if e.name == "push"), None)
@@ -51,9 +58,9 @@ def select(
             break
         every = (
             *(h for h in every if not isinstance(h.effect, DryFriction)),
-            *candidates(residual, dry_forms, presliding_of(now.chosen), settings),
+            *candidates(residual, dry_forms, presliding_of(now.chosen), settings, state),
         )
-    return Selection(residual, evidence, now, every, tried)
+    return Selection(residual, evidence, now, every, tried, state)
 
 
 def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
@@ -72,7 +79,7 @@ def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
                 shape[k] += float(sign * step[k])
                 if shape[k] * best.shape[k] <= 0:
                     continue
-                trial = hypothesis(residual, h.effect, h.place, tuple(shape), h.odds)
+                trial = reshaped(h, residual, tuple(shape))
                 got = float(evidence.gains(rest, (trial,))[0])
                 if np.isfinite(got) and got > gain:
                     best, gain = trial, got
@@ -157,6 +164,8 @@ def _excluded(residual, h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
     for c in chosen:
         if c.family == h.family and h.family not in MANY and _one_place(residual, c, h):
             return True
+        if h.fills and c.fills == h.fills and c.place == h.place:
+            return True
         if not h.effect.law:
             continue
         together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
@@ -182,8 +191,7 @@ def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None
     """One more, its secant where it belongs; None where its numbers are no robot's."""
     after = relinearised(residual, evidence, now, h)
     added = after.chosen[-1]
-    possible = added.effect.possible(residual.context, added.place, after.of(added)[0])
-    return after if possible else None
+    return after if added.possible(residual, after.of(added)[0]) else None
 
 
 def _settled(residual, evidence, now: Posterior) -> Posterior:
@@ -202,7 +210,7 @@ def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) ->
         theta = now.of(now.chosen[-1])[0]
         if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
             break
-        h = hypothesis(residual, h.effect, h.place, tuple(float(x) for x in theta), h.odds)
+        h = reshaped(h, residual, tuple(float(x) for x in theta))
         now = evidence.posterior((*now.chosen[:-1], h))
     return now
 
