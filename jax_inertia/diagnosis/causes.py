@@ -11,6 +11,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import CalibrationState
 from jax_inertia.logs.schema import TorqueKind
 
 
@@ -57,6 +58,9 @@ def _sure_worth(selection: Selection, h: Hypothesis) -> float:
 
 
 def _pays(selection: Selection, h: Hypothesis, worth: float) -> bool:
+    if selection.state is CalibrationState.CALIBRATED:
+        # Its equations are stated to be right: a discrepancy as large as any effect is no part of such a model.
+        return worth >= 0.0
     return worth >= 0.0 and selection.evidence.loss(selection.posterior, h) >= h.odds
 
 

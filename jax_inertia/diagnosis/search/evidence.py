@@ -183,6 +183,18 @@ class Evidence:
             self._last = now, self.noise, base
         return bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
 
+    def relearned_gain(self, now: Posterior, after: Posterior) -> float:
+        """Change of log evidence from one set of hypotheses to another, variances learned with either, nats.
+
+        `gains` asks by the variances that are there: what explains most of a row, they take for as large as noise.
+        """
+        alone, beside = copy.copy(self), copy.copy(self)
+        alone.learn(now, memory=False)
+        for _ in range(2):
+            beside.learn(after, memory=False)
+            after = beside.posterior(after.chosen)
+        return after.log_evidence - alone.posterior(now.chosen).log_evidence
+
     def loss(self, now: Posterior, h: Hypothesis) -> float:
         """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.
 

@@ -9,6 +9,7 @@ from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
@@ -131,10 +132,19 @@ def _best(
 
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
     """One more, the best there is, and which; None where nothing gains."""
+    asked: set[tuple[str, str, str]] = set()
     for added, gain in _best(residual, evidence, now, bank, barred):
-        if gain <= 0:
+        if gain <= -FAINT or len(asked) == MOST_FAINT:
             return None
-        after = _with(residual, evidence, now, added)
+        if gain <= 0:
+            # By variances that are there it does not pay: it may explain most of what they were learned from.
+            if added.key in asked:
+                continue
+            asked.add(added.key)
+            after = evidence.posterior((*now.chosen, added))
+            gain = evidence.relearned_gain(now, after) - added.odds
+        by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
+        after = _with(residual, evidence, now, added) if gain > by_noise else None
         if after is not None:
             return _settled(residual, evidence, after), added
         barred.add(id(added))
@@ -150,7 +160,11 @@ def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, 
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, rest, bank, barred | own), None)
-        if better is not None and better[1] > worth - h.odds + EXCHANGE:
+        if (
+            better is not None
+            and better[1] > worth - h.odds + EXCHANGE
+            and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
+        ):
             # Once exchanged, it does not come back: no two take turns.
             barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             after = _with(residual, evidence, rest, better[0])
@@ -181,6 +195,8 @@ def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
     return a.place == b.place
 
 
+FAINT, MOST_FAINT = 8.0, 5
+"""Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
 HALVINGS = 6
 """Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 MANY = frozenset({"push", "cogging"})
