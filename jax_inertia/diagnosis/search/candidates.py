@@ -72,10 +72,11 @@ def pushes(residual, evidence: Evidence, now: Posterior, push: Effect, settings:
     """Pushes on every body in the windows that gain most, their ends tried apart."""
     place = Place("body", residual.robot.body_names[0], 0)
     scale = float(push.scale(residual.context, place, ())[0])
-    for start, end in windows(residual, evidence, now, scale, settings.odd_odds):
+    found, odds = windows(residual, evidence, now, scale, settings.odd_odds)
+    for start, end in found:
         length = end - start
         for early in (-0.3, 0.0, 0.3):
             for late in (-0.3, 0.0, 0.3):
                 shape = (start + early * length, end + late * length, FLANK, 0.0)
                 for place in push.places(residual.context):
-                    yield make(residual, push, place, shape, settings)
+                    yield hypothesis(residual, push, place, shape, odds)

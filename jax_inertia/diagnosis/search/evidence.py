@@ -152,6 +152,11 @@ class Evidence:
         log_evidence = -0.5 * (logdet + float(y @ y + prior @ prior - along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
+    def nothing(self) -> Posterior:
+        """The posterior of no hypothesis at all."""
+        none = np.zeros(0)
+        return Posterior((), (), none, np.zeros((0, 0)), np.zeros_like(self.y))
+
     def learn(self, now: Posterior, *, memory: bool = True) -> None:
         """Noise of each row from what the chosen leave, and from how exact their own equations are.
 

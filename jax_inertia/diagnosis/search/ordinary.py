@@ -34,7 +34,7 @@ def ordinary_physics(
 ) -> OrdinaryPhysics:
     """Fit every joint's friction, rotor inertia and offset at once, with tolerances and mild forms of friction.
 
-    Of a calibrated model the tolerances alone: of its inertials, of its joints' numbers and of how friction turns round.
+    Of a calibrated model the tolerances alone: of inertials, of joints' numbers and of how friction turns round.
     """
     gap = np.sqrt(
         np.mean(residual.weight * residual.y**2, axis=0)
@@ -123,9 +123,7 @@ def joined(group: tuple[Hypothesis, ...]) -> Hypothesis:
 def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
     """Without effects that would be less than nothing: a friction that drives, a load that lifts."""
     while True:
-        wrong = [
-            h for h in now.chosen if not h.possible(residual, now.of(h)[0])
-        ]
+        wrong = [h for h in now.chosen if not h.possible(residual, now.of(h)[0])]
         if not wrong:
             return now
         # One at a time: what drives at one joint may stand in for what does at another.

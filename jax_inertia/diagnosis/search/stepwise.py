@@ -65,28 +65,33 @@ def searched(
 
 
 def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
-    """Nonlinear numbers of each odd effect between its grid's points: a pattern search, all else marginalised."""
+    """Nonlinear numbers of each odd effect between its grid's points, all else marginalised."""
     for h in now.chosen:
-        if not h.is_odd or h.effect.secant:
-            continue
-        steps = h.effect.steps(residual.context, h.place, h.shape)
-        if not steps:
-            continue
-        rest = now.without(h)
-        best, gain = h, float(evidence.gains(rest, (h,))[0])
-        for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
-            for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
-                shape = list(best.shape)
-                shape[k] += float(sign * step[k])
-                if shape[k] * best.shape[k] <= 0:
-                    continue
-                trial = reshaped(h, residual, tuple(shape))
-                got = float(evidence.gains(rest, (trial,))[0])
-                if np.isfinite(got) and got > gain:
-                    best, gain = trial, got
-        if best is not h:
-            now = evidence.posterior((*rest.chosen, best))
+        if h.is_odd:
+            rest = now.without(h)
+            best = _between_points(residual, evidence, rest, h)
+            if best is not h:
+                now = evidence.posterior((*rest.chosen, best))
     return learned(evidence, now.chosen, 1)
+
+
+def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> Hypothesis:
+    """The hypothesis at the nonlinear numbers of most evidence near its own: a pattern search."""
+    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
+    if not steps:
+        return h
+    best, gain = h, float(evidence.gains(rest, (h,))[0])
+    for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
+        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+            shape = list(best.shape)
+            shape[k] += float(sign * step[k])
+            if shape[k] * best.shape[k] <= 0:
+                continue
+            trial = reshaped(h, residual, tuple(shape))
+            got = float(evidence.gains(rest, (trial,))[0])
+            if np.isfinite(got) and got > gain:
+                best, gain = trial, got
+    return best
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -205,7 +210,7 @@ MANY = frozenset({"push", "cogging"})
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    after = relinearised(residual, evidence, now, h)
+    after = relinearised(residual, evidence, now, _between_points(residual, evidence, now, h))
     added = after.chosen[-1]
     return after if added.possible(residual, after.of(added)[0]) else None
 
