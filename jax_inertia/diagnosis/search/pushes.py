@@ -41,7 +41,7 @@ def windows(
             if part.sum() < 3:
                 continue
             own = forces[part] * root[part][:, None, :, None] * scale
-            here = base[part].reshape(-1, base.shape[-1])
+            here = base[part].reshape(part.sum() * base.shape[1], base.shape[2])
             for b in range(count):
                 a = own[:, b].reshape(-1, 3)
                 cross = here.T @ a

@@ -83,13 +83,16 @@ def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis
     best, gain = h, float(evidence.gains(rest, (h,))[0])
     for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
         for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
-            shape = list(best.shape)
-            shape[k] += float(sign * step[k])
-            if shape[k] * best.shape[k] <= 0:
-                continue
-            trial = reshaped(h, residual, tuple(shape))
-            got = float(evidence.gains(rest, (trial,))[0])
-            if np.isfinite(got) and got > gain:
+            # On while it leads up: an optimum may be several steps from the grid's point.
+            for _ in range(MOST_MOVES):
+                shape = list(best.shape)
+                shape[k] += float(sign * step[k])
+                if shape[k] * best.shape[k] <= 0:
+                    break
+                trial = reshaped(h, residual, tuple(shape))
+                got = float(evidence.gains(rest, (trial,))[0])
+                if not np.isfinite(got) or got <= gain:
+                    break
                 best, gain = trial, got
     return best
 
@@ -200,6 +203,8 @@ def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
     return a.place == b.place
 
 
+MOST_MOVES = 4
+"""Steps of one length that lead up: as far as the grid's next point."""
 FAINT, MOST_FAINT = 8.0, 5
 """Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
 HALVINGS = 6
