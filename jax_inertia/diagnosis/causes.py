@@ -51,10 +51,13 @@ def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]
 
 
 def _sure_worth(selection: Selection, h: Hypothesis) -> float:
+    now = selection.posterior
+    own = float(selection.evidence.worths(now)[now.chosen.index(h)])
     if h.family in PASSING:
-        now = selection.posterior
-        return float(selection.evidence.worths(now)[now.chosen.index(h)])
-    return selection.robust_worth(h)
+        return own
+    robust = selection.robust_worth(h)
+    # Of a calibrated model equations are exact: the whole log pays the odds, and its parts must not refute it.
+    return min(own, robust + h.odds) if selection.state is CalibrationState.CALIBRATED else robust
 
 
 def _pays(selection: Selection, h: Hypothesis, worth: float) -> bool:
