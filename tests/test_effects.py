@@ -15,7 +15,6 @@ from diagnosis_robot import NOMINAL, log_of, motion
 
 from jax_inertia.diagnosis.effects.base import Effect, Moment, Parameter, Place, of_row
 from jax_inertia.diagnosis.effects.identified import Identified
-from jax_inertia.diagnosis.effects.inertial import ROUND, load_change
 from jax_inertia.diagnosis.effects.registry import EFFECTS, NAMES, known
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.settings import Settings
@@ -32,7 +31,8 @@ ALL, HAND, LOWER = (
     Place("body", "hand", 2),
     Place("body", "lower", 1),
 )
-LOAD = np.array([0.03, -0.02, -0.1])
+CARRIED = (0.6, 0.6 * 0.03, 0.6 * -0.02, 0.6 * -0.1, 0.6 * 0.05**2)
+"""m, m c and m k² of a load."""
 # Effect: place, nonlinear numbers, θ, and how far simulation and columns may be apart, as a share of the effect.
 CASES = {
     "viscous_friction": (ELBOW, (), [0.4], 0.01),
@@ -57,7 +57,7 @@ CASES = {
     "encoder_scale": (ELBOW, (), [0.02], 0.02),
     "joint_coupling": (Place("joint", "wrist", 2, "elbow"), (), [0.3, 0.05], 0.01),
     "gravity_tilt": (ALL, (0.03, -0.02), [0.03, -0.02], 0.01),
-    "payload": (HAND, (), load_change(0.6, LOAD) + 0.6 * 0.05**2 * ROUND, 0.01),
+    "payload": (HAND, CARRIED, [*CARRIED], 0.01),
     "com_shift": (HAND, (0.01, 0.005, -0.02), [0.01, 0.005, -0.02], 0.01),
     "link_inertia": (LOWER, (), [0.7], 0.01),
     "constant_force": (HAND, (), [5.0, -3.0, 8.0], 0.01),

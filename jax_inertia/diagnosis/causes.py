@@ -11,6 +11,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import CalibrationState
 from jax_inertia.logs.schema import TorqueKind
 
 Judges = Sequence[OtherRun | HeldOut]
@@ -20,11 +21,13 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
     `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
-    refitted, until each brings its odds by parts of the log and to rows that it was not fitted to.
+    refitted, until each brings its odds by parts of the log and to rows that it was not fitted to. The latter is not
+    asked where a model is calibrated: a discrepancy as large as an effect is no part of such a model.
     """
+    exact = selection.state is CalibrationState.CALIBRATED
     while True:
         worst = _faintest(selection.odd, by_parts(selection, selection.odd))
-        if worst is None:
+        if worst is None and not exact:
             worst = _faintest(selection.odd, by_other_rows(selection, selection.odd, judges))
         if worst is None:
             return selection
@@ -37,16 +40,32 @@ def _faintest(odd: Sequence[Hypothesis], evidence: Sequence[float]) -> Hypothesi
     return odd[int(np.argmin(spare))] if min(spare, default=0.0) < 0.0 else None
 
 
+def evidence_of_causes(
+    selection: Selection, asked: Sequence[Hypothesis], judges: Judges
+) -> list[float]:
+    """Log evidence that each of some that are chosen is a cause, prior odds apart, nats: the least of what is asked."""
+    parts = by_parts(selection, asked)
+    if selection.state is CalibrationState.CALIBRATED:
+        return parts
+    return list(map(min, parts, by_other_rows(selection, asked, judges)))
+
+
 def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
     """Log evidence that each of some that are chosen brings where parts of the log have to tell the same, nats.
 
-    Prior odds apart. Of an effect that happens once parts say nothing.
+    Prior odds apart. Of an effect that happens once parts say nothing. A calibrated model's equations are stated to be
+    right: there the whole log pays the odds, and its parts must not refute it.
     """
-    now = selection.posterior
+    now, out = selection.posterior, []
     worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
-    return [
-        float(worths[id(h)]) if h.family in PASSING else selection.robust_worth(h) for h in asked
-    ]
+    for h in asked:
+        own = float(worths[id(h)])
+        if h.family not in PASSING:
+            robust = selection.robust_worth(h)
+            exact = selection.state is CalibrationState.CALIBRATED
+            own = min(own, robust + h.odds) if exact else robust
+        out.append(own)
+    return out
 
 
 def by_other_rows(selection: Selection, asked: Sequence[Hypothesis], judges: Judges) -> list[float]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
 from jax_inertia.diagnosis.search.selection import Selection
@@ -113,10 +114,35 @@ class OtherRun(_Run):
 
     def __init__(self, residual: Residual, evidence: Evidence):
         self.residual, self.evidence, self._columns = residual, evidence, {}
+        self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
-        """Residual of this run at numbers from the first."""
-        return self.residual.y - self.predicted(now)
+        """Residual of this run at numbers from the first.
+
+        What happens once and was found in the first may happen in this one too: when, and how hard, this one tells.
+        """
+        left = self.residual.y - self.predicted(now)
+        passing = {h.key: h for h in now.chosen if h.family in PASSING}
+        for h in passing.values():
+            left = left - self._once_more(left, h)
+        return left
+
+    def _once_more(self, left: Float[np.ndarray, "R n"], h: Hypothesis) -> Float[np.ndarray, "R n"]:
+        """Torque of the same in this run, zero where its evidence does not pay its odds."""
+        noise = np.sqrt(np.mean(self.evidence.noise.variance, axis=0))
+        evidence = Evidence(left, self.residual.weight, noise)
+        evidence.noise = dataclasses.replace(
+            evidence.noise, variance=np.broadcast_to(noise**2, left.shape)
+        )
+        nothing = evidence.nothing()
+        if h.key not in self._moments:
+            every = pushes(self.residual, evidence, nothing, h.effect, self.residual.settings)
+            self._moments[h.key] = tuple(c for c in every if c.key == h.key)
+        moments = self._moments[h.key]
+        gains = evidence.gains(nothing, moments) - [c.odds for c in moments]
+        if not np.any(gains > 0):
+            return np.zeros_like(left)
+        return evidence.posterior((moments[int(np.argmax(gains))],)).fitted
 
     def left_without(self, now, asked):
         return (self.left(now.without(h)) for h in asked)
@@ -249,8 +275,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
         c = with_it.chosen[-1]
         if c.effect.secant:
             behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds
-        possible = c.effect.possible(selection.residual.context, c.place, with_it.of(c)[0])
-        if behind <= reach and possible:
+        if behind <= reach and c.possible(selection.residual, with_it.of(c)[0]):
             best[c.key] = Rival(c, behind)
     out = sorted(best.values(), key=lambda r: r.behind)
     return tuple(out)

@@ -46,14 +46,16 @@ def _smallest(selection: Selection, group: list[Hypothesis]) -> Parameter | None
 
 def _along_axes(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, Parameter]]:
     """Along each of its axes: how many prior standard deviations have to be there, and what is reported of them."""
-    for axis in range(h.count if h.count <= MOST_AXES else 1):
+    # Beyond the ordinary number that it is one law with: that is an effect of its own.
+    first = 0 if h.level is None else 1
+    for axis in range(first, h.count if h.count <= MOST_AXES else 1):
         s = information(selection.evidence, selection.posterior, h)[axis]
         if s <= 0:
             continue
         z = smallest(s, h.odds)
         theta = np.zeros(h.count)
         theta[axis] = z * h.scale[axis]
-        if not h.effect.possible(selection.residual.context, h.place, theta):
+        if not h.possible(selection.residual, theta):
             continue
         nothing = h.numbers(selection.residual, 0.0 * theta)
         numbers = h.numbers(selection.residual, theta)

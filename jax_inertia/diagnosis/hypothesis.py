@@ -6,7 +6,7 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.base import Effect, Parameter, Place, Shape
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Parameter, Place, Shape
 from jax_inertia.diagnosis.residual import Residual
 
 
@@ -26,6 +26,11 @@ class Hypothesis:
     """Prior standard deviation of each number, in its unit."""
     odds: float
     """Prior log odds against it, nats."""
+    level: Effect | None = None
+    """The ordinary effect whose columns and numbers come before its own: one law with it, where the model has its
+    ordinary physics; where it lacks that, each joint has that effect of its own."""
+    assumed: bool = False
+    """Whether it is an ordinary effect that every hypothesis has."""
 
     @property
     def count(self) -> int:
@@ -44,13 +49,20 @@ class Hypothesis:
 
     @property
     def ordinary(self) -> bool:
-        """Whether every robot has it."""
-        return self.effect.ordinary
+        """Whether every robot as it is bought has it, and this model lacks it."""
+        return self.effect.ordinary and self.assumed
 
     @property
     def is_odd(self) -> bool:
         """Whether it is beyond the ordinary and the tolerances; generic alternatives are."""
-        return not self.effect.ordinary and not self.effect.marginal
+        return not self.ordinary and not self.effect.marginal
+
+    @property
+    def fills(self) -> str:
+        """The ordinary effect that it is a law of, where it is no addition to one that is there already."""
+        if self.level is not None:
+            return self.level.name
+        return self.family if self.effect.ordinary and not self.assumed else ""
 
     @property
     def named(self) -> bool:
@@ -66,6 +78,15 @@ class Hypothesis:
     def prior_mean(self) -> Float[np.ndarray, " k"]:
         """Prior mean of each number per standard deviation: zero, or of θ = 1 where an effect is all there or not."""
         return (1.0 if self.effect.sized_by_shape else 0.0) / self.scale
+
+    def possible(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> bool:
+        """Whether a robot can have these numbers."""
+        context, effect = residual.context, self.effect
+        if self.level is None:
+            return effect.possible(context, self.place, theta)
+        level, own = theta[:1], theta[1:]
+        both = self.level.possible(context, self.place, level)
+        return both and effect.possible_with(context, self.place, float(level[0]), own)
 
     @property
     def scaled(self) -> np.ndarray:
@@ -89,17 +110,39 @@ class Hypothesis:
 
 
 def hypothesis(
-    residual: Residual, effect: Effect, place: Place, shape: Shape, odds: float
+    residual: Residual,
+    effect: Effect,
+    place: Place,
+    shape: Shape,
+    odds: float,
+    level: Effect | None = None,
+    *,
+    assumed: bool = False,
 ) -> Hypothesis:
-    """An effect's columns on the residual's rows."""
-    context = residual.context_of(effect)
-    columns, row = residual.rows_of(effect.columns(context, place, shape))
-    scale = effect.scale(context, place, shape)
-    return Hypothesis(effect, place, shape, columns, row, scale, odds)
+    """An effect's columns on the residual's rows, those of its `level` before them."""
+    columns, row = _columns(residual, effect, place, shape, level)
+    laws = effect if level is None else level, effect
+    scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
+    scale = np.concatenate(scales)
+    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed)
+
+
+def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
+    """The same hypothesis with other nonlinear numbers."""
+    return hypothesis(residual, h.effect, h.place, shape, h.odds, h.level, assumed=h.assumed)
 
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
     """The same hypothesis on another log, with the first one's prior."""
-    context = residual.context_of(h.effect)
-    columns, row = residual.rows_of(h.effect.columns(context, h.place, h.shape))
+    columns, row = _columns(residual, h.effect, h.place, h.shape, h.level)
     return dataclasses.replace(h, columns=columns, row=row)
+
+
+def _columns(
+    residual: Residual, effect: Effect, place: Place, shape: Shape, level: Effect | None
+) -> tuple[np.ndarray, int | None]:
+    columns = effect.columns(residual.context_of(effect), place, shape)
+    if level is not None:
+        before = level.columns(residual.context_of(level), place, shape).values
+        columns = Columns(np.concatenate([before, columns.values], axis=-1), columns.row)
+    return residual.rows_of(columns)

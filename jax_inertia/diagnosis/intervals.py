@@ -8,7 +8,7 @@ import numpy as np
 from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
-from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.search.ordinary import FRICTION
 from jax_inertia.diagnosis.search.selection import Selection
 
@@ -76,8 +76,7 @@ def nonlinear_spread(selection: Selection, h: Hypothesis) -> Iterator[tuple[int,
         by = FIRST * step
         while True:
             sides = [x for x in (by, -by) if (h.shape[k] + x) * h.shape[k] > 0]
-            shapes = [moved(h, k, x).shape for x in sides]
-            trials = tuple(hypothesis(residual, h.effect, h.place, x, h.odds) for x in shapes)
+            trials = tuple(reshaped(h, residual, moved(h, k, x).shape) for x in sides)
             gains = evidence.gains(rest, trials)
             fall = top - float(np.mean(np.where(np.isfinite(gains), gains, -np.inf)))
             if fall >= FALL or by >= 2.0 * step:

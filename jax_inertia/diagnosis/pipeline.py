@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jax_inertia.diagnosis import summary
+from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
 from jax_inertia.diagnosis.causes import borne_out, remembering
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.detectability import undetectable
@@ -15,8 +16,8 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.search.stepwise import select
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.search.stepwise import searched, started
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 
@@ -42,7 +43,7 @@ def diagnose(
     progress("filtering the log")
     residual = Residual(robot, log, settings)
     _require_rows(residual, log)
-    selection = select(residual, library, settings, progress)
+    selection, as_bought = _selected(residual, library, settings, progress)
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
@@ -56,9 +57,32 @@ def diagnose(
     names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
     return dataclasses.replace(
         found,
+        as_bought=as_bought,
         undetectable_below=undetectable(selection),
         speed=dict(zip(names, fast.tolist(), strict=True)),
     )
+
+
+def _selected(
+    residual: Residual,
+    library: tuple[Effect, ...],
+    settings: Settings,
+    progress: Callable[[str], None],
+) -> tuple[Selection, float]:
+    """The search, by what the log says of the model's calibration, and that: log odds that it is as bought [nats].
+
+    Every joint votes before anything odd is known; where that does not tell, after the search of a robot as bought.
+    """
+    progress("ordinary physics of every joint")
+    bought = started(residual, library, settings, CalibrationState.AS_BOUGHT)
+    odds = log_odds_as_bought(bought, settings)
+    if odds > -settings.odd_odds:
+        bought = searched(bought, library, settings, progress)
+        odds = log_odds_as_bought(bought, settings)
+        if odds > settings.as_bought:
+            return bought, odds
+    start = started(residual, library, settings, CalibrationState.CALIBRATED)
+    return searched(start, library, settings, progress), odds
 
 
 def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:

@@ -63,10 +63,14 @@ class Residual:
         """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)
         """Torque residual (R, n) [N m]."""
+        self.ordinary: Ordinary | None = None
+        """What the calibrated model has beyond the nominal one."""
+        self._replicas: tuple[Residual, ...] | None = None
 
     def calibrated(self, ordinary: Ordinary) -> "Residual":
         """The same rows, of a model that has each joint's friction and rotor inertia."""
         out = copy.copy(self)
+        out.ordinary, out._replicas = ordinary, None
         c, robot = self.context, self.robot
         dry = ordinary.coulomb * c.side
         prepared = dataclasses.replace(
@@ -116,11 +120,26 @@ class Residual:
 
         From replicas of the log with its noise, as stated or as its samples show, added once more.
         """
-        rng, energy = np.random.default_rng(0), np.zeros(self.robot.nv)
-        for _ in range(REPLICAS):
-            noisy = prepare(self.robot, perturbed(self.log, rng), self.band)
-            change = noisy.finish_torque(noisy.missing) - self.y
-            energy += (self.weight * change**2).sum(axis=0) / np.maximum(
-                self.weight.sum(axis=0), 1e-9
-            )
-        return np.sqrt(energy / REPLICAS)
+        changes = [x.finish_torque(x.missing) - self.y for x in self._noisy]
+        count = np.maximum(self.weight.sum(axis=0), 1e-9)
+        return np.sqrt(np.mean([(self.weight * x**2).sum(axis=0) / count for x in changes], axis=0))
+
+    @functools.cached_property
+    def _noisy(self) -> tuple[Prepared, ...]:
+        rng = np.random.default_rng(0)
+        return tuple(
+            prepare(self.robot, perturbed(self.log, rng), self.band) for _ in range(REPLICAS)
+        )
+
+    @property
+    def replicas(self) -> tuple["Residual", ...]:
+        """The same log with its noise once more, a few times; made once for each calibrated model."""
+        if self._replicas is None:
+            self._replicas = tuple(map(self._again, self._noisy))
+        return self._replicas
+
+    def _again(self, prepared: Prepared) -> "Residual":
+        out = copy.copy(self)
+        out.prepared, out.context = prepared, self.context.echo(prepared)
+        out.beside, out.y = out.context, prepared.finish_torque(prepared.missing)
+        return out if self.ordinary is None else out.calibrated(self.ordinary)

@@ -1,6 +1,14 @@
 """Every decision threshold of the whole-robot diagnosis: value, unit, and where the value comes from."""
 
 import dataclasses
+import enum
+
+
+class CalibrationState(enum.StrEnum):
+    """Whether a model has its joints' ordinary physics."""
+
+    AS_BOUGHT = "as_bought"
+    CALIBRATED = "calibrated"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +42,21 @@ class Settings:
     """The same where it is stated for this robot, whatever its size [m]."""
     inertia_tolerance: float = 0.05
     """Of a nominal rotational inertia, relative."""
+    calibrated_mass: float = 0.01
+    """The same of a model that is calibrated: of a mass, relative. Prior."""
+    calibrated_inertia: float = 0.02
+    """Of a rotational inertia of such a model, relative. Prior."""
+    calibrated_number: float = 0.05
+    """Of a joint's friction and rotor inertia of such a model, relative: dampings of a good model are 5 to 10 % off."""
     tolerance_numbers: float = 20.0
     """How many measured numbers the stated tolerance of a kind counts for, where the log says how large it is: a robot
     with many numbers further off has larger tolerances, one with a single such number has something odd."""
     ordinary_tolerance: float = 0.2
     """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""
+    as_bought: float = 3.0
+    """Log odds [nats] from which a model counts as bought, not calibrated: 20 to 1 (Kass and Raftery, JASA 90(430),
+    1995). Where a log says next to nothing of friction, joints' votes add up to a fraction of a nat of either sign."""
     rest_speed: float = 0.02
     """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""
     distinct: float = 3.0

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.causes import Judges, by_other_rows, by_parts, carried_over
+from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -79,7 +78,7 @@ def summarised(
         presliding={
             h.place.name: float(h.shape[0]) for h in now.chosen if h.family == "coulomb_friction"
         },
-        as_bought=log_odds_as_bought(selection, settings),
+        as_bought=np.nan,
         heldout=shrinks[0],
         test=shrinks[1],
         remainder=remainder,
@@ -113,7 +112,7 @@ def _odds_of_another(
     """Odds that a named effect is there that is not among the causes."""
     before = dataclasses.replace(selection, posterior=everything)
     gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
-    evidence = map(min, by_parts(before, gone), by_other_rows(before, gone, judges))
+    evidence = evidence_of_causes(before, gone, judges)
     return before.odds_of_another(dict(zip(gone, evidence, strict=True)), dropped)
 
 

@@ -94,11 +94,6 @@ def unknown_families(names: Sequence[str]) -> list[str]:
     return sorted(set(names) - set(NAMES))
 
 
-STRONG = 3.0
-"""Log odds [nats] from which a model counts as bought, not calibrated: 20 to 1 (Kass and Raftery, JASA 90(430), 1995).
-Where a log says next to nothing of friction, joints' votes add up to a fraction of a nat of either sign."""
-
-
 class Drives(NamedTuple):
     """How torques of a log are read, and with it those of another motion."""
 
@@ -166,7 +161,7 @@ def whole_robot(
         settings=settings,
         progress=progress,
     )
-    return found if found.as_bought > STRONG else None
+    return found if found.as_bought > settings.as_bought else None
 
 
 def tolerance(nominal_uncertainty: tuple[float, float, float] | None) -> Tolerance | None:

@@ -99,14 +99,14 @@ class TorqueSaturation(Effect):
     sized_by_shape = True
     source = "a drive's current limit"
     units, advice = {"limit": "N m"}, advice.SMALL_AND_LARGE
-    prior = "a limit between 0.4 and 0.99 of the largest torque asked for"
+    prior = "a limit between 0.05 and 0.99 of the largest torque asked for"
     mjcf = "joint actuatorfrcrange; torques in qfrc_applied by step law"
 
     def shapes(self, context, place):
         top = np.percentile(np.abs(context.tau[:, place.index]), 99.8)
-        return [
-            (float(top * x),) for x in (*np.linspace(0.4, 0.9, 11), *np.linspace(0.915, 0.99, 6))
-        ]
+        # A loop that fights a limit may ask for many times what it gets.
+        low, high = np.geomspace(0.05, 0.35, 7), np.linspace(0.915, 0.99, 6)
+        return [(float(top * x),) for x in (*low, *np.linspace(0.4, 0.9, 11), *high)]
 
     def steps(self, context, place, shape):
         return (0.03 * shape[0],)

@@ -161,6 +161,8 @@ class Effect(abc.ABC):
     """Of its place: 'joint', 'body', 'contact' or 'global'."""
     ordinary: ClassVar[bool] = False
     """Whether every robot has it."""
+    level: ClassVar[str] = ""
+    """The ordinary effect that it is one law with: its level, its slope, its offset."""
     refines: ClassVar[bool] = False
     """Whether it is another form of an ordinary effect."""
     named: ClassVar[bool] = True
@@ -225,6 +227,12 @@ class Effect(abc.ABC):
     def possible(self, context: Context, place: Place, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers."""
         return bool(theta[0] >= self.lower(context, place) - 1e-12)
+
+    def possible_with(
+        self, context: Context, place: Place, level: float, theta: Float[np.ndarray, " k"]
+    ) -> bool:
+        """Whether a robot can have these numbers beside that of the ordinary effect that it is one law with."""
+        return self.possible(context, place, theta)
 
     # --- simulation: attributes of a model where MJCF has them (`edit`), and before each step what they cannot hold
 

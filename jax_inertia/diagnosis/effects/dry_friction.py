@@ -30,14 +30,19 @@ def direction(context, row: int, presliding: float, way: float = BENT) -> np.nda
     return context.bristle(row, presliding, straight=way == STRAIGHT)
 
 
+def turnings(context, place) -> list[Shape]:
+    """How a joint's dry friction may turn round: presliding and way; the levels that MuJoCo's creeps at."""
+    peak = peak_of(context, place.index)
+    return [(x, BENT) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+
+
 class DryFriction(Effect):
     """A form of a joint's dry friction; its nonlinear numbers begin with presliding displacement [rad] and way."""
 
     form_error, source, advice = 0.03, ARMSTRONG, advice.SLOW_REVERSALS
 
     def shapes(self, context, place) -> list[Shape]:
-        peak = peak_of(context, place.index)
-        return [(x, BENT) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+        return turnings(context, place)
 
     def direction(self, context, place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
@@ -73,8 +78,13 @@ class CoulombFriction(DryFriction):
         return Edit(whole=True)
 
 
+ONE_WAY = 0.82
+"""Half the difference of friction's two levels over their mean, at most: the lower is a tenth of the higher."""
+
+
 class AsymmetricCoulomb(DryFriction):
     name, equation, refines = "asymmetric_coulomb", "−F⁺ z (z > 0), −F⁻ z (z < 0)", True
+    level = "coulomb_friction"
     units = {"positive": "N m", "negative": "N m"}
     prior = "half the difference: 0.03 of the joint's peak torque"
     mjcf = "joint frictionloss for the mean, stiffness and springref for half the difference"
@@ -86,10 +96,16 @@ class AsymmetricCoulomb(DryFriction):
         return np.array([0.03 * peak_of(context, place.index)])
 
     def numbers(self, context, place, shape, theta):
+        *level, half = (float(x) for x in theta)
         return {
-            "positive": Parameter(float(theta[0]), "N m"),
-            "negative": Parameter(-float(theta[0]), "N m"),
+            "positive": Parameter(sum(level) + half, "N m"),
+            "negative": Parameter(sum(level) - half, "N m"),
         }
+
+    def possible_with(self, context, place, level, theta):
+        # Friction that acts one way only would be a constant torque beside half of it.
+        whole = level + float(context.frictionloss[place.index])
+        return bool(abs(theta[0]) <= ONE_WAY * whole + 1e-9)
 
     def edit(self, spec, model, found):
         plus, minus = found.values["positive"], found.values["negative"]
@@ -102,7 +118,7 @@ class AsymmetricCoulomb(DryFriction):
 class StribeckFriction(DryFriction):
     """Behind presliding and way: Stribeck's speed [rad/s] and exponent."""
 
-    name, refines, rubs = "stribeck_friction", True, True
+    name, refines, rubs, level = "stribeck_friction", True, True, "coulomb_friction"
     equation = "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) z"
     source = "Stribeck 1902; δ = 2: Armstrong-Hélouvry 1991, δ = 1: Tustin 1947"
     units = {
@@ -155,7 +171,7 @@ class LoadFriction(DryFriction):
     turns over with load [rad/(N m)]: teeth need not be stiffer where they are loaded.
     """
 
-    name, refines, rubs = "load_friction", True, True
+    name, refines, rubs, level = "load_friction", True, True, "coulomb_friction"
     equation = "−(F₀ + μ |τ|) z, τ of the link or of its motor"
     source = "Hamon, Gautier and Garrec, IROS 2010"
     units = {"coulomb": "N m", "load_coefficient": "1", "of_motor": "1"}
@@ -272,6 +288,9 @@ class StatedFriction(Effect):
 
     def places(self, context):
         return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
+
+    def shapes(self, context, place):
+        return turnings(context, place)
 
     def columns(self, context, place, shape):
         row = place.index

@@ -10,6 +10,8 @@ from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.model.load import body_pi, set_inertials
 
+SIZE = 0.07
+"""A load's usual radius of gyration on such links [m]."""
 REACH = 0.06
 """Standard deviation of a load's lever on links of 0.15 to 1 m [m]."""
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -84,22 +86,42 @@ class _Inertial(Effect):
 
 
 class Payload(_Inertial):
-    """All ten numbers free of each other: linear, and a load's own inertia is in them."""
+    """A rigid load on the manifold of bodies: θ = [m, m c, m k²].
 
-    name, equation, form_error = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", 0.02
+    What is quadratic in c is the secant at θ: bilinear in m c and the c of the nonlinear numbers, which are θ's own.
+    """
+
+    name, equation, secant = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", True
+    form_error = 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
     prior = "0.08 of the robot's mass or 0.3 of the body's, 6 cm off; more than nothing, within a link's length"
 
+    def shapes(self, context, place):
+        pi = context.pi[place.index]
+        own = pi[1:4] / pi[0] if pi[0] > 0 else np.zeros(3)
+        mass = self.usual_mass(context, place)
+        return [(mass, *(mass * own), mass * (SIZE * context.scale) ** 2)]
+
     def columns(self, context, place, shape):
-        return Columns(-self.regressor(context, place))
+        m, first = max(float(shape[0]), 1e-9), np.asarray(shape[1:4])
+        c = first / m if shape[0] > 0 else np.zeros(3)
+        c = c * min(1.0, context.scale / max(float(np.linalg.norm(c)), 1e-9))
+        change = np.zeros((10, 5))
+        change[:4, :4] = np.eye(4)
+        for k, axis in enumerate(np.eye(3)):
+            change[4:, 1 + k] = _between(1.0, axis, c)
+        change[:, 4] = ROUND
+        return Columns(-self.regressor(context, place) @ change)
+
+    def usual_mass(self, context, place) -> float:
+        """Standard deviation of its mass [kg]: what a robot is made to carry goes with what it weighs."""
+        whole = float(np.sum(context.pi[:, 0]))
+        return max(0.3 * self.mass(context, place), LOAD * whole)
 
     def scale(self, context, place, shape):
-        # What a robot is made to carry goes with what it weighs.
-        whole = float(np.sum(context.pi[:, 0]))
-        mass = max(0.3 * self.mass(context, place), LOAD * whole)
-        lever = REACH * context.scale
-        return mass * np.array([1.0] + [lever] * 3 + [0.2 * lever] * 6)
+        lever, size = REACH * context.scale, (SIZE * context.scale) ** 2
+        return self.usual_mass(context, place) * np.array([1.0, lever, lever, lever, size])
 
     def possible(self, context, place, theta):
         lever = np.linalg.norm(theta[1:4]) / max(float(theta[0]), 1e-9)
@@ -108,8 +130,7 @@ class Payload(_Inertial):
     def numbers(self, context, place, shape, theta):
         mass = float(theta[0])
         com = theta[1:4] / (mass if abs(mass) > 1e-9 else 1e-9)
-        central = theta[4:] - steiner(mass, com)
-        radius = np.sqrt(max((central[0] + central[3] + central[5]) / 3 / max(mass, 1e-9), 0.0))
+        radius = np.sqrt(max(float(theta[4]) / max(mass, 1e-9), 0.0))
         return {
             "mass": Parameter(mass, "kg", 0.0),
             **{f"com_{k}": Parameter(float(x), "m") for k, x in zip("xyz", com, strict=True)},

@@ -119,6 +119,7 @@ class FrictionDrift(_AlongTheJoint):
     source = "a lubricant that warms up; Simoni, Beschi, Legnani and Visioli, Robotica 37(5), 2019"
     units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
     share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
+    level = "viscous_friction"
     prior = "0.1 of the joint's peak torque at 1 rad/s; T from 1 to 12 s"
     mjcf = "joint damping for d∞; the rest by step law"
 
@@ -150,7 +151,7 @@ class FrictionDrift(_AlongTheJoint):
 
 
 class JointSpring(_AlongTheJoint):
-    name, equation = "joint_spring", "−k (q − q₀)"
+    name, equation, level = "joint_spring", "−k (q − q₀)", "torque_bias"
     source = "a hose, a cable, a balancing spring: Hooke"
     units = {"stiffness": "N m/rad", "rest_angle": "rad"}
     prior = "0.1 of the joint's peak torque at 1 rad; not below minus the model's own"
@@ -158,12 +159,12 @@ class JointSpring(_AlongTheJoint):
 
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
-        # Its constant part is an offset of the torque, which every joint has.
+        # Its constant part is an offset of the torque.
         return of_row(-q, place)
 
     def numbers(self, context, place, shape, theta):
-        # k q₀ behind k where both are fitted at once.
-        stiffness, *moment = (float(x) for x in theta)
+        # k q₀ before k where both are fitted at once.
+        *moment, stiffness = (float(x) for x in theta)
         return {
             "stiffness": Parameter(stiffness, "N m/rad"),
             "rest_angle": Parameter(moment[0] / stiffness if moment and stiffness else 0.0, "rad"),

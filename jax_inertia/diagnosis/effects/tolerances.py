@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_inertia.diagnosis.effects.base import Columns, Effect
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
@@ -47,6 +47,34 @@ def _timing(context: Context, error: float, period: float) -> Float[np.ndarray, 
         of_loop = np.array(context.prepared.driven)[loop.kp > 0]
         size[of_loop] = np.minimum(size[of_loop], HOLD_ERROR * period)
     return size * np.gradient(context.tau, context.time, axis=0)
+
+
+class StatedNumbers(Effect):
+    """Errors of the friction and rotor inertia that the model states of a joint, relative to them; marginalised.
+
+    Shape: their standard deviation.
+    """
+
+    name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
+    named, marginal, form_error = False, True, 0.0
+
+    def places(self, context):
+        return [p for p in super().places(context) if self._own(context, p).any()]
+
+    def columns(self, context, place, shape):
+        row, own = place.index, self._own(context, place)
+        motion = context.v[:, row], context.side[:, row], context.acceleration[:, row]
+        return of_row(-shape[0] * np.stack(motion, 1) * own, place)
+
+    def _own(self, context: Context, place: Place) -> Float[np.ndarray, "3"]:
+        every = context.damping, context.frictionloss, context.armature
+        return np.array([float(x[place.index]) for x in every])
+
+    def scale(self, context, place, shape):
+        return np.ones(3)
+
+    def numbers(self, context, place, shape, theta):
+        return {}
 
 
 def _loop_lateness(context: Context, period: float) -> Float[np.ndarray, "T nv"]:

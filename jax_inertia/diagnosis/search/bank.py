@@ -47,7 +47,7 @@ class Bank:
         for row, count, at, columns, prior_mean in self._blocks:
             if row is None:
                 own = (columns * root[:, :, None, None]).reshape(-1, len(at) * count)
-                x, rest = base.reshape(-1, base.shape[-1]), left.ravel()
+                x, rest = base.reshape(left.size, base.shape[-1]), left.ravel()
             else:
                 own = (columns * root[:, row, None, None]).reshape(-1, len(at) * count)
                 x, rest = base[:, row], left[:, row]

@@ -1,5 +1,7 @@
 """Candidates for the search, each with its prior odds: effects at every place and number, pushes where they gain."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
@@ -7,27 +9,51 @@ from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.pushes import FLANK, windows
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 
 
-def make(residual, effect: Effect, place: Place, shape, settings: Settings) -> Hypothesis:
-    """An effect at a place, with the prior odds of its kind."""
-    odds = (
-        settings.ordinary_odds
-        if effect.ordinary
-        else settings.refinement_odds
-        if effect.refines
-        else settings.odd_odds
-        if effect.named
-        else settings.generic_odds
-    )
-    return hypothesis(residual, effect, place, shape, odds)
+def make(
+    residual,
+    effect: Effect,
+    place: Place,
+    shape,
+    settings: Settings,
+    state: CalibrationState = CalibrationState.AS_BOUGHT,
+    library: Sequence[Effect] = (),
+) -> Hypothesis:
+    """An effect at a place, with the prior odds of its kind.
+
+    Of a calibrated model an ordinary effect is as rare as any other; one that is a law with it comes with it from
+    `library`, and is as much rarer as it is than the ordinary effect of a robot as it is bought.
+    """
+    bought = state is CalibrationState.AS_BOUGHT
+    if effect.ordinary:
+        odds = settings.ordinary_odds if bought else settings.odd_odds
+    elif effect.refines:
+        odds = settings.refinement_odds
+        if not bought and effect.level:
+            odds += settings.odd_odds - settings.ordinary_odds
+    else:
+        odds = settings.odd_odds if effect.named else settings.generic_odds
+    level = None if bought else next((e for e in library if e.name == effect.level), None)
+    assumed = bought and effect.ordinary
+    return hypothesis(residual, effect, place, shape, odds, level, assumed=assumed)
 
 
-def candidates(residual, library, presliding: dict[int, float], settings):
-    """Every effect that is not ordinary, everywhere and on the whole grid; `presliding` of each row [rad]."""
+def candidates(
+    residual,
+    library,
+    presliding: dict[int, float],
+    settings,
+    state: CalibrationState = CalibrationState.AS_BOUGHT,
+):
+    """Every effect that is not assumed, everywhere and on the whole grid; `presliding` of each row [rad].
+
+    Of a calibrated model, whatever dry friction is beyond its own may turn round in its own way.
+    """
+    bought = state is CalibrationState.AS_BOUGHT
     for effect in library:
-        if effect.ordinary:
+        if effect.ordinary and bought:
             continue
         for place in effect.places(residual.context):
             for shape in effect.shapes(residual.context, place):
@@ -36,7 +62,7 @@ def candidates(residual, library, presliding: dict[int, float], settings):
                     place.index, shape[0]
                 ):
                     continue
-                h = make(residual, effect, place, shape, settings)
+                h = make(residual, effect, place, shape, settings, state, library)
                 # What this motion does not show is no candidate.
                 if np.any(np.abs(h.scaled) > 1e-9):
                     yield h
@@ -46,10 +72,11 @@ def pushes(residual, evidence: Evidence, now: Posterior, push: Effect, settings:
     """Pushes on every body in the windows that gain most, their ends tried apart."""
     place = Place("body", residual.robot.body_names[0], 0)
     scale = float(push.scale(residual.context, place, ())[0])
-    for start, end in windows(residual, evidence, now, scale, settings.odd_odds):
+    found, odds = windows(residual, evidence, now, scale, settings.odd_odds)
+    for start, end in found:
         length = end - start
         for early in (-0.3, 0.0, 0.3):
             for late in (-0.3, 0.0, 0.3):
                 shape = (start + early * length, end + late * length, FLANK, 0.0)
                 for place in push.places(residual.context):
-                    yield make(residual, push, place, shape, settings)
+                    yield hypothesis(residual, push, place, shape, odds)

@@ -152,6 +152,11 @@ class Evidence:
         log_evidence = -0.5 * (logdet + float(y @ y + prior @ prior - along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
+    def nothing(self) -> Posterior:
+        """The posterior of no hypothesis at all."""
+        none = np.zeros(0)
+        return Posterior((), (), none, np.zeros((0, 0)), np.zeros_like(self.y))
+
     def learn(self, now: Posterior, *, memory: bool = True) -> None:
         """Noise of each row from what the chosen leave, and from how exact their own equations are.
 
@@ -182,6 +187,18 @@ class Evidence:
             base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
             self._last = now, self.noise, base
         return bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
+
+    def relearned_gain(self, now: Posterior, after: Posterior) -> float:
+        """Change of log evidence from one set of hypotheses to another, variances learned with either, nats.
+
+        `gains` asks by the variances that are there: what explains most of a row, they take for as large as noise.
+        """
+        alone, beside = copy.copy(self), copy.copy(self)
+        alone.learn(now, memory=False)
+        for _ in range(2):
+            beside.learn(after, memory=False)
+            after = beside.posterior(after.chosen)
+        return after.log_evidence - alone.posterior(now.chosen).log_evidence
 
     def loss(self, now: Posterior, h: Hypothesis) -> float:
         """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.

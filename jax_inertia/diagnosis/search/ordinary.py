@@ -12,12 +12,12 @@ from jax_inertia.diagnosis.effects.dry_friction import (
     FrictionForms,
     StatedFriction,
 )
-from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
+from jax_inertia.diagnosis.effects.tolerances import InertialTolerances, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.search.candidates import make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.signals.held import timing_of
 
 
@@ -31,9 +31,12 @@ class OrdinaryPhysics(NamedTuple):
 
 
 def ordinary_physics(
-    residual: Residual, library: tuple[Effect, ...], settings: Settings
+    residual: Residual, library: tuple[Effect, ...], settings: Settings, state: CalibrationState
 ) -> OrdinaryPhysics:
-    """Fit every joint's friction, rotor inertia and offset at once, with tolerances and mild forms of friction."""
+    """Fit every joint's friction, rotor inertia and offset at once, with tolerances and mild forms of friction.
+
+    Of a calibrated model the tolerances alone: of inertials, of joints' numbers and of how friction turns round.
+    """
     gap = np.sqrt(
         np.mean(residual.weight * residual.y**2, axis=0)
         / np.maximum(residual.weight.mean(axis=0), 1e-9)
@@ -41,6 +44,8 @@ def ordinary_physics(
     least = np.maximum(residual.sensors, settings.least_variance * gap) + 1e-9
     evidence = Evidence(residual.y, residual.weight, least)
     dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
+    if state is CalibrationState.CALIBRATED:
+        return _calibrated(residual, evidence, settings)
     chosen = [tolerances(residual, settings)]
     for effect in library:
         if effect.ordinary and effect is not dry:
@@ -59,17 +64,36 @@ def ordinary_physics(
     return OrdinaryPhysics(evidence, now, tuple(chosen[1:]))
 
 
+def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> OrdinaryPhysics:
+    numbers, stated = StatedNumbers(), StatedFriction()
+    chosen = [tolerances(residual, settings, CalibrationState.CALIBRATED)]
+    chosen += [
+        hypothesis(residual, numbers, place, (settings.calibrated_number,), 0.0)
+        for place in numbers.places(residual.context)
+    ]
+    for place in stated.places(residual.context):
+        before = evidence.posterior(tuple(chosen))
+        chosen += _turning(residual, evidence, before, stated, place, settings)
+    return OrdinaryPhysics(evidence, learned(evidence, tuple(chosen), 4), ())
+
+
 def presliding_of(chosen: Iterable[Hypothesis]) -> dict[int, float]:
     """Displacement over which each row's dry friction turns round [rad]."""
     return {h.place.index: h.shape[0] for h in chosen if isinstance(h.effect, CoulombFriction)}
 
 
-def tolerances(residual: Residual, settings: Settings) -> Hypothesis:
+def tolerances(
+    residual: Residual,
+    settings: Settings,
+    state: CalibrationState = CalibrationState.AS_BOUGHT,
+) -> Hypothesis:
     """Errors of the nominal inertials, marginalised in every hypothesis."""
     place = Place("global", "global", -1)
     com = settings.com_tolerance * residual.context.scale
     com = com if settings.com_stated is None else settings.com_stated
     own = settings.mass_tolerance, com, settings.inertia_tolerance
+    if state is CalibrationState.CALIBRATED and settings.com_stated is None:
+        own = settings.calibrated_mass, com, settings.calibrated_inertia
     log = residual.log
     shape = (*own, timing_of(log).error, settings.tolerance_numbers, 1.0 / log.rate)
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
@@ -86,7 +110,8 @@ def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[
 def _alike(residual, dry: Effect, place: Place, shape, settings) -> tuple[Hypothesis, ...]:
     """Dry friction beyond the model's own and, where the model states some, how that turns round: over one way."""
     stated = StatedFriction()
-    beside = [stated] if place in stated.places(residual.context) else []
+    there = not isinstance(dry, StatedFriction) and place in stated.places(residual.context)
+    beside = [stated] if there else []
     return tuple(make(residual, effect, place, shape, settings) for effect in (dry, *beside))
 
 
@@ -100,9 +125,7 @@ def joined(group: tuple[Hypothesis, ...]) -> Hypothesis:
 def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
     """Without effects that would be less than nothing: a friction that drives, a load that lifts."""
     while True:
-        wrong = [
-            h for h in now.chosen if not h.effect.possible(residual.context, h.place, now.of(h)[0])
-        ]
+        wrong = [h for h in now.chosen if not h.possible(residual, now.of(h)[0])]
         if not wrong:
             return now
         # One at a time: what drives at one joint may stand in for what does at another.
@@ -154,7 +177,7 @@ def reconsidered(
     missing = tuple(h for h in tried if h.key not in {c.key for c in now.chosen})
     now = bounded(residual, evidence, evidence.posterior((*now.chosen, *missing)))
     for h in now.chosen:
-        if not isinstance(h.effect, CoulombFriction):
+        if not isinstance(h.effect, CoulombFriction | StatedFriction) or not _leads(now, h):
             continue
         own = tuple(c for c in now.chosen if _one_joints_dry(c, h))
         rest = evidence.posterior(tuple(c for c in now.chosen if c not in own))
@@ -179,6 +202,12 @@ def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
 
 
 FRICTION = ("viscous_friction", "coulomb_friction")
+
+
+def _leads(now: Posterior, h: Hypothesis) -> bool:
+    """Whether a joint's presliding is that of `h`: of its dry friction, of the model's own where that is calibrated."""
+    bought = any(c.ordinary for c in now.chosen)
+    return h.ordinary if bought else isinstance(h.effect, StatedFriction)
 
 
 def _one_joints_dry(c: Hypothesis, dry: Hypothesis) -> bool:

@@ -18,8 +18,9 @@ def windows(
     scale: float,
     odds: float,
     most: int = 3,
-) -> list[tuple[float, float]]:
-    """Stretches [s] in which a constant force on some body gains more than `odds` nats; the best first, none overlap.
+) -> tuple[list[tuple[float, float]], float]:
+    """Stretches [s] in which a constant force on some body pays its prior odds, the best first, none overlap; and those
+    odds [nats]: `odds` against a push, and the number of stretches in which it may have been.
 
     `scale`: prior standard deviation of each component of the force [N]. On the slow grid, unfiltered: what is found
     is computed exactly afterwards.
@@ -40,7 +41,7 @@ def windows(
             if part.sum() < 3:
                 continue
             own = forces[part] * root[part][:, None, :, None] * scale
-            here = base[part].reshape(-1, base.shape[-1])
+            here = base[part].reshape(part.sum() * base.shape[1], base.shape[2])
             for b in range(count):
                 a = own[:, b].reshape(-1, 3)
                 cross = here.T @ a
@@ -55,4 +56,4 @@ def windows(
             break
         if all(end <= a or start >= b for a, b in out):
             out.append((float(start), float(end)))
-    return out
+    return out, float(price)

@@ -10,9 +10,14 @@ from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean, worth
+from jax_inertia.diagnosis.settings import CalibrationState
 
+UNLIKELY = -5.0
+"""Log odds [nats] below which an effect adds nothing to the odds that any is there: those of its columns' noise are not
+asked for."""
 GROUPS = 10
 """Parts of a log for the jackknife."""
 
@@ -27,6 +32,8 @@ class Selection:
     candidates: tuple[Hypothesis, ...]
     tried: tuple[Hypothesis, ...]
     """Ordinary effects of every joint, those included that no robot can have at their best values."""
+    state: CalibrationState
+    """Whether the model is taken to have its joints' ordinary physics."""
 
     @functools.cached_property
     def named(self) -> Bank:
@@ -59,12 +66,14 @@ class Selection:
     def robust_worth(self, h: Hypothesis) -> float:
         """Log evidence that a hypothesis brings where parts of the log disagree about it, prior odds apart, nats.
 
-        Savage–Dickey with the jackknife's spread in its covariance: rows err together where equations are not exact.
+        Savage–Dickey with the jackknife's spread in its covariance: rows err together where equations are not exact. Of
+        a calibrated model they are, so that spread is the posterior's own, and counts where it is larger.
         """
         part = self.posterior.slices[self.posterior.chosen.index(h)]
         mean = self.posterior.mean[part]
-        covariance = self.posterior.covariance[part, part] + self.spread[part, part]
-        return worth(h, mean, covariance)
+        own, spread = self.posterior.covariance[part, part], self.spread[part, part]
+        exact = self.state is CalibrationState.CALIBRATED
+        return worth(h, mean, _larger(own, spread) if exact else own + spread)
 
     def odds_of_another(
         self, gone: Mapping[Hypothesis, float], refuted: Collection[Hypothesis]
@@ -78,9 +87,17 @@ class Selection:
         best = {h.key: evidence - h.odds for h, evidence in gone.items()}
         chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
         gains = self.evidence.gains(self.posterior, self.named)
-        for c, gain in zip(self.named.candidates, gains, strict=True):
-            if c.key not in chosen and np.isfinite(gain):
-                best[c.key] = max(best.get(c.key, -np.inf), float(gain) - c.odds)
+        likeliest: dict[tuple[str, str, str], tuple[float, Hypothesis]] = {}
+        for c, gain in zip(
+            self.named.candidates, gains - _odds(self.named.candidates), strict=True
+        ):
+            at = likeliest.get(c.key, (-np.inf, c))[0]
+            if c.key not in chosen and np.isfinite(gain) and gain > at:
+                likeliest[c.key] = float(gain), c
+        for key, (gain, c) in likeliest.items():
+            if gain > UNLIKELY:
+                gain -= sensor_noise.share(self.residual, self.evidence, self.posterior, c)
+            best[key] = max(best.get(key, -np.inf), gain)
         return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
 
     @property
@@ -92,3 +109,14 @@ class Selection:
     def odd(self) -> tuple[Hypothesis, ...]:
         """Beyond the ordinary, generic alternatives included."""
         return tuple(h for h in self.posterior.chosen if h.is_odd)
+
+
+def _odds(candidates: Collection[Hypothesis]) -> Float[np.ndarray, " c"]:
+    return np.array([c.odds for c in candidates])
+
+
+def _larger(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """The larger of two covariances along each axis on which both are diagonal."""
+    shares, axes = linalg.eigh(b, a)
+    back = a @ axes
+    return (back * np.maximum(shares, 1.0)) @ back.T

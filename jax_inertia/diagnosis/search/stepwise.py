@@ -7,8 +7,9 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
@@ -21,21 +22,28 @@ from jax_inertia.diagnosis.search.ordinary import (
     reconsidered,
 )
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 
 
-def select(
-    residual: Residual,
+def started(
+    residual: Residual, library: tuple[Effect, ...], settings: Settings, state: CalibrationState
+) -> Selection:
+    """What is there before anything is searched: tolerances and, where the model lacks it, ordinary physics."""
+    evidence, now, tried = ordinary_physics(residual, library, settings, state)
+    return Selection(residual, evidence, now, (), tried, state)
+
+
+def searched(
+    start: Selection,
     library: tuple[Effect, ...],
     settings: Settings,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Selection:
-    """Ordinary physics at every joint first, then whatever raises the evidence by more than its prior odds."""
-    progress("ordinary physics of every joint")
-    evidence, now, tried = ordinary_physics(residual, library, settings)
-    residual = residual.calibrated(ordinary_of(residual, now))
+    """Then whatever raises the evidence by more than its prior odds."""
+    evidence, now, tried, state = start.evidence, start.posterior, start.tried, start.state
+    residual = start.residual.calibrated(ordinary_of(start.residual, now))
     progress("columns of every other effect at every place")
-    every = tuple(candidates(residual, library, presliding_of(tried), settings))
+    every = tuple(candidates(residual, library, presliding_of(tried), settings, state))
     dry_forms = tuple(e for e in library if isinstance(e, DryFriction))
     progress("odd effects by their evidence")
     push = next((e for e in library if e.name == "push"), None)
@@ -51,34 +59,42 @@ def select(
             break
         every = (
             *(h for h in every if not isinstance(h.effect, DryFriction)),
-            *candidates(residual, dry_forms, presliding_of(now.chosen), settings),
+            *candidates(residual, dry_forms, presliding_of(now.chosen), settings, state),
         )
-    return Selection(residual, evidence, now, every, tried)
+    return Selection(residual, evidence, now, every, tried, state)
 
 
 def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
-    """Nonlinear numbers of each odd effect between its grid's points: a pattern search, all else marginalised."""
+    """Nonlinear numbers of each odd effect between its grid's points, all else marginalised."""
     for h in now.chosen:
-        if not h.is_odd or h.effect.secant:
-            continue
-        steps = h.effect.steps(residual.context, h.place, h.shape)
-        if not steps:
-            continue
-        rest = now.without(h)
-        best, gain = h, float(evidence.gains(rest, (h,))[0])
-        for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
-            for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+        if h.is_odd:
+            rest = now.without(h)
+            best = _between_points(residual, evidence, rest, h)
+            if best is not h:
+                now = evidence.posterior((*rest.chosen, best))
+    return learned(evidence, now.chosen, 1)
+
+
+def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> Hypothesis:
+    """The hypothesis at the nonlinear numbers of most evidence near its own: a pattern search."""
+    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
+    if not steps:
+        return h
+    best, gain = h, float(evidence.gains(rest, (h,))[0])
+    for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
+        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+            # On while it leads up: an optimum may be several steps from the grid's point.
+            for _ in range(MOST_MOVES):
                 shape = list(best.shape)
                 shape[k] += float(sign * step[k])
                 if shape[k] * best.shape[k] <= 0:
-                    continue
-                trial = hypothesis(residual, h.effect, h.place, tuple(shape), h.odds)
+                    break
+                trial = reshaped(h, residual, tuple(shape))
                 got = float(evidence.gains(rest, (trial,))[0])
-                if np.isfinite(got) and got > gain:
-                    best, gain = trial, got
-        if best is not h:
-            now = evidence.posterior((*rest.chosen, best))
-    return learned(evidence, now.chosen, 1)
+                if not np.isfinite(got) or got <= gain:
+                    break
+                best, gain = trial, got
+    return best
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -124,10 +140,19 @@ def _best(
 
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
     """One more, the best there is, and which; None where nothing gains."""
+    asked: set[tuple[str, str, str]] = set()
     for added, gain in _best(residual, evidence, now, bank, barred):
-        if gain <= 0:
+        if gain <= -FAINT or len(asked) == MOST_FAINT:
             return None
-        after = _with(residual, evidence, now, added)
+        if gain <= 0:
+            # By variances that are there it does not pay: it may explain most of what they were learned from.
+            if added.key in asked:
+                continue
+            asked.add(added.key)
+            after = evidence.posterior((*now.chosen, added))
+            gain = evidence.relearned_gain(now, after) - added.odds
+        by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
+        after = _with(residual, evidence, now, added) if gain > by_noise else None
         if after is not None:
             return _settled(residual, evidence, after), added
         barred.add(id(added))
@@ -143,7 +168,11 @@ def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, 
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, rest, bank, barred | own), None)
-        if better is not None and better[1] > worth - h.odds + EXCHANGE:
+        if (
+            better is not None
+            and better[1] > worth - h.odds + EXCHANGE
+            and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
+        ):
             # Once exchanged, it does not come back: no two take turns.
             barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             after = _with(residual, evidence, rest, better[0])
@@ -156,6 +185,8 @@ def _excluded(residual, h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
     """Whether it is chosen already, or another law of what its place has but one of."""
     for c in chosen:
         if c.family == h.family and h.family not in MANY and _one_place(residual, c, h):
+            return True
+        if h.fills and c.fills == h.fills and c.place == h.place:
             return True
         if not h.effect.law:
             continue
@@ -172,6 +203,10 @@ def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
     return a.place == b.place
 
 
+MOST_MOVES = 4
+"""Steps of one length that lead up: as far as the grid's next point."""
+FAINT, MOST_FAINT = 8.0, 5
+"""Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
 HALVINGS = 6
 """Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 MANY = frozenset({"push", "cogging"})
@@ -180,10 +215,9 @@ MANY = frozenset({"push", "cogging"})
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    after = relinearised(residual, evidence, now, h)
+    after = relinearised(residual, evidence, now, _between_points(residual, evidence, now, h))
     added = after.chosen[-1]
-    possible = added.effect.possible(residual.context, added.place, after.of(added)[0])
-    return after if possible else None
+    return after if added.possible(residual, after.of(added)[0]) else None
 
 
 def _settled(residual, evidence, now: Posterior) -> Posterior:
@@ -202,7 +236,7 @@ def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) ->
         theta = now.of(now.chosen[-1])[0]
         if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
             break
-        h = hypothesis(residual, h.effect, h.place, tuple(float(x) for x in theta), h.odds)
+        h = reshaped(h, residual, tuple(float(x) for x in theta))
         now = evidence.posterior((*now.chosen[:-1], h))
     return now
 

@@ -50,14 +50,14 @@ class JointSpring(Family):
 
     def columns(self, context, place, shape):
         q = self.effect.columns(context, place, shape).values
-        return Columns(np.concatenate([q, np.ones_like(q)], axis=1), place.index)
+        return Columns(np.concatenate([np.ones_like(q), q], axis=1), place.index)
 
     def sized(self, context, place, size):
         # About where the joint mostly is: a constant torque is no spring.
-        return [size * np.array([1.0, np.mean(context.joint_position[:, place.index])])]
+        return [size * np.array([np.mean(context.joint_position[:, place.index]), 1.0])]
 
     def physical(self, context, place, shape, theta):
-        return theta[0] + context.stiffness[place.index] > 0
+        return theta[1] + context.stiffness[place.index] > 0
 
 
 class Cogging(Family):
