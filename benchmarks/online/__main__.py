@@ -65,7 +65,8 @@ def gathered(folder: Path) -> dict:
 
 def commit_of(part: dict | list) -> str:
     """The code that a part was made by."""
-    return (part[0] if isinstance(part, list) else part)["commit"]
+    rows = part if isinstance(part, list) else [part]
+    return ", ".join(dict.fromkeys(row["commit"] for row in rows))
 
 
 def _controllers(parts: list[dict]) -> dict:
