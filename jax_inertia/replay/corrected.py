@@ -102,9 +102,9 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
             f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
         )
     if x.varies:
-        of = (x.load > 0) | (x.stiction > 0)
+        of = (x.load > 0) | (x.stiction > 0) | (x.slant != 0)
         out.append(
-            f"friction of {where(of)} varies with torque or speed: corrected.xml has its mean; "
+            f"friction of {where(of)} varies with torque, speed or position: corrected.xml has its mean; "
             "jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
         )
     return tuple(out)

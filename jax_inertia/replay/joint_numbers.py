@@ -13,7 +13,7 @@ class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
         τ = clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇
-        friction = (dry + load |τ| + stiction exp(−(q̇ / slow)²)) sign(q̇) + damping q̇
+        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇) + damping q̇
 
     dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
     """
@@ -33,6 +33,10 @@ class Numbers(NamedTuple):
     stiction: Float[np.ndarray, " n"]
     """What friction at rest has beyond `dry`."""
     slow: Float[np.ndarray, " n"]
+    slant: Float[np.ndarray, " n"]
+    """By what dry friction grows with position [N m/rad]."""
+    middle: Float[np.ndarray, " n"]
+    """Of the joint's range, where dry friction is `dry`."""
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
@@ -42,7 +46,7 @@ class Numbers(NamedTuple):
     @property
     def varies(self) -> bool:
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
-        return bool(np.any(self.load > 0) or np.any(self.stiction > 0))
+        return bool(np.any((self.load > 0) | (self.stiction > 0) | (self.slant != 0)))
 
     def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
@@ -51,10 +55,11 @@ class Numbers(NamedTuple):
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
         return np.clip(asked, -self.limit, self.limit) - self.back * v
 
-    def friction(self, torque: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Dry friction's size at a torque and a velocity."""
+    def friction(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Dry friction's size at a torque, a position and a velocity."""
         slow = np.exp(-((v / self.slow) ** 2))
-        return self.dry + self.load * np.abs(torque) + self.stiction * slow
+        there = self.dry + self.slant * (q - self.middle)
+        return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
 
 
 # Family of a parameter: the field that it is added to, or put in place of.
@@ -62,7 +67,7 @@ _ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "de
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back",
+    "torque_speed": "back", "position_friction": "slant",
 }  # fmt: skip
 
 
@@ -74,12 +79,13 @@ def nominal_numbers(
     bias: Float[np.ndarray, " n"],
     delay: Float[np.ndarray, " n"],
     lag: Float[np.ndarray, " n"],
+    middle: Float[np.ndarray, " n"],
 ) -> Numbers:
     """Those of a model and its loop: nothing is lacking."""
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, delay, lag, {},
+        none + 0.1, none, middle, none, delay, lag, {},
     )  # fmt: skip
 
 

@@ -134,6 +134,7 @@ UNITS: Mapping[str, str] = {
     "load_friction": "1",
     "stribeck_friction": "N m",
     "stribeck_velocity": "rad/s",
+    "position_friction": "N m/rad",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""

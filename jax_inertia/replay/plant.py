@@ -95,6 +95,7 @@ class Plant:
             m.gear * model.actuator_biasprm[m.act, 0],
             delay,
             lag,
+            _middles(model, self.names),
         )
         self.step = STEP
         self.retime(loop.kp)
@@ -225,6 +226,14 @@ class Plant:
             share = max(1.0 + added / model.body_mass[b], 0.05)
             model.body_inertia[b] *= share
             model.body_mass[b] *= share
+
+
+def _middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:
+    """Middle of each joint's range, 0 where it has none."""
+    ranges = [
+        model.joint(n).range if model.jnt_limited[model.joint(n).id] else (0, 0) for n in names
+    ]
+    return np.mean(np.asarray(ranges, float), axis=1)
 
 
 def _without_contacts(model: MjModel) -> bool:

@@ -41,6 +41,8 @@ class Record(NamedTuple):
     commanded: Commanded
     loop: Loop | None = None
     """Gains while this was recorded; none where they are those of the plant."""
+    touched: Bool[np.ndarray, " T"] | None = None
+    """Samples in which the robot touches something, so that they do not count."""
 
     @property
     def period(self) -> float:
@@ -56,14 +58,16 @@ class Record(NamedTuple):
     @property
     def settled(self) -> Bool[np.ndarray, " T"]:
         """Samples that count: what was commanded before the log began, and how fast joints were, is soon forgotten."""
-        return self.time >= min(SETTLING, 0.1 * self.time[-1])
+        settled = self.time >= min(SETTLING, 0.1 * self.time[-1])
+        return settled if self.touched is None else settled & ~self.touched
 
     def between(self, first: int, last: int) -> "Record":
         """The samples of a range of rows, as a record of its own."""
         q, time = self.q[first:last], self.time[first:last]
         before = len(self.commanded.time) - len(self.time)
         commanded = self.commanded.upto(before + first + len(time), time[0])
-        return Record(time - time[0], q, slope(time, q), commanded, self.loop)
+        touched = None if self.touched is None else self.touched[first:last]
+        return Record(time - time[0], q, slope(time, q), commanded, self.loop, touched)
 
 
 def record_of(log: Log, loop: Loop | None = None) -> Record:

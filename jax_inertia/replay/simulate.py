@@ -17,6 +17,7 @@ _ROLLS, _STEPPED = 16, 64
 _LOST = 10.0
 """Where a simulation diverges, its error is taken to be this [rad]."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_A_THREAD = 8
 _FRICTION_EVERY = 2e-3
 """Dry friction that varies is set anew this often [s]."""
 
@@ -75,9 +76,12 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     return np.nan_to_num(now, nan=_LOST)
 
 
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+
+
 def _at_once(m: Compiled, models, some, state, control, h: float) -> np.ndarray:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
-    data = [mujoco.MjData(m.model) for _ in range(min(cores, len(models)))]
+    data = [mujoco.MjData(m.model) for _ in range(min(_cores(), len(models)))]
     path, _ = rollout.rollout(models, data, state, control, persistent_pool=True)
     return path
 
@@ -89,13 +93,15 @@ def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: f
     path = np.empty((len(models), steps, state.shape[1]))
     fields = [k for k in Numbers._fields if k != "mass"]
     stacked = Numbers(**{k: np.stack([getattr(x, k) for x in some]) for k in fields}, mass={})
-    data, now = [mujoco.MjData(m.model)], state
+    # A thread is worth its wake-up for several models, each of a step or two.
+    threads = min(_cores() - 1, len(models) // _A_THREAD)
+    data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state
     commanded = control[:, :, m.act] / m.gear
-    with rollout.Rollout(nthread=0) as roll:
+    with rollout.Rollout(nthread=threads) as roll:
         for k in range(0, steps, every):
             q, v = now[:, 1 + m.qadr], now[:, 1 + nq + m.dof]
             # Both sides without the encoders' offset.
-            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), v)
+            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), q, v)
             for model, own in zip(models, dry, strict=True):
                 model.dof_frictionloss[m.dof] = own
             some_control = np.ascontiguousarray(control[:, k : k + every])

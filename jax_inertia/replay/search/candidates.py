@@ -50,10 +50,11 @@ def candidates(
 ) -> list[Candidate]:
     """All of them; `now`: as fitted so far, `torque`: typical of each joint's motion [N m]."""
     asked, fastest = demands(records, now)
+    travel = np.ptp(np.concatenate([r.q for r in records]), axis=0)
     out = []
     for j in range(len(plant.names)):
         out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
-        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]))
+        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
         joint = plant.model.joint(plant.names[j])
         if joint.type[0] == int(mujoco.mjtJoint.mjJNT_HINGE):
             out += _of_angles(j)
@@ -110,13 +111,15 @@ def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) 
     return [*out, Candidate("torque_speed", (stall, back), starts)]
 
 
-def _of_friction(j: int, dry: float) -> list[Candidate]:
+def _of_friction(j: int, dry: float, travel: float) -> list[Candidate]:
     more = Parameter("stribeck_friction", j, 0.0, dry, 0.0, 20.0 * dry)
     slow = Parameter("stribeck_velocity", j, 0.1, 0.1, 0.01, 2.0)
     starts = tuple((a * dry, v) for a in _STICTIONS for v in _SLOW)
+    slant = 2.0 * dry / max(travel, 0.1)
     return [
         _one("load_friction", j, 0.0, _LOAD, 0.0, 0.9, _LOADS),
         Candidate("stribeck_friction", (more, slow), starts),
+        _one("position_friction", j, 0.0, slant, -np.inf, np.inf, (0.3 * slant,), scales=True),
     ]
 
 

@@ -26,6 +26,12 @@ _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
 _ROUGH, _AFRESH, _STIFFER = 3.0, 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: error in units of what encoders leave, how many, and by what logarithms gains are raised."""
 _FROM_NOMINAL = 1
+_SETTLED = 2
+"""Of the effects that pass, how many are fitted until they settle before one is chosen.
+
+Along a valley where ordinary numbers make room for an effect a first fit goes part of the way, of one effect more than of
+another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
+"""
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
 AS_GOOD = 2.0 * float(np.log(20.0))
@@ -76,7 +82,7 @@ def add_odd(
         if k == 0:
             fits += _afresh(plant, found, pool, records, floor)
             fits += _from_nominal(plant, found, pool, records, floor)
-        passed, possible = [], []
+        passed, possible = {}, []
         for c, tried in fits:
             new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
             evidence = now.total - new.total - _price(found, c)
@@ -85,23 +91,33 @@ def add_odd(
             simpler = new.kept + len(c.parameters) < now.kept
             least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
             if evidence > 0 and _square(plant, tried, held_out) <= least**2 * best:
-                passed.append((evidence, c, tried))
+                if evidence > passed.get(c, (0.0,))[0]:
+                    passed[c] = evidence, tried
             elif evidence > -AS_GOOD:
                 possible.append(c)
         if not passed:
             break
-        passed.sort(key=lambda x: -x[0])
-        evidence, first, tried = passed[0]
-        found = fitting.fit(
-            plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=_ROUNDS,
-            known=(tried.error, tried.columns),
-        )  # fmt: skip
+        order = sorted(passed, key=lambda c: -passed[c][0])
+        for c in order[:_SETTLED]:
+            tried = _settled(plant, passed[c][1], records, floor)
+            new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+            passed[c] = now.total - new.total - _price(found, c), tried
+        first = max(order[:_SETTLED], key=lambda c: passed[c][0])
+        evidence, found = passed[first]
         best = _square(plant, found, held_out)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
-        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
+        rivals = tuple(c for c in order if passed[c][0] > evidence - AS_GOOD and c != first)
         out.append(Odd(first, rows, rivals))
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
     return Search(found, tuple(out), tuple(possible), tuple(pool))
+
+
+def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: float) -> Fit:
+    """A fit, gone on with by Jacobians of its own."""
+    return fitting.fit(
+        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * _ROUNDS,
+        known=(tried.error, tried.columns),
+    )  # fmt: skip
 
 
 def _price(found: Fit, c: Candidate) -> float:
