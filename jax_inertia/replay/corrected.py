@@ -15,6 +15,7 @@ from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
+from jax_inertia.replay import loads
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
 from jax_inertia.replay.plant import HOLD
 from jax_inertia.replay.result import Diagnosis
@@ -66,8 +67,8 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
             add_play(spec, name, x.play[j])
     for body, added in x.mass.items():
         model = spec.compile()
-        pi = body_pi(model, model.body(body).id)
-        set_inertials(spec, {body: pi * (pi[0] + added) / pi[0]})
+        loads.put(model, model.body(body).id, added, x.beside.get(body))
+        set_inertials(spec, {body: body_pi(model, model.body(body).id)})
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
         spec.delete(key)

@@ -42,6 +42,8 @@ class Numbers(NamedTuple):
     lag: Float[np.ndarray, " n"]
     mass: Mapping[str, float]
     """Added to bodies."""
+    beside: Mapping[str, Float[np.ndarray, " 3"]]
+    """Where it is, from the body's own centre of mass, in the body's axes."""
 
     @property
     def varies(self) -> bool:
@@ -62,6 +64,10 @@ class Numbers(NamedTuple):
         return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
 
 
+OF_BODIES = "mass", "beside"
+"""Fields that are of bodies, not of joints."""
+CENTRE = "payload_x", "payload_y", "payload_z"
+"""Families of a load's place."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag"}  # fmt: skip
 _REPLACED = {
@@ -85,7 +91,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, {},
+        none + 0.1, none, middle, none, delay, lag, {}, {},
     )  # fmt: skip
 
 
@@ -96,9 +102,9 @@ def decoded(
 
     `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's.
     """
-    new = {k: np.array(x) for k, x in base._asdict().items() if k != "mass"}
+    new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, whole = {}, base.damping + base.kd
+    mass, beside, whole = {}, {}, base.damping + base.kd
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -116,7 +122,9 @@ def decoded(
             new["limit"][at] = np.exp(x)
         elif p.family == "payload":
             mass[p.body] = x
+        elif p.family in CENTRE:
+            beside.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, 0.0)
-    return Numbers(**new, mass=mass)
+    return Numbers(**new, mass=mass, beside=beside)

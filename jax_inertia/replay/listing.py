@@ -27,7 +27,8 @@ PARAMETERS = {
     "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
-    "stribeck_velocity": "stribeck_velocity", "position_friction": "slope",
+    "stribeck_velocity": "stribeck_velocity", "position_friction": "slope", "payload_x": "x", "payload_y": "y",
+    "payload_z": "z",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import rollout
 
-from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.joint_numbers import OF_BODIES, Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Compiled, Plant
 from jax_inertia.replay.record import Record, controls
@@ -91,8 +91,9 @@ def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: f
     every = max(round(_FRICTION_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
     path = np.empty((len(models), steps, state.shape[1]))
-    fields = [k for k in Numbers._fields if k != "mass"]
-    stacked = Numbers(**{k: np.stack([getattr(x, k) for x in some]) for k in fields}, mass={})
+    fields = [k for k in Numbers._fields if k not in OF_BODIES]
+    of_joints = {k: np.stack([getattr(x, k) for x in some]) for k in fields}
+    stacked = Numbers(**of_joints, mass={}, beside={})
     # A thread is worth its wake-up for several models, each of a step or two.
     threads = min(_cores() - 1, len(models) // _A_THREAD)
     data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state

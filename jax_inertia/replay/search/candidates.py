@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.joint_numbers import CENTRE, Numbers
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
@@ -40,6 +40,8 @@ _STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
 """Of the largest torque and of the largest speed."""
 _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
+_BESIDE, _TRIED_BESIDE = 0.05, 0.03
+"""Of a load from its body's centre of mass [m]."""
 
 
 def candidates(
@@ -139,6 +141,16 @@ def _masses(plant: Plant) -> list[Candidate]:
             p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, name)
             out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
     return out
+
+
+def centre_of(c: Candidate, plant: Plant) -> Candidate | None:
+    """Where a load is on its body, once it is found; None where it is on the axis of a body that moves alone."""
+    body = c.place[1]
+    if plant.model.body_simple[plant.model.body(body).id]:
+        return None
+    axes = [Parameter(f, NO_JOINT, 0.0, _BESIDE, -0.5, 0.5, body) for f in CENTRE]
+    starts = tuple(tuple(x) for x in _TRIED_BESIDE * np.concatenate([np.eye(3), -np.eye(3)]))
+    return Candidate("payload_centre", tuple(axes), starts)
 
 
 NO_JOINT = -2

@@ -15,7 +15,7 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
 MOST = 6
@@ -29,8 +29,8 @@ _FROM_NOMINAL = 1
 _SETTLED = 2
 """Of the effects that pass, how many are fitted until they settle before one is chosen.
 
-Along a valley where ordinary numbers make room for an effect a first fit goes part of the way, of one effect more than of
-another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
+Along a valley where ordinary numbers make room for an effect a first fit goes part of the way, of one effect more than
+of another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
 """
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
@@ -107,9 +107,18 @@ def add_odd(
         best = _square(plant, found, held_out)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
         rivals = tuple(c for c in order if passed[c][0] > evidence - AS_GOOD and c != first)
-        out.append(Odd(first, rows, rivals))
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
+        if first.family == "payload_centre":
+            out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
+            continue
+        out.append(Odd(first, rows, rivals))
+        if first.family == "payload" and (centre := centre_of(first, plant)) is not None:
+            pool.append(centre)
     return Search(found, tuple(out), tuple(possible), tuple(pool))
+
+
+def _is_load_of(o: Odd, centre: Candidate) -> bool:
+    return o.candidate.family == "payload" and o.candidate.place == centre.place
 
 
 def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: float) -> Fit:
@@ -122,7 +131,9 @@ def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: float) 
 
 def _price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
-    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
+    # Every load is somewhere: there are no odds against that.
+    odds = 0.0 if c.family == "payload_centre" else 2.0 * LOG_ODDS
+    return len(c.parameters) * float(np.log(found.samples)) + odds
 
 
 def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
