@@ -169,7 +169,7 @@ def policy(found: Diagnosis) -> dict[str, Any]:
         if p.joint >= 0:
             joints.setdefault(found.names[p.joint], {})[_POLICY.get(p.family, p.family)] = entry
         else:
-            shared[f"mass_added.{p.body}" if p.body else _shared_name(p.family)] = entry
+            shared[_shared_name(p.family) + (f".{p.body}" if p.body else "")] = entry
     for j, name in enumerate(found.names):
         gains = joints.setdefault(name, {})
         gains["kp"] = {"value": float(found.loop.kp[j]), "unit": "N m/rad", "scaled_by": "kp_scale"}
@@ -185,4 +185,6 @@ _POLICY = {"viscous_friction": "damping", "coulomb_friction": "frictionloss"}
 
 
 def _shared_name(family: str) -> str:
+    if family == "payload":
+        return "mass_added"
     return PARAMETERS[family] if family.startswith("target_") else family
