@@ -69,7 +69,7 @@ def diagnose(
         replayed = dataclasses.replace(replayed, fan=fan)
     left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
     if not sound:
-        wholes = touching.without_touches(plant, found, wholes)
+        wholes = touching.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
@@ -99,6 +99,8 @@ class _Fitted(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: dict[Rows, float]
     """Of the gap, by the rows of each number or odd effect."""
+    records: Sequence[Record]
+    """That were fitted, and in which samples the robot touches something."""
 
 
 def _fitted(plant, table, records, held, torque, before, sound, exclude, progress) -> _Fitted:
@@ -116,7 +118,7 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
     if sound:
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
-        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {})
+        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {}, records)
     records = touching.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
@@ -136,7 +138,7 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    return _Fitted(everything, found, search, others, shares)
+    return _Fitted(everything, found, search, others, shares, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:

@@ -28,10 +28,18 @@ _RARE = 0.4
 """Of the log at most: what goes on for longer is how the robot is."""
 
 
-def without_touches(plant: Plant, found: Fit, records: Sequence[Record]) -> list[Record]:
-    """The same records, each with the samples that count as free; unchanged where the robot touches nothing."""
+def without_touches(
+    plant: Plant, found: Fit, records: Sequence[Record], known: Sequence[Record] = ()
+) -> list[Record]:
+    """The same records, each with the samples in which the robot touches something, which do not count.
+
+    `known`: records of the same logs, from the same first samples on, in which touches were found before.
+    """
     paths = [replay(plant, found.table, found.theta[None], r)[0] for r in records]
     masks = touches([p - r.q for p, r in zip(paths, records, strict=True)], records, plant.trees)
+    for mask, before in zip(masks, known, strict=bool(known)):
+        if before.touched is not None:
+            mask[: len(before.touched)] |= before.touched[: len(mask)]
     return [r._replace(touched=m) if m.any() else r for r, m in zip(records, masks, strict=True)]
 
 
