@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from jax_inertia.model.load import body_pi
-from jax_inertia.replay import loads, touching
+from jax_inertia.replay import checks
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.plant import Plant, put_load
 from jax_inertia.replay.record import Commanded, Record
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="upper"><joint name="a" axis="0 1 0" range="-1 3"/>
@@ -34,11 +34,11 @@ def test_joints_that_part_together_touch_something_and_one_joint_alone_does_not(
     always[200:900, :3] += [0.05, -0.03, 0.02]
     trees = np.zeros(4, int)
     for error, first, last in ((alone, 0, 0), (always, 0, 0), (together, 250, 450)):
-        (mask,) = touching.touches([error], [record(error)], trees)
+        (mask,) = checks.touches([error], [record(error)], trees)
         assert mask.sum() == last - first
         assert mask[first:last].all()
     # Of separate chains no force acts on all.
-    (mask,) = touching.touches([together], [record(together)], np.arange(4))
+    (mask,) = checks.touches([together], [record(together)], np.arange(4))
     assert not mask.any()
 
 
@@ -48,7 +48,7 @@ def test_samples_that_are_touched_do_not_count():
     one = record(np.zeros((1000, 2)))._replace(touched=touched)
     assert one.settled.sum() == 1000 - 20 - 100
     assert one.between(350, 1000).settled.sum() == 650 - 50
-    (line,) = touching.note([one])
+    (line,) = checks.touch_note([one])
     assert "3.0 to 4.0 s" in line
 
 
@@ -61,7 +61,7 @@ def test_a_load_beside_a_body_is_the_sum_of_both():
     def shape(at, mass):
         return mass * (at @ at * np.eye(3) - np.outer(at, at))[np.triu_indices(3)]
 
-    loads.put(model, body, added, r)
+    put_load(model, body, added, r)
     own = before[4:] - shape(centre, before[0])
     both = own * (1 + added / before[0]) + shape(centre, before[0]) + shape(centre + r, added)
     first = before[1:4] + added * (centre + r)

@@ -15,9 +15,8 @@ from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
-from jax_inertia.replay import loads
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
-from jax_inertia.replay.plant import HOLD
+from jax_inertia.replay.plant import HOLD, put_load
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import (
     DEAD,
@@ -67,7 +66,7 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
             add_play(spec, name, x.play[j])
     for body, added in x.mass.items():
         model = spec.compile()
-        loads.put(model, model.body(body).id, added, x.beside.get(body))
+        put_load(model, model.body(body).id, added, x.centres.get(body))
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):

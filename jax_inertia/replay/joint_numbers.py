@@ -42,7 +42,7 @@ class Numbers(NamedTuple):
     lag: Float[np.ndarray, " n"]
     mass: Mapping[str, float]
     """Added to bodies."""
-    beside: Mapping[str, Float[np.ndarray, " 3"]]
+    centres: Mapping[str, Float[np.ndarray, " 3"]]
     """Where it is, from the body's own centre of mass, in the body's axes."""
 
     @property
@@ -64,7 +64,7 @@ class Numbers(NamedTuple):
         return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
 
 
-OF_BODIES = "mass", "beside"
+OF_BODIES = "mass", "centres"
 """Fields that are of bodies, not of joints."""
 CENTRE = "payload_x", "payload_y", "payload_z"
 """Families of a load's place."""
@@ -104,7 +104,7 @@ def decoded(
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, beside, whole = {}, {}, base.damping + base.kd
+    mass, centres, whole = {}, {}, base.damping + base.kd
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -123,8 +123,8 @@ def decoded(
         elif p.family == "payload":
             mass[p.body] = x
         elif p.family in CENTRE:
-            beside.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
+            centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, 0.0)
-    return Numbers(**new, mass=mass, beside=beside)
+    return Numbers(**new, mass=mass, centres=centres)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, proof, touching
+from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
@@ -69,7 +69,7 @@ def diagnose(
         replayed = dataclasses.replace(replayed, fan=fan)
     left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
     if not sound:
-        wholes = touching.without_touches(plant, found, wholes, done.records)
+        wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
@@ -81,7 +81,7 @@ def diagnose(
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     notes = [n for r in records for n in checks.objections(r, names)]
-    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop), *touching.note(wholes)]
+    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop), *checks.touch_note(wholes)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -119,7 +119,7 @@ def _fitted(plant, table, records, held, torque, before, sound, exclude, progres
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
         return _Fitted(everything, everything._replace(theta=nominal), none, {}, {}, records)
-    records = touching.without_touches(plant, everything, records)
+    records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
         everything = fitting.fit(

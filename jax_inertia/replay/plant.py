@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import loads
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.spec_edits import (
@@ -39,6 +38,8 @@ With MuJoCo's own (0.9) friction creeps under load f at R f / b, R = (1 − 0.9)
 arm replays of slow motions erred by 41 mrad so, and by 16 mrad with this figure.
 """
 _INERTIAL = "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"
+_LEAST_SHARE = 0.05
+"""Of a body's mass, that is left of it."""
 _FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
@@ -224,7 +225,37 @@ class Plant:
         for field in _INERTIAL:
             getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
-            loads.put(model, model.body(body).id, added, x.beside.get(body))
+            put_load(model, model.body(body).id, added, x.centres.get(body))
+
+
+def put_load(
+    model: MjModel, body: int, added: float, offset: Float[np.ndarray, " 3"] | None
+) -> None:
+    """Add a load to a body of a model, which is changed: more of the same body, off its centre of mass by `offset`.
+
+    With m added at r (body's axes, m) from the centre c of a body of mass M and inertia I about c:
+
+        mass M + m,  centre c + m r / (M + m),  inertia (1 + m/M) I + M m / (M + m) (|r|² 1 − r rᵀ)
+    """
+    mass = float(model.body_mass[body])
+    share = max(1.0 + added / mass, _LEAST_SHARE)
+    model.body_mass[body] = mass * share
+    model.body_inertia[body] *= share
+    if offset is None or not np.any(offset):
+        return
+    more = mass * (share - 1.0)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    whole = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    whole += more / share * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    size, way = np.linalg.eigh(whole)
+    way[:, 0] *= np.sign(np.linalg.det(way))
+    mujoco.mju_mat2Quat(model.body_iquat[body], way.ravel())
+    model.body_inertia[body] = np.maximum(size, 1e-9)
+    model.body_ipos[body] += more / (mass * share) * offset
+    # Its own frame is its inertia's no longer.
+    model.body_sameframe[body] = 0
 
 
 def _middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:

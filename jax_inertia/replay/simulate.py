@@ -93,7 +93,7 @@ def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: f
     path = np.empty((len(models), steps, state.shape[1]))
     fields = [k for k in Numbers._fields if k not in OF_BODIES]
     of_joints = {k: np.stack([getattr(x, k) for x in some]) for k in fields}
-    stacked = Numbers(**of_joints, mass={}, beside={})
+    stacked = Numbers(**of_joints, mass={}, centres={})
     # A thread is worth its wake-up for several models, each of a step or two.
     threads = min(_cores() - 1, len(models) // _A_THREAD)
     data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state

@@ -40,7 +40,7 @@ _STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
 """Of the largest torque and of the largest speed."""
 _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
-_BESIDE, _TRIED_BESIDE = 0.05, 0.03
+_PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
 """Of a load from its body's centre of mass [m]."""
 
 
@@ -148,8 +148,8 @@ def centre_of(c: Candidate, plant: Plant) -> Candidate | None:
     body = c.place[1]
     if plant.model.body_simple[plant.model.body(body).id]:
         return None
-    axes = [Parameter(f, NO_JOINT, 0.0, _BESIDE, -0.5, 0.5, body) for f in CENTRE]
-    starts = tuple(tuple(x) for x in _TRIED_BESIDE * np.concatenate([np.eye(3), -np.eye(3)]))
+    axes = [Parameter(f, NO_JOINT, 0.0, _PAYLOAD_OFFSET, -0.5, 0.5, body) for f in CENTRE]
+    starts = tuple(tuple(x) for x in _TRIED_OFFSET * np.concatenate([np.eye(3), -np.eye(3)]))
     return Candidate("payload_centre", tuple(axes), starts)
 
 
