@@ -131,9 +131,10 @@ def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: float) 
 
 def _price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
-    # Every load is somewhere: there are no odds against that.
-    odds = 0.0 if c.family == "payload_centre" else 2.0 * LOG_ODDS
-    return len(c.parameters) * float(np.log(found.samples)) + odds
+    if c.family == "payload_centre":
+        # Every load is somewhere, and S counts the coordinates that it needs.
+        return 0.0
+    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
 def _square(plant: Plant, found: Fit, records: Sequence[Record]) -> float:
