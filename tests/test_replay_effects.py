@@ -254,11 +254,13 @@ def test_play_is_a_second_joint_and_the_motor_is_what_the_encoder_sees():
 def test_friction_that_varies_is_set_by_a_callback():
     model = two().compile()
     data = mujoco.MjData(model)
-    law = {"b": {"coulomb": 0.1, "load": 0.2, "stiction": 0.3, "stribeck_velocity": 0.5}}
+    varying = {"slope": 0.5, "middle": 0.2, "load": 0.2, "stiction": 0.3, "stribeck_velocity": 0.5}
+    law = {"b": {"coulomb": 0.1, **varying}}
     data.qvel[:] = 0.5
+    data.qpos[:] = 0.6
     data.qfrc_actuator[:] = -2.0
     callback(model, {"friction_law": law})(model, data)
-    np.testing.assert_allclose(model.dof_frictionloss, [0.0, 0.1 + 0.4 + 0.3 * np.exp(-1.0)])
+    np.testing.assert_allclose(model.dof_frictionloss, [0.0, 0.1 + 0.2 + 0.4 + 0.3 * np.exp(-1.0)])
     with pytest.raises(ValueError, match="no joint 'c'"):
         callback(model, {"friction_law": {"c": law["b"]}})
 

@@ -16,7 +16,7 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
-from jax_inertia.replay.plant import HOLD
+from jax_inertia.replay.plant import HOLD, put_load
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import (
     DEAD,
@@ -66,8 +66,8 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
             add_play(spec, name, x.play[j])
     for body, added in x.mass.items():
         model = spec.compile()
-        pi = body_pi(model, model.body(body).id)
-        set_inertials(spec, {body: pi * (pi[0] + added) / pi[0]})
+        put_load(model, model.body(body).id, added, x.centres.get(body))
+        set_inertials(spec, {body: body_pi(model, model.body(body).id)})
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
         spec.delete(key)
@@ -102,9 +102,9 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
             f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
         )
     if x.varies:
-        of = (x.load > 0) | (x.stiction > 0)
+        of = (x.load > 0) | (x.stiction > 0) | (x.slant != 0)
         out.append(
-            f"friction of {where(of)} varies with torque or speed: corrected.xml has its mean; "
+            f"friction of {where(of)} varies with torque, speed or position: corrected.xml has its mean; "
             "jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
         )
     return tuple(out)
@@ -168,7 +168,7 @@ def policy(found: Diagnosis) -> dict[str, Any]:
         if p.joint >= 0:
             joints.setdefault(found.names[p.joint], {})[_POLICY.get(p.family, p.family)] = entry
         else:
-            shared[f"mass_added.{p.body}" if p.body else _shared_name(p.family)] = entry
+            shared[_shared_name(p.family) + (f".{p.body}" if p.body else "")] = entry
     for j, name in enumerate(found.names):
         gains = joints.setdefault(name, {})
         gains["kp"] = {"value": float(found.loop.kp[j]), "unit": "N m/rad", "scaled_by": "kp_scale"}
@@ -184,4 +184,6 @@ _POLICY = {"viscous_friction": "damping", "coulomb_friction": "frictionloss"}
 
 
 def _shared_name(family: str) -> str:
+    if family == "payload":
+        return "mass_added"
     return PARAMETERS[family] if family.startswith("target_") else family

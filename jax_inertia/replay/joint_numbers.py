@@ -13,7 +13,7 @@ class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
         τ = gain · (clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇)
-        friction = (dry + load |τ| + stiction exp(−(q̇ / slow)²)) sign(q̇) + damping q̇
+        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇) + damping q̇
 
     dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
     """
@@ -33,6 +33,10 @@ class Numbers(NamedTuple):
     stiction: Float[np.ndarray, " n"]
     """What friction at rest has beyond `dry`."""
     slow: Float[np.ndarray, " n"]
+    slant: Float[np.ndarray, " n"]
+    """By what dry friction grows with position [N m/rad]."""
+    middle: Float[np.ndarray, " n"]
+    """Of the joint's range, where dry friction is `dry`."""
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
@@ -40,11 +44,13 @@ class Numbers(NamedTuple):
     """Of the joint's torque over the one that the loop says."""
     mass: Mapping[str, float]
     """Added to bodies."""
+    centres: Mapping[str, Float[np.ndarray, " 3"]]
+    """Where it is, from the body's own centre of mass, in the body's axes."""
 
     @property
     def varies(self) -> bool:
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
-        return bool(np.any(self.load > 0) or np.any(self.stiction > 0))
+        return bool(np.any((self.load > 0) | (self.stiction > 0) | (self.slant != 0)))
 
     @property
     def at_joint(self) -> "Numbers":
@@ -59,18 +65,23 @@ class Numbers(NamedTuple):
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
         return self.gain * (np.clip(asked, -self.limit, self.limit) - self.back * v)
 
-    def friction(self, torque: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Dry friction's size at a torque and a velocity."""
+    def friction(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Dry friction's size at a torque, a position and a velocity."""
         slow = np.exp(-((v / self.slow) ** 2))
-        return self.dry + self.load * np.abs(torque) + self.stiction * slow
+        there = self.dry + self.slant * (q - self.middle)
+        return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
 
 
+OF_BODIES = "mass", "centres"
+"""Fields that are of bodies, not of joints."""
+CENTRE = "payload_x", "payload_y", "payload_z"
+"""Families of a load's place."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag"}  # fmt: skip
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back",
+    "torque_speed": "back", "position_friction": "slant",
 }  # fmt: skip
 
 
@@ -82,12 +93,13 @@ def nominal_numbers(
     bias: Float[np.ndarray, " n"],
     delay: Float[np.ndarray, " n"],
     lag: Float[np.ndarray, " n"],
+    middle: Float[np.ndarray, " n"],
 ) -> Numbers:
     """Those of a model and its loop: nothing is lacking."""
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, delay, lag, none + 1.0, {},
+        none + 0.1, none, middle, none, delay, lag, none + 1.0, {}, {},
     )  # fmt: skip
 
 
@@ -98,9 +110,9 @@ def decoded(
 
     `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's.
     """
-    new = {k: np.array(x) for k, x in base._asdict().items() if k != "mass"}
+    new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, whole = {}, base.damping + base.kd
+    mass, centres, whole = {}, {}, base.damping + base.kd
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -120,7 +132,9 @@ def decoded(
             new["gain"][at] = np.exp(x)
         elif p.family == "payload":
             mass[p.body] = x
+        elif p.family in CENTRE:
+            centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, 0.0)
-    return Numbers(**new, mass=mass)
+    return Numbers(**new, mass=mass, centres=centres)

@@ -27,7 +27,8 @@ PARAMETERS = {
     "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
-    "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain",
+    "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
+    "payload_x": "x", "payload_y": "y", "payload_z": "z",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
@@ -47,6 +48,8 @@ _IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
     "load_friction": (("coulomb_friction", "where the load hardly changes F + μ |τ| is one number; other loads or "
                        "postures part them"),),
     "stribeck_friction": (("coulomb_friction", "at one speed it is one number; slow and fast motion part them"),),
+    "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range parts "
+                           "them"),),
     "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
     "encoder_offset": (("torque_bias", _LEANS),),
     "torque_bias": (("encoder_offset", _LEANS),),

@@ -127,6 +127,9 @@ UNITS: Mapping[str, str] = {
     "torque_saturation": "N m",
     "target_lag": "s",
     "payload": "kg",
+    "payload_x": "m",
+    "payload_y": "m",
+    "payload_z": "m",
     "kd_scale": "1",
     "torque_speed": "N m s/rad",
     "dead_band": "rad",
@@ -135,6 +138,7 @@ UNITS: Mapping[str, str] = {
     "stribeck_friction": "N m",
     "stribeck_velocity": "rad/s",
     "torque_gain": "1",
+    "position_friction": "N m/rad",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""

@@ -80,6 +80,8 @@ def diagnose(
         fan = proof.fan(plant, found, held[replayed.shown])
         replayed = dataclasses.replace(replayed, fan=fan)
     left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
+    if not sound:
+        wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
@@ -90,8 +92,8 @@ def diagnose(
     }  # fmt: skip
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
-    notes = [n for r in records for n in checks.objections(r, names)]
-    notes = [*dict.fromkeys(notes), *listing.notes(everything, loop, torque_logged)]
+    said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
+    notes = [*said, *listing.notes(everything, loop, torque_logged), *checks.touch_note(wholes)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -109,6 +111,8 @@ class _Fitted(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: dict[Rows, float]
     """Of the gap, by the rows of each number or odd effect."""
+    records: Sequence[Record]
+    """That were fitted, and in which samples the robot touches something."""
 
 
 def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _Fitted:
@@ -125,7 +129,13 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     if sound:
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
-        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {})
+        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {}, records)
+    records = checks.without_touches(plant, everything, records)
+    if any(r.touched is not None for r in records):
+        progress("fitting without what is touched")
+        everything = fitting.fit(
+            plant, table, records, everything.theta, floor=least, progress=progress
+        )
     causal = _causal(plant, everything, records, least, progress)
     search = odd.Search(causal, (), (), ())
     if "odd" not in exclude:
@@ -139,7 +149,7 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    return _Fitted(everything, found, search, others, shares)
+    return _Fitted(everything, found, search, others, shares, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:

@@ -37,6 +37,9 @@ With MuJoCo's own (0.9) friction creeps under load f at R f / b, R = (1 − 0.9)
 0.03 kg m² at 10 mrad/s, so that a joint which its friction stops short of a target gets there within seconds. On a real
 arm replays of slow motions erred by 41 mrad so, and by 16 mrad with this figure.
 """
+_INERTIAL = "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"
+_LEAST_SHARE = 0.05
+"""Of a body's mass, that is left of it."""
 _FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
@@ -95,6 +98,7 @@ class Plant:
             m.gear * model.actuator_biasprm[m.act, 0],
             delay,
             lag,
+            _middles(model, self.names),
         )
         self.step = STEP
         self.retime(loop.kp)
@@ -219,13 +223,48 @@ class Plant:
         if len(m.play):
             half = 0.5 * x.play[list(structure.play)]
             model.jnt_range[m.play] = np.stack([-half, half], 1)
-        model.body_mass[:], model.body_inertia[:] = m.model.body_mass, m.model.body_inertia
+        for field in _INERTIAL:
+            getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
-            b = model.body(body).id
-            # More of the same body: its centre and its shape are kept.
-            share = max(1.0 + added / model.body_mass[b], 0.05)
-            model.body_inertia[b] *= share
-            model.body_mass[b] *= share
+            put_load(model, model.body(body).id, added, x.centres.get(body))
+
+
+def put_load(
+    model: MjModel, body: int, added: float, offset: Float[np.ndarray, " 3"] | None
+) -> None:
+    """Add a load to a body of a model, which is changed: more of the same body, off its centre of mass by `offset`.
+
+    With m added at r (body's axes, m) from the centre c of a body of mass M and inertia I about c:
+
+        mass M + m,  centre c + m r / (M + m),  inertia (1 + m/M) I + M m / (M + m) (|r|² 1 − r rᵀ)
+    """
+    mass = float(model.body_mass[body])
+    share = max(1.0 + added / mass, _LEAST_SHARE)
+    model.body_mass[body] = mass * share
+    model.body_inertia[body] *= share
+    if offset is None or not np.any(offset):
+        return
+    more = mass * (share - 1.0)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    whole = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    whole += more / share * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    size, way = np.linalg.eigh(whole)
+    way[:, 0] *= np.sign(np.linalg.det(way))
+    mujoco.mju_mat2Quat(model.body_iquat[body], way.ravel())
+    model.body_inertia[body] = np.maximum(size, 1e-9)
+    model.body_ipos[body] += more / (mass * share) * offset
+    # Its own frame is its inertia's no longer.
+    model.body_sameframe[body] = 0
+
+
+def _middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:
+    """Middle of each joint's range, 0 where it has none."""
+    ranges = [
+        model.joint(n).range if model.jnt_limited[model.joint(n).id] else (0, 0) for n in names
+    ]
+    return np.mean(np.asarray(ranges, float), axis=1)
 
 
 def _without_contacts(model: MjModel) -> bool:

@@ -84,5 +84,6 @@ def mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " 
             - x.offset
         )
         v = np.gradient(r.q, r.time, axis=0)
-        sizes.append(x.friction(x.torque(commanded, r.q - x.offset, v), v))
+        q = r.q - x.offset
+        sizes.append(x.friction(x.torque(commanded, q, v), q, v))
     return np.mean(np.concatenate(sizes), axis=0)

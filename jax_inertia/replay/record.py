@@ -45,6 +45,8 @@ class Record(NamedTuple):
     """What the loop gave, where it was logged [N m]."""
     velocity: Float[np.ndarray, "T n"] | None = None
     """As the drive measured it, where it did and torque is logged."""
+    touched: Bool[np.ndarray, " T"] | None = None
+    """Samples in which the robot touches something, so that they do not count."""
 
     @property
     def period(self) -> float:
@@ -67,14 +69,16 @@ class Record(NamedTuple):
     @property
     def settled(self) -> Bool[np.ndarray, " T"]:
         """Samples that count: what was commanded before the log began, and how fast joints were, is soon forgotten."""
-        return self.time >= min(SETTLING, 0.1 * self.time[-1])
+        settled = self.time >= min(SETTLING, 0.1 * self.time[-1])
+        return settled if self.touched is None else settled & ~self.touched
 
     def between(self, first: int, last: int) -> "Record":
         """The samples of a range of rows, as a record of its own."""
         q, time = self.q[first:last], self.time[first:last]
         before = len(self.commanded.time) - len(self.time)
         commanded = self.commanded.upto(before + first + len(time), time[0])
-        more = [None if x is None else x[first:last] for x in (self.torque, self.velocity)]
+        every = self.torque, self.velocity, self.touched
+        more = [None if x is None else x[first:last] for x in every]
         return Record(time - time[0], q, slope(time, q), commanded, self.loop, *more)
 
 

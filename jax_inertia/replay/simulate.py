@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import rollout
 
-from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.joint_numbers import OF_BODIES, Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Compiled, Plant
 from jax_inertia.replay.record import Record, controls, step_means
@@ -28,6 +28,7 @@ _ROLLS, _STEPPED = 16, 64
 _LOST = 10.0
 """Where a simulation diverges, its error is taken to be this [rad]."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_A_THREAD = 8
 _FRICTION_EVERY = 2e-3
 """Dry friction that varies is set anew this often [s]."""
 WINDOW = 0.01
@@ -93,9 +94,12 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     return np.nan_to_num(now, nan=_LOST)
 
 
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+
+
 def _at_once(m: Compiled, models, some, state, control, h: float) -> np.ndarray:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
-    data = [mujoco.MjData(m.model) for _ in range(min(cores, len(models)))]
+    data = [mujoco.MjData(m.model) for _ in range(min(_cores(), len(models)))]
     path, _ = rollout.rollout(models, data, state, control, persistent_pool=True)
     return path
 
@@ -105,15 +109,18 @@ def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: f
     every = max(round(_FRICTION_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
     path = np.empty((len(models), steps, state.shape[1]))
-    fields = [k for k in Numbers._fields if k != "mass"]
-    stacked = Numbers(**{k: np.stack([getattr(x, k) for x in some]) for k in fields}, mass={})
-    data, now = [mujoco.MjData(m.model)], state
+    fields = [k for k in Numbers._fields if k not in OF_BODIES]
+    of_joints = {k: np.stack([getattr(x, k) for x in some]) for k in fields}
+    stacked = Numbers(**of_joints, mass={}, centres={})
+    # A thread is worth its wake-up for several models, each of a step or two.
+    threads = min(_cores() - 1, len(models) // _A_THREAD)
+    data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state
     commanded = control[:, :, m.act] / m.gear
-    with rollout.Rollout(nthread=0) as roll:
+    with rollout.Rollout(nthread=threads) as roll:
         for k in range(0, steps, every):
             q, v = now[:, 1 + m.qadr], now[:, 1 + nq + m.dof]
             # Both sides without the encoders' offset.
-            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), v)
+            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), q, v)
             for model, own in zip(models, dry, strict=True):
                 model.dof_frictionloss[m.dof] = own
             some_control = np.ascontiguousarray(control[:, k : k + every])

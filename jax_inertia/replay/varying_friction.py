@@ -1,4 +1,4 @@
-"""Dry friction that goes with torque and speed, set before each step of MuJoCo C.
+"""Dry friction that goes with torque, position and speed, set before each step of MuJoCo C.
 
 correct = callback(model, report)        # model: corrected.xml; report: report.json
 while ...:
@@ -19,18 +19,21 @@ from jax_inertia.replay.result import Diagnosis
 def law(found: Diagnosis) -> dict[str, dict[str, float]]:
     """What `callback` needs, by joint; nothing where friction does not vary.
 
-    friction = coulomb + load |τ| + stiction exp(−(q̇ / stribeck_velocity)²), τ the motor's torque [N m].
+    friction = coulomb + slope (q − middle) + load |τ| + stiction exp(−(q̇ / stribeck_velocity)²), never less than 0, τ
+    the motor's torque [N m] and q as in corrected.xml.
     """
     x = found.numbers
     return {
         name: {
             "coulomb": float(x.dry[j]),
+            "slope": float(x.slant[j]),
+            "middle": float(x.middle[j] + x.offset[j]),
             "load": float(x.load[j]),
             "stiction": float(x.stiction[j]),
             "stribeck_velocity": float(x.slow[j]),
         }
         for j, name in enumerate(found.names)
-        if x.load[j] > 0 or x.stiction[j] > 0
+        if x.load[j] > 0 or x.stiction[j] > 0 or x.slant[j] != 0
     }
 
 
@@ -40,13 +43,17 @@ def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, Mj
     known = {model.joint(j).name: j for j in range(model.njnt)}
     if lacking := [name for name in commanded if name not in known]:
         raise ValueError(f"the model has no joint {lacking[0]!r}, whose friction the report tells")
-    dofs = model.jnt_dofadr[[known[name] for name in commanded]]
-    keys = ("coulomb", "load", "stiction", "stribeck_velocity")
-    dry, load, stiction, slow = np.array([[x[k] for k in keys] for x in commanded.values()]).T
+    joints = [known[name] for name in commanded]
+    dofs, at = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    keys = ("coulomb", "slope", "middle", "load", "stiction", "stribeck_velocity")
+    dry, slope, middle, load, stiction, slow = np.array(
+        [[x[k] for k in keys] for x in commanded.values()]
+    ).T
 
     def correct(model: MjModel, data: MjData) -> None:
         rest = np.exp(-((data.qvel[dofs] / slow) ** 2))
         torque = np.abs(data.qfrc_actuator[dofs])
-        model.dof_frictionloss[dofs] = dry + load * torque + stiction * rest
+        there = dry + slope * (data.qpos[at] - middle)
+        model.dof_frictionloss[dofs] = np.maximum(there + load * torque + stiction * rest, 0.0)
 
     return correct

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.joint_numbers import CENTRE, Numbers
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
@@ -42,6 +42,8 @@ _STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
 """Of the largest torque and of the largest speed."""
 _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
+_PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
+"""Of a load from its body's centre of mass [m]."""
 
 
 def candidates(
@@ -52,6 +54,7 @@ def candidates(
 ) -> list[Candidate]:
     """All of them; `now`: as fitted so far, `torque`: typical of each joint's motion [N m]."""
     asked, fastest = demands(records, now)
+    travel = np.ptp(np.concatenate([r.q for r in records]), axis=0)
     out = []
     for j in range(len(plant.names)):
         if records[0].torque is not None:
@@ -59,7 +62,7 @@ def candidates(
                 _one("torque_gain", j, 0.0, _STRENGTH, -2.0, 2.0, (0.3 * _STRENGTH,), scales=True)
             )
         out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
-        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]))
+        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
         joint = plant.model.joint(plant.names[j])
         if joint.type[0] == int(mujoco.mjtJoint.mjJNT_HINGE):
             out += _of_angles(j)
@@ -116,13 +119,15 @@ def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) 
     return [*out, Candidate("torque_speed", (stall, back), starts)]
 
 
-def _of_friction(j: int, dry: float) -> list[Candidate]:
+def _of_friction(j: int, dry: float, travel: float) -> list[Candidate]:
     more = Parameter("stribeck_friction", j, 0.0, dry, 0.0, 20.0 * dry)
     slow = Parameter("stribeck_velocity", j, 0.1, 0.1, 0.01, 2.0)
     starts = tuple((a * dry, v) for a in _STICTIONS for v in _SLOW)
+    slant = 2.0 * dry / max(travel, 0.1)
     return [
         _one("load_friction", j, 0.0, _LOAD, 0.0, 0.9, _LOADS),
         Candidate("stribeck_friction", (more, slow), starts),
+        _one("position_friction", j, 0.0, slant, -np.inf, np.inf, (0.3 * slant,), scales=True),
     ]
 
 
@@ -142,6 +147,16 @@ def _masses(plant: Plant) -> list[Candidate]:
             p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, name)
             out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
     return out
+
+
+def centre_of(c: Candidate, plant: Plant) -> Candidate | None:
+    """Where a load is on its body, once it is found; None where it is on the axis of a body that moves alone."""
+    body = c.place[1]
+    if plant.model.body_simple[plant.model.body(body).id]:
+        return None
+    axes = [Parameter(f, NO_JOINT, 0.0, _PAYLOAD_OFFSET, -0.5, 0.5, body) for f in CENTRE]
+    starts = tuple(tuple(x) for x in _TRIED_OFFSET * np.concatenate([np.eye(3), -np.eye(3)]))
+    return Candidate("payload_centre", tuple(axes), starts)
 
 
 NO_JOINT = -2

@@ -18,7 +18,7 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.by_law import AS_GOOD
-from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
 MOST = 6
@@ -29,6 +29,12 @@ _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
 _AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: how many, and by what logarithms gains are raised."""
 _FROM_NOMINAL = 1
+_SETTLED = 2
+"""Of the effects that pass, how many are fitted until they settle before one is chosen.
+
+Along a valley where ordinary numbers make room for an effect a first fit goes part of the way, of one effect more than
+of another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
+"""
 _CONTENDERS = 0.3
 """Of the best one's gain, before any is fitted, what another one must promise."""
 
@@ -74,7 +80,7 @@ def add_odd(
             excess = by_law.excess(plant, found, records, floor)
             loops, here = by_law.sought(pool, excess)
         # The loop's half first: its torque tells it, whatever the robot makes of it.
-        passed, possible = [], []
+        passed, possible = {}, []
         for fits in _by_law(plant, found, loops, excess, records, floor):
             passed, more = _judged(plant, found, fits, run, best)
             possible += more
@@ -89,38 +95,52 @@ def add_odd(
             possible, afresh = [*possible, *more], False
         if not passed:
             break
-        passed.sort(key=lambda x: -x[0])
-        evidence, first, tried = passed[0]
-        found = fitting.fit(
-            plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=_ROUNDS,
-            known=(tried.error, tried.columns),
-        )  # fmt: skip
+        order = sorted(passed, key=lambda c: -passed[c][0])
+        for c in order[:_SETTLED]:
+            tried = _settled(plant, passed[c][1], records, floor)
+            passed[c] = _evidence(plant, found, c, tried), tried
+        first = max(order[:_SETTLED], key=lambda c: passed[c][0])
+        evidence, found = passed[first]
         best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
-        rivals = tuple(c for e, c, _ in passed[1:] if e > evidence - AS_GOOD and c is not first)
-        out.append(Odd(first, rows, rivals))
+        rivals = tuple(c for c in order if passed[c][0] > evidence - AS_GOOD and c != first)
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
+        if first.family == "payload_centre":
+            out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
+            continue
+        out.append(Odd(first, rows, rivals))
+        if first.family == "payload" and (centre := centre_of(first, plant)) is not None:
+            pool.append(centre)
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
 def _judged(
     plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
-) -> tuple[list[tuple[float, Candidate, Fit]], list[Candidate]]:
-    """(those that evidence and held-out runs both ask for, with the evidence; those that are nearly as good)."""
+) -> tuple[dict[Candidate, tuple[float, Fit]], list[Candidate]]:
+    """(those that evidence and held-out runs both ask for, with evidence and fit; those that are nearly as good)."""
     now = Parabola(found, plant.loop, found.samples).worth()
-    passed, possible = [], []
+    passed: dict[Candidate, tuple[float, Fit]] = {}
+    possible = []
     for c, tried in fits:
         new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-        evidence = now.total - new.total - _price(found, c)
+        evidence = _evidence(plant, found, c, tried)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
         simpler = new.kept + len(c.parameters) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
         if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
-            passed.append((evidence, c, tried))
+            if evidence > passed.get(c, (0.0,))[0]:
+                passed[c] = evidence, tried
         elif evidence > -AS_GOOD:
             possible.append(c)
     return passed, possible
+
+
+def _evidence(plant: Plant, found: Fit, c: Candidate, tried: Fit) -> float:
+    """By how much S falls with a candidate, its price paid."""
+    now = Parabola(found, plant.loop, found.samples).worth()
+    new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+    return now.total - new.total - _price(found, c)
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
@@ -128,8 +148,23 @@ def _rms(found: Fit) -> Float[np.ndarray, " m"]:
     return np.sqrt(np.mean(found.error**2, axis=0))
 
 
+def _is_load_of(o: Odd, centre: Candidate) -> bool:
+    return o.candidate.family == "payload" and o.candidate.place == centre.place
+
+
+def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
+    """A fit, gone on with by Jacobians of its own."""
+    return fitting.fit(
+        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * _ROUNDS,
+        known=(tried.error, tried.columns),
+    )  # fmt: skip
+
+
 def _price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
+    if c.family == "payload_centre":
+        # Every load is somewhere, and S counts the coordinates that it needs.
+        return 0.0
     return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 

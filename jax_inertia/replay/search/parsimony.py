@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import CENTRE
 from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
 
 
@@ -76,7 +77,10 @@ def nominal(found: Fit) -> Float[np.ndarray, " P"]:
     return np.where(np.isfinite(own), own, found.theta)
 
 
-def _is_ordinary(p: Parameter) -> bool:
+def _may_go(p: Parameter) -> bool:
+    # A load may be off its body's centre along one axis alone.
+    if p.family in CENTRE:
+        return True
     # A delay of one joint's own targets is an odd one.
     return p.family in ORDINARY and (p.family != "target_delay" or p.joint == ALL)
 
@@ -103,7 +107,7 @@ class Parabola:
         self.prior = float(np.sum(((found.theta[self.go] - mean) / sd) ** 2))
         self.off = (found.theta - nominal(found))[self.go]
         self.loose = np.diag(checks.loose(found.table, loop)[self.go] ** 2)
-        self.may_go = np.array([_is_ordinary(found.table[k]) for k in self.go], bool)
+        self.may_go = np.array([_may_go(found.table[k]) for k in self.go], bool)
         self.each = float(np.log(max(samples, 2.0)))
 
     def worth(self, error: Float[np.ndarray, "N n"] | None = None) -> Worth:
