@@ -77,8 +77,7 @@ def diagnose(
     replayed = dataclasses.replace(replayed, corrected=after)
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
-        fan = proof.fan(plant, found, held[replayed.shown])
-        replayed = dataclasses.replace(replayed, fan=fan)
+        replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
     left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
     if not sound:
         wholes = checks.without_touches(plant, found, wholes, done.records)
