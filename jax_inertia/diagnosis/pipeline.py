@@ -21,6 +21,8 @@ from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 
+Progress = Callable[[str], None]
+
 
 def diagnose(
     robot: Robot,
@@ -30,20 +32,58 @@ def diagnose(
     exclude: Sequence[str] = (),
     extra: Sequence[Effect] = (),
     settings: Settings = Settings(),  # noqa: B008 (frozen)
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Find the ordinary physics of every joint that the model lacks, and what is odd beyond it.
 
     Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
     must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
     """
+    library, residual = _begun(robot, log, exclude, extra, settings, progress)
+    selection, as_bought = _selected_as_bought(residual, library, settings, progress)
+    if selection is None:
+        start = started(residual, library, settings, CalibrationState.CALIBRATED)
+        selection = searched(start, library, settings, progress)
+    return _judged(robot, test_log, selection, as_bought, settings, progress)
+
+
+def diagnose_as_bought(
+    robot: Robot,
+    log: Log,
+    *,
+    test_log: Log | None = None,
+    exclude: Sequence[str] = (),
+    extra: Sequence[Effect] = (),
+    settings: Settings = Settings(),  # noqa: B008 (frozen)
+    progress: Progress = lambda stage: None,
+) -> Diagnosis | None:
+    """What `diagnose` finds of a model that is as bought; None, without a search, of one that is calibrated."""
+    library, residual = _begun(robot, log, exclude, extra, settings, progress)
+    selection, as_bought = _selected_as_bought(residual, library, settings, progress)
+    if selection is None:
+        return None
+    return _judged(robot, test_log, selection, as_bought, settings, progress)
+
+
+def _begun(robot, log: Log, exclude, extra, settings: Settings, progress: Progress):
+    """The library of effects and the log's torque residual."""
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
-    library = (*(e for e in effects_of(log) if e.name not in exclude), *extra)
     progress("filtering the log")
     residual = Residual(robot, log, settings)
     _require_rows(residual, log)
-    selection, as_bought = _selected(residual, library, settings, progress)
+    return (*(e for e in effects_of(log) if e.name not in exclude), *extra), residual
+
+
+def _judged(
+    robot: Robot,
+    test_log: Log | None,
+    selection: Selection,
+    as_bought: float,
+    settings: Settings,
+    progress: Progress,
+) -> Diagnosis:
+    """Which of what was selected are causes, and what is to be said of them."""
     progress("checking on held-out stretches and on the other motion")
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
@@ -54,35 +94,31 @@ def diagnose(
     selection = borne_out(whole, [heldout] if other is None else [heldout, other])
     found = summary.summarised(selection, everything, heldout, other, dropped, settings)
     progress("what this log would have shown")
-    names, fast = residual.context.row_names, np.percentile(np.abs(residual.context.v), 99, axis=0)
+    context = selection.residual.context
+    fast = np.percentile(np.abs(context.v), 99, axis=0)
     return dataclasses.replace(
         found,
         as_bought=as_bought,
         undetectable_below=undetectable(selection),
-        speed=dict(zip(names, fast.tolist(), strict=True)),
+        speed=dict(zip(context.row_names, fast.tolist(), strict=True)),
     )
 
 
-def _selected(
-    residual: Residual,
-    library: tuple[Effect, ...],
-    settings: Settings,
-    progress: Callable[[str], None],
-) -> tuple[Selection, float]:
-    """The search, by what the log says of the model's calibration, and that: log odds that it is as bought [nats].
+def _selected_as_bought(
+    residual: Residual, library: tuple[Effect, ...], settings: Settings, progress: Progress
+) -> tuple[Selection | None, float]:
+    """The search of a robot as bought, None where its model is calibrated, and the log odds of the former [nats].
 
-    Every joint votes before anything odd is known; where that does not tell, after the search of a robot as bought.
+    Every joint votes before anything odd is known; where that does not tell, after the search.
     """
     progress("ordinary physics of every joint")
     bought = started(residual, library, settings, CalibrationState.AS_BOUGHT)
     odds = log_odds_as_bought(bought, settings)
-    if odds > -settings.odd_odds:
-        bought = searched(bought, library, settings, progress)
-        odds = log_odds_as_bought(bought, settings)
-        if odds > settings.as_bought:
-            return bought, odds
-    start = started(residual, library, settings, CalibrationState.CALIBRATED)
-    return searched(start, library, settings, progress), odds
+    if odds <= -settings.odd_odds:
+        return None, odds
+    bought = searched(bought, library, settings, progress)
+    odds = log_odds_as_bought(bought, settings)
+    return bought if odds > settings.as_bought else None, odds
 
 
 def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:

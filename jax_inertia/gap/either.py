@@ -152,7 +152,7 @@ def whole_robot(
     if nominal_uncertainty is not None:
         mass, com, inertia = nominal_uncertainty
         settings = Settings(mass_tolerance=mass, com_stated=com, inertia_tolerance=inertia)
-    found = pipeline.diagnose(
+    return pipeline.diagnose_as_bought(
         robot,
         log,
         test_log=test_log,
@@ -161,7 +161,6 @@ def whole_robot(
         settings=settings,
         progress=progress,
     )
-    return found if found.as_bought > settings.as_bought else None
 
 
 def tolerance(nominal_uncertainty: tuple[float, float, float] | None) -> Tolerance | None:
