@@ -36,7 +36,7 @@ Along a valley where ordinary numbers make room for an effect a first fit goes p
 of another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
 """
 _CONTENDERS = 0.3
-"""Of the best one's gain, before any is fitted, what another one must promise."""
+"""Of the best one's gain, what another one must promise to be fitted, and have to be fitted until it settles."""
 
 
 class Search(NamedTuple):
@@ -96,10 +96,12 @@ def add_odd(
         if not passed:
             break
         order = sorted(passed, key=lambda c: -passed[c][0])
-        for c in order[:_SETTLED]:
+        least = _CONTENDERS * passed[order[0]][0]
+        near = [c for c in order[:_SETTLED] if passed[c][0] >= least]
+        for c in near:
             tried = _settled(plant, passed[c][1], records, floor)
             passed[c] = _evidence(plant, found, c, tried), tried
-        first = max(order[:_SETTLED], key=lambda c: passed[c][0])
+        first = max(near, key=lambda c: passed[c][0])
         evidence, found = passed[first]
         best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
