@@ -29,14 +29,14 @@ def with_torques(r: Replayed, plant: Plant, nominal: Numbered, corrected: Number
     """With what torques err by, where they are logged; `nominal` and `corrected`: table and vector of each."""
     if r.records[0].torque is None:
         return r
-    loop = [_torque_error(plant, of, r.records) for of in (nominal, corrected)]
-    replays = [
+    said, fitted = (_torque_error(plant, of, r.records) for of in (nominal, corrected))
+    before, after = [
         _torque_error(plant, of, [x._replace(q=q, velocity=None) for x, q in zip(r.records, paths, strict=True)])
         for of, paths in ((nominal, r.nominal), (corrected, r.corrected))
     ]  # fmt: skip
     floor = checks.torque_floor(r.records, plant.loop)
     along = np.hypot(floor, plant.loop.kp * r.floor)
-    return dataclasses.replace(r, torques=Torques(*loop, *replays, floor, along))
+    return dataclasses.replace(r, torques=Torques(said, fitted, before, after, floor, along))
 
 
 def _torque_error(plant: Plant, of: Numbered, records: Sequence[Record]) -> np.ndarray:
