@@ -259,9 +259,12 @@ def test_the_loop_is_drawn_with_the_line_of_its_kp():
     miss, torque = command_page.spring(command.rows_of(log, loop)[1], halves[1])
     assert np.polyfit(miss, torque, 1)[0] == pytest.approx(25.0 * 0.75, rel=0.02)
     effects = command.findings(halves, loop.kp, loop.kd, NAMES)
-    page = with_section("<main></main>", command_page.part(halves, log, loop, effects))
+    page = with_section(
+        '<main><p class="soft">jax-inertia</p></main>',
+        command_page.part(halves, log, loop, effects),
+    )
     assert page.startswith("<main><section")
-    assert page.endswith("</section></main>")
+    assert page.endswith('</section>\n<p class="soft">jax-inertia</p></main>')
     assert "kp scale at elbow" in page
 
 

@@ -24,6 +24,6 @@ def rendered(
 
 
 def with_section(page: str, section: str) -> str:
-    """A page with one more section at its end."""
-    before, end, after = page.rpartition("</main>")
-    return f"{before}{section}{end}{after}"
+    """A page with one more section at its end, before the line that says what wrote it."""
+    before, end, after = page.rpartition('<p class="soft">jax-inertia')
+    return f"{before}{section}\n{end}{after}"
