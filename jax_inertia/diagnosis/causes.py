@@ -17,6 +17,11 @@ from jax_inertia.logs.schema import TorqueKind
 Judges = Sequence[OtherRun | HeldOut]
 
 
+def judges_of(heldout: HeldOut, other: OtherRun | None) -> Judges:
+    """Rows that numbers were not fitted to: held-out stretches, and the other run where there is one."""
+    return [heldout] if other is None else [heldout, other]
+
+
 def borne_out(selection: Selection, judges: Judges) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
@@ -75,11 +80,10 @@ def by_other_rows(selection: Selection, asked: Sequence[Hypothesis], judges: Jud
     against a slow discrepancy in its place (`Evidence.loss`).
     """
     now, evidence = selection.posterior, selection.evidence
-    supports = np.sum([judge.support(now, asked) for judge in judges], axis=0)
-    return [
-        evidence.loss(now, h) if h.family in PASSING else float(support)
-        for h, support in zip(asked, supports, strict=True)
-    ]
+    lasting = [h for h in asked if h.family not in PASSING]
+    every = np.sum([judge.support(now, lasting) for judge in judges], axis=0)
+    supports = dict(zip(map(id, lasting), every, strict=True))
+    return [float(supports[id(h)]) if id(h) in supports else evidence.loss(now, h) for h in asked]
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:

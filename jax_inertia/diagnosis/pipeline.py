@@ -7,7 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.causes import borne_out, remembering
+from jax_inertia.diagnosis.causes import borne_out, judges_of, remembering
 from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
@@ -91,14 +91,13 @@ def _judged(
     gate, dropped = gated(selection, judge, settings)
     whole = remembering(gate, gate.posterior)
     everything = min(gate.posterior, whole.posterior, key=judge.error)
-    selection = borne_out(whole, [heldout] if other is None else [heldout, other])
-    found = summary.summarised(selection, everything, heldout, other, dropped, settings)
+    selection = borne_out(whole, judges_of(heldout, other))
+    found = summary.summarised(selection, everything, heldout, other, dropped, as_bought, settings)
     progress("what this log would have shown")
     context = selection.residual.context
     fast = np.percentile(np.abs(context.v), 99, axis=0)
     return dataclasses.replace(
         found,
-        as_bought=as_bought,
         undetectable_below=undetectable(selection),
         speed=dict(zip(context.row_names, fast.tolist(), strict=True)),
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import numpy as np
 
-from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes
+from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -34,9 +34,13 @@ def summarised(
     heldout: HeldOut,
     other: OtherRun | None,
     dropped: tuple[Hypothesis, ...],
+    as_bought: float,
     settings: Settings,
 ) -> Diagnosis:
-    """Everything that is reported of a selection; `everything`: with the stand-ins that help to predict."""
+    """Everything that is reported of a selection; `everything`: with the stand-ins that help to predict.
+
+    `as_bought`: log odds that its model is [nats].
+    """
     now, evidence, residual = selection.posterior, selection.evidence, selection.residual
     names = residual.context.row_names
     ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
@@ -56,8 +60,7 @@ def summarised(
     listed = {id(h) for h, _ in likely}
     bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
     tolerated = rms(residual.y - bare.fitted, residual.weight)
-    judges = [heldout] if other is None else [heldout, other]
-    another = _odds_of_another(selection, everything, causes, dropped, judges)
+    another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
     judged = verdict(by_cause, tolerated, bool(likely), another, settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, likely, trust)
@@ -78,7 +81,7 @@ def summarised(
         presliding={
             h.place.name: float(h.shape[0]) for h in now.chosen if h.family == "coulomb_friction"
         },
-        as_bought=np.nan,
+        as_bought=as_bought,
         heldout=shrinks[0],
         test=shrinks[1],
         remainder=remainder,

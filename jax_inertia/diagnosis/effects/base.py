@@ -231,7 +231,7 @@ class Effect(abc.ABC):
     def possible_with(
         self, context: Context, place: Place, level: float, theta: Float[np.ndarray, " k"]
     ) -> bool:
-        """Whether a robot can have these numbers beside that of the ordinary effect that it is one law with."""
+        """Whether a robot can have these numbers together with the ordinary number of the same law."""
         return self.possible(context, place, theta)
 
     # --- simulation: attributes of a model where MJCF has them (`edit`), and before each step what they cannot hold

@@ -98,9 +98,10 @@ def add_odd(
         order = sorted(passed, key=lambda c: -passed[c][0])
         least = _CONTENDERS * passed[order[0]][0]
         near = [c for c in order[:_SETTLED] if passed[c][0] >= least]
+        now = Parabola(found, plant.loop, found.samples).worth()
         for c in near:
             tried = _settled(plant, passed[c][1], records, floor)
-            passed[c] = _evidence(plant, found, c, tried), tried
+            passed[c] = _evidence(plant, found, now, c, tried)[0], tried
         first = max(near, key=lambda c: passed[c][0])
         evidence, found = passed[first]
         best = run.missed(found)
@@ -124,11 +125,10 @@ def _judged(
     passed: dict[Candidate, tuple[float, Fit]] = {}
     possible = []
     for c, tried in fits:
-        new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-        evidence = _evidence(plant, found, c, tried)
+        evidence, kept = _evidence(plant, found, now, c, tried)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
-        simpler = new.kept + len(c.parameters) < now.kept
+        simpler = kept + len(c.parameters) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
         if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
             if evidence > passed.get(c, (0.0,))[0]:
@@ -138,11 +138,10 @@ def _judged(
     return passed, possible
 
 
-def _evidence(plant: Plant, found: Fit, c: Candidate, tried: Fit) -> float:
-    """By how much S falls with a candidate, its price paid."""
-    now = Parabola(found, plant.loop, found.samples).worth()
+def _evidence(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
+    """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-    return now.total - new.total - _price(found, c)
+    return now.total - new.total - _price(found, c), new.kept
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
@@ -217,10 +216,7 @@ def _by_law(
     for near in by_law.starts(plant, found, pool, excess, records) if pool else ():
         fits = []
         for c, theta, _ in near:
-            table = (*found.table, *c.parameters)
-            free = np.append(found.free, [True] * len(c.parameters))
-            fit = fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
-            fits.append((c, fit))
+            fits.append((c, _fitted_from(plant, found, c, theta, records, floor)))
         yield fits
 
 
@@ -251,11 +247,8 @@ def _from_nominal(
         if gain > 0:
             new = theta.copy()
             new[about.go] = nominal(found)[about.go] + off
-            free = np.append(found.free, True)
-            table = (*found.table, *c.parameters)
             new = np.append(new, size)
-            fit = fitting.fit(plant, table, records, new, free=free, floor=floor, rounds=_ROUNDS)
-            out.append((c, fit))
+            out.append((c, _fitted_from(plant, found, c, new, records, floor)))
     return out
 
 
@@ -315,11 +308,15 @@ def _afresh(
             tries.append(theta)
         weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
         theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
-        free = np.append(found.free, True)
-        out.append(
-            (c, fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS))
-        )
+        out.append((c, _fitted_from(plant, found, c, theta, records, floor)))
     return out
+
+
+def _fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
+    """A fit with a candidate, from numbers of its own; those of the candidate are last."""
+    table = (*found.table, *c.parameters)
+    free = np.append(found.free, np.ones(len(c.parameters), bool))
+    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
 
 
 def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
