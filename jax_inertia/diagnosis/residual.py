@@ -38,6 +38,9 @@ class _Calibrated(Context):
         super().__init__(prepared)
         self._nominal = nominal
 
+    def bristle(self, row, reach, *, straight=False):
+        return self._nominal.bristle(row, reach, straight=straight)
+
     @functools.cached_property
     def sensitivity(self):
         """∂/∂q, ∂/∂v, ∂/∂a: the nominal model's, and those of what is beyond it, which are diagonal."""

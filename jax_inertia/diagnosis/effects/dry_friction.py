@@ -168,7 +168,9 @@ class LoadFriction(DryFriction):
     """Friction that grows with the load on the teeth.
 
     Behind presliding and way: whether the load is the motor's torque (1) or the link's (0), and by how much more it
-    turns over with load [rad/(N m)]: teeth need not be stiffer where they are loaded.
+    turns over with load [rad/(N m)]: teeth need not be stiffer where they are loaded. Where friction is a good part of
+    the torque, the two are zero at other moments, so both are asked; what the motor gives needs the joint's own
+    friction and rotor inertia, so columns are of the calibrated model.
     """
 
     name, refines, rubs, level = "load_friction", True, True, "coulomb_friction"
@@ -177,13 +179,15 @@ class LoadFriction(DryFriction):
     units = {"coulomb": "N m", "load_coefficient": "1", "of_motor": "1"}
     prior = "μ: 0.1, not below zero"
     mjcf = "joint frictionloss for F₀; the rest by step law"
+    calibrated = True
 
     def shapes(self, context, place) -> list[Shape]:
-        return [(*x, 0.0, 0.0) for x in super().shapes(context, place)]
+        turning = super().shapes(context, place)
+        return [(*x, side, 0.0) for side in (1.0, 0.0) for x in turning]
 
     def load(self, context, place, shape) -> np.ndarray:
         """|τ| (T,)."""
-        torque = context.tau if shape[2] else context.inverse
+        torque = context.inverse if shape[2] else context.link_torque
         return np.abs(torque[:, place.index])
 
     def direction(self, context, place, shape):

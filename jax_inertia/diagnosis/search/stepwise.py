@@ -55,13 +55,18 @@ def searched(
         now = _stepwise(residual, evidence, now, Bank(every), settings.most_steps)
         now = _refined(residual, evidence, now)
         now = reconsidered(residual, evidence, now, tried, settings)
-        if len(now.chosen) == len(before):
+        if _numbers_of(now.chosen) == _numbers_of(before):
             break
         every = (
             *(h for h in every if not isinstance(h.effect, DryFriction)),
             *candidates(residual, dry_forms, presliding_of(now.chosen), settings, state),
         )
     return Selection(residual, evidence, now, every, tried, state)
+
+
+def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
+    """What is chosen, each with its nonlinear numbers: friction that turns round otherwise leaves another residual."""
+    return {(h.key, h.shape) for h in chosen}
 
 
 def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
