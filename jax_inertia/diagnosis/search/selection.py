@@ -12,12 +12,14 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean, worth
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean
 from jax_inertia.diagnosis.settings import CalibrationState
 
 UNLIKELY = -5.0
 """Log odds [nats] below which an effect adds nothing to the odds that any is there: those of its columns' noise are not
 asked for."""
+SAID = 1e-6
+"""Information of a log on numbers that it says nothing of, per prior variance: so that what it says has an inverse."""
 GROUPS = 10
 """Parts of a log for the jackknife."""
 
@@ -66,14 +68,15 @@ class Selection:
     def robust_worth(self, h: Hypothesis) -> float:
         """Log evidence that a hypothesis brings where parts of the log disagree about it, prior odds apart, nats.
 
-        Savage–Dickey with the jackknife's spread in its covariance: rows err together where equations are not exact. Of
-        a calibrated model they are, so that spread is the posterior's own, and counts where it is larger.
+        The jackknife's spread is in the covariance of what the log says of the numbers: rows err together where
+        equations are not exact. Of a calibrated model they are, so that spread is the posterior's own, and counts where
+        it is larger.
         """
         part = self.posterior.slices[self.posterior.chosen.index(h)]
-        mean = self.posterior.mean[part]
         own, spread = self.posterior.covariance[part, part], self.spread[part, part]
         exact = self.state is CalibrationState.CALIBRATED
-        return worth(h, mean, _larger(own, spread) if exact else own + spread)
+        wide = _larger(own, spread) if exact else own + spread
+        return _bayes_factor(h, self.posterior.mean[part], own, wide)
 
     def odds_of_another(
         self, gone: Mapping[Hypothesis, float], refuted: Collection[Hypothesis]
@@ -120,3 +123,28 @@ def _larger(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k k"]) -> Float[n
     shares, axes = linalg.eigh(b, a)
     back = a @ axes
     return (back * np.maximum(shares, 1.0)) @ back.T
+
+
+def _bayes_factor(
+    h: Hypothesis,
+    mean: Float[np.ndarray, " k"],
+    covariance: Float[np.ndarray, "k k"],
+    wide: Float[np.ndarray, "k k"],
+) -> float:
+    """ln of the odds that a log brings for a hypothesis if it says z = θ / scale no better than by `wide`, nats.
+
+    With posterior C and mean m, the log alone says ẑ = L (C⁻¹ m − μ) ± L, L = (C⁻¹ − 1)⁻¹; with V = L + `wide` − C,
+
+        ln N(ẑ; μ, V + 1) − ln N(ẑ; 0, V),
+
+    which is Savage–Dickey's ratio where V is L.
+    """
+    prior = h.prior_mean
+    information = np.linalg.inv(covariance)
+    alone = np.linalg.inv(information - (1.0 - SAID) * np.eye(len(mean)))
+    said = alone @ (information @ mean - prior)
+    v = alone + wide - covariance
+    both = v + np.eye(len(v))
+    away = said - prior
+    quadratic = said @ np.linalg.solve(v, said) - away @ np.linalg.solve(both, away)
+    return float(0.5 * (quadratic + np.linalg.slogdet(v)[1] - np.linalg.slogdet(both)[1]))
