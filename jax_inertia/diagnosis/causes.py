@@ -26,14 +26,10 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
     `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
-    refitted, until each brings its odds by parts of the log and to rows that it was not fitted to. The latter is not
-    asked where a model is calibrated: a discrepancy as large as an effect is no part of such a model.
+    refitted, until each brings its odds (`evidence_of_causes`).
     """
-    exact = selection.state is CalibrationState.CALIBRATED
     while True:
-        worst = _faintest(selection.odd, by_parts(selection, selection.odd))
-        if worst is None and not exact:
-            worst = _faintest(selection.odd, by_other_rows(selection, selection.odd, judges))
+        worst = _faintest(selection.odd, evidence_of_causes(selection, selection.odd, judges))
         if worst is None:
             return selection
         selection = remembering(selection, selection.posterior.without(worst))
@@ -48,11 +44,17 @@ def _faintest(odd: Sequence[Hypothesis], evidence: Sequence[float]) -> Hypothesi
 def evidence_of_causes(
     selection: Selection, asked: Sequence[Hypothesis], judges: Judges
 ) -> list[float]:
-    """Log evidence that each of some that are chosen is a cause, prior odds apart, nats: the least of what is asked."""
+    """Log evidence that each of some that are chosen is a cause, prior odds apart, nats.
+
+    What the log brings, the less of by its parts and by stretches that are held out, and what another run brings: data
+    of its own. Held-out rows are not asked for where a model is calibrated: a discrepancy as large as an effect is no
+    part of such a model.
+    """
     parts = by_parts(selection, asked)
     if selection.state is CalibrationState.CALIBRATED:
         return parts
-    return list(map(min, parts, by_other_rows(selection, asked, judges)))
+    heldout, *others = (by_other_rows(selection, asked, judge) for judge in judges)
+    return [sum(more, min(p, h)) for p, h, *more in zip(parts, heldout, *others, strict=True)]
 
 
 def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
@@ -73,17 +75,19 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
     return out
 
 
-def by_other_rows(selection: Selection, asked: Sequence[Hypothesis], judges: Judges) -> list[float]:
+def by_other_rows(
+    selection: Selection, asked: Sequence[Hypothesis], judge: OtherRun | HeldOut
+) -> list[float]:
     """Log evidence that each of some that are chosen brings to rows its numbers were not fitted to, nats.
 
-    Prior odds apart, of all judges (`support`). What happens once is not there in other rows: of it, what it brings
-    against a slow discrepancy in its place (`Evidence.loss`).
+    Prior odds apart (`support`). What happens once is not there in other rows: of it, what it brings against a slow
+    discrepancy in its place (`Evidence.loss`), and nothing in another run.
     """
     now, evidence = selection.posterior, selection.evidence
     lasting = [h for h in asked if h.family not in PASSING]
-    every = np.sum([judge.support(now, lasting) for judge in judges], axis=0)
-    supports = dict(zip(map(id, lasting), every, strict=True))
-    return [float(supports[id(h)]) if id(h) in supports else evidence.loss(now, h) for h in asked]
+    supports = dict(zip(map(id, lasting), judge.support(now, lasting), strict=True))
+    passing = evidence.loss if isinstance(judge, HeldOut) else lambda now, h: 0.0
+    return [float(supports[id(h)]) if id(h) in supports else passing(now, h) for h in asked]
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
