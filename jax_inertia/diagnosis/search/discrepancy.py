@@ -96,3 +96,10 @@ class SlowNoise:
             if top == best.at:
                 return best
             best = SlowNoise(self.weight, top)
+
+    def likelihood_at_best(self, values: Float[np.ndarray, " R"]) -> float:
+        """Log likelihood of residuals under the `likeliest` of the grid, up to a constant of their number, nats."""
+        size = max(float(np.sqrt(np.mean(values**2))), 1e-300)
+        count = float(self._live.sum())
+        unit = values / size
+        return self.likeliest(unit).log_likelihood(unit) - count * float(np.log(size))
