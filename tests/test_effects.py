@@ -45,7 +45,7 @@ CASES = {
     "asymmetric_viscous": (ELBOW, (), [0.4], 0.01),
     "quadratic_viscous": (ELBOW, (), [0.3], 0.01),
     "friction_drift": (ELBOW, (3.0,), [0.5], 0.01),
-    "joint_spring": (ELBOW, (), [2.0], 0.01),
+    "joint_spring": (ELBOW, (), [0.8, 2.0], 0.01),
     "cogging": (ELBOW, (8.0,), [0.2, 0.3], 0.01),
     "torque_gain": (ALL, (), [-0.15], 0.01),
     "torque_saturation": (ELBOW, (0.6,), [1.0], 0.01),

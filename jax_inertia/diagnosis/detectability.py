@@ -59,7 +59,10 @@ def _along_axes(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, Pa
             continue
         nothing = h.numbers(selection.residual, 0.0 * theta)
         numbers = h.numbers(selection.residual, theta)
-        yield z, next(p for name, p in numbers.items() if p.value != nothing[name].value)
+        shown = (p for name, p in numbers.items() if p.value != nothing[name].value)
+        # Where a spring would rest that is not there is no number.
+        if (p := next(shown, None)) is not None:
+            yield z, p
 
 
 def _faintest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:

@@ -150,28 +150,35 @@ class FrictionDrift(_AlongTheJoint):
         return -more * xp.exp(-now.t / at.values["time_constant"]) * now.v
 
 
+RESTS_WITHIN = 1.5
+"""Of the model's zero [rad], one standard deviation: half a usual joint's range."""
+
+
 class JointSpring(_AlongTheJoint):
-    name, equation, level = "joint_spring", "−k (q − q₀)", "torque_bias"
+    """θ is k q₀ and k: where a spring rests is as wide as its joint, so its constant part is no zero of a sensor."""
+
+    name, equation = "joint_spring", "−k (q − q₀)"
     source = "a hose, a cable, a balancing spring: Hooke"
     units = {"stiffness": "N m/rad", "rest_angle": "rad"}
-    prior = "0.1 of the joint's peak torque at 1 rad; not below minus the model's own"
+    prior = "0.1 of the joint's peak torque at 1 rad, at rest within 1.5 rad; not below minus the model's own"
     mjcf = "joint stiffness and springref"
 
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
-        # Its constant part is an offset of the torque.
-        return of_row(-q, place)
+        return of_row(np.stack([np.ones_like(q), -q], axis=1), place)
+
+    def scale(self, context, place, shape):
+        return super().scale(context, place, shape) * np.array([RESTS_WITHIN, 1.0])
 
     def numbers(self, context, place, shape, theta):
-        # k q₀ before k where both are fitted at once.
-        *moment, stiffness = (float(x) for x in theta)
+        moment, stiffness = (float(x) for x in theta)
         return {
             "stiffness": Parameter(stiffness, "N m/rad"),
-            "rest_angle": Parameter(moment[0] / stiffness if moment and stiffness else 0.0, "rad"),
+            "rest_angle": Parameter(moment / stiffness if stiffness else 0.0, "rad"),
         }
 
-    def lower(self, context, place):
-        return -float(context.stiffness[place.index])
+    def possible(self, context, place, theta):
+        return bool(theta[1] >= -float(context.stiffness[place.index]) - 1e-12)
 
     def edit(self, spec, model, found):
         values = found.values
