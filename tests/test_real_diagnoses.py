@@ -106,7 +106,7 @@ def test_guesses_that_the_other_run_speaks_against_are_withdrawn(tmp_path):
     case = CASES["xl330"]
     files = case.prepare(tmp_path)
     inputs = pipeline.read(files.model, files.log, files.test, ())
-    found = pipeline.diagnosis(inputs, (), case.max_effects, lambda stage: None).found
+    found = pipeline.single_effects(inputs, (), case.max_effects, lambda stage: None).found
     assert found.verdict is Verdict.UNKNOWN
     assert [f.family for f in found.findings] == ["viscous_friction"]
     assert found.test is not None

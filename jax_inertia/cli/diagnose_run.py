@@ -21,8 +21,8 @@ from jax_inertia.cli.replay_run import SILENT, Gains
 from jax_inertia.diagnosis.effects.registry import NAMES as BY_TORQUE
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
-from jax_inertia.gap.diagnosis import diagnose
-from jax_inertia.gap.either import tolerance, usable, whole_robot
+from jax_inertia.gap import either
+from jax_inertia.gap.either import Asked, searched, usable
 from jax_inertia.gap.finding import Diagnosis, effects_of, known_of
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
@@ -172,32 +172,32 @@ def by_torque(
     stage: Callable[[str], None],
 ) -> Callable[..., None]:
     """Diagnose torque → motion, and write everything into a folder; what prints it."""
-    of = inputs.robot, inputs.log, inputs.test_log
-    whole = whole_robot(*of, exclude, stage, (), inputs.uncertainty)
-    if whole is None:
-        result = diagnosis(inputs, exclude, max_effects, stage)
+    asked = Asked(exclude, (), inputs.uncertainty, stage)
+    found = searched(inputs.robot, (inputs.log, inputs.test_log), asked, max_effects)
+    if isinstance(found, Diagnosis):
+        result = corrected_by(inputs, found, stage)
         stage("writing")
         write(folder, inputs, result)
         return functools.partial(show, result)
     stage("writing")
     paths = inputs.path, inputs.model
-    report = output.write(folder, whole, inputs.robot, inputs.log, paths, inputs.quality)
-    return functools.partial(output.show, whole, report)
+    report = output.write(folder, found, inputs.robot, inputs.log, paths, inputs.quality)
+    return functools.partial(output.show, found, report)
 
 
-def diagnosis(
+def single_effects(
     inputs: Inputs, exclude: Sequence[str], max_effects: int, stage: Callable[[str], None]
 ) -> Result:
-    """Diagnose, correct the model, and roll both models out."""
-    found = diagnose(
-        inputs.robot,
-        inputs.log,
-        test_log=inputs.test_log,
-        exclude=exclude,
-        max_effects=max_effects,
-        nominal_uncertainty=tolerance(inputs.uncertainty),
-        progress=stage,
+    """What a calibrated model lacks, and what becomes of it."""
+    asked = Asked(exclude, (), inputs.uncertainty, stage)
+    logs = inputs.log, inputs.test_log
+    return corrected_by(
+        inputs, either.single_effects(inputs.robot, logs, asked, max_effects), stage
     )
+
+
+def corrected_by(inputs: Inputs, found: Diagnosis, stage: Callable[[str], None]) -> Result:
+    """Correct the model by what was found, and roll both models out."""
     stage("rolling models out in MuJoCo")
     floats = is_urdf(model_path(inputs.model)) and inputs.robot.has_free_base
     nominal, wanted = (load_spec(inputs.model, floating_base=floats) for _ in range(2))

@@ -1,7 +1,7 @@
 """One call that diagnoses, by whichever way serves the model: every joint at once, or one effect on a good model.
 
 `diagnosis` seeks the ordinary physics of every joint and what is odd beyond it, `gap` single effects that a model lacks
-which has its ordinary physics already. This goes with `gap`.
+which has its ordinary physics already. What those do not explain is asked of the former, too. This goes with `gap`.
 """
 
 import dataclasses
@@ -21,11 +21,15 @@ from jax_inertia.gap import report as single_report
 from jax_inertia.gap.finding import Diagnosis
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.units import drive_gains, in_newton_metres
+from jax_inertia.gap.verdict import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
 from jax_inertia.signals.held import with_loop_torque
+
+ENOUGH = (Verdict.EXPLAINED, Verdict.NO_GAP)
+"""Verdicts of the search for single effects after which nothing else is asked."""
 
 
 @in_double_precision
@@ -71,21 +75,7 @@ def diagnose(
             raise LogError(f"{name}: {error}") from None
         notes += [f"{name}: {f.message}" for f in findings if f.severity is Severity.WARNING]
     of = logs["log"], logs.get("test_log")
-    whole = whole_robot(robot, *of, exclude, progress, extra, nominal_uncertainty)
-    found = (
-        whole
-        if whole is not None
-        else single.diagnose(
-            robot,
-            of[0],
-            test_log=of[1],
-            exclude=exclude,
-            extra=extra,
-            max_effects=max_effects,
-            nominal_uncertainty=tolerance(nominal_uncertainty),
-            progress=progress,
-        )
-    )
+    found = searched(robot, of, Asked(exclude, extra, nominal_uncertainty, progress), max_effects)
     return dataclasses.replace(found, notes=(*notes, *found.notes))
 
 
@@ -132,38 +122,77 @@ def usable(
     return in_newton_metres(log, drives.gains), drives, (*found.findings, *remarks)
 
 
-def whole_robot(
-    robot: Robot,
-    log: Log,
-    test_log: Log | None,
-    exclude: Sequence[str],
-    progress: Callable[[str], None],
-    extra: Sequence[Effect] = (),
-    nominal_uncertainty: tuple[float, float, float] | None = None,
-) -> WholeRobot | None:
-    """The diagnosis of every joint at once, for a model that lacks ordinary physics all over.
+class Asked(NamedTuple):
+    """What a user asks for beside model and logs."""
 
-    None where the model has it: then one effect is sought on a good model. None too for what the former does not do
-    yet: floating bases, and rows that are no hinge's or slide's.
+    exclude: Sequence[str]
+    extra: Sequence[Effect]
+    nominal_uncertainty: tuple[float, float, float] | None
+    progress: Callable[[str], None]
+
+
+def searched(
+    robot: Robot, logs: tuple[Log, Log | None], asked: Asked, max_effects: int
+) -> Diagnosis | WholeRobot:
+    """What the search that serves the model finds, of logs in N m: of a log and, where there is one, another motion.
+
+    Of a calibrated model single effects are sought, and where those do not explain the log, whatever helps to predict,
+    joint by joint.
+    """
+    found = _whole_robot(pipeline.diagnose_as_bought, robot, logs, asked)
+    if found is not None:
+        return found
+    found = single_effects(robot, logs, asked, max_effects)
+    if found.verdict in ENOUGH:
+        return found
+    return _whole_robot(pipeline.diagnose, robot, logs, asked) or found
+
+
+def single_effects(
+    robot: Robot, logs: tuple[Log, Log | None], asked: Asked, max_effects: int
+) -> Diagnosis:
+    """Single effects that a calibrated model lacks, of logs in N m."""
+    return single.diagnose(
+        robot,
+        logs[0],
+        test_log=logs[1],
+        exclude=asked.exclude,
+        extra=asked.extra,
+        max_effects=max_effects,
+        nominal_uncertainty=_tolerance(asked.nominal_uncertainty),
+        progress=asked.progress,
+    )
+
+
+def _whole_robot(
+    search: Callable[..., WholeRobot | None],
+    robot: Robot,
+    logs: tuple[Log, Log | None],
+    asked: Asked,
+) -> WholeRobot | None:
+    """The diagnosis of every joint at once by one of `pipeline`'s searches.
+
+    None where that finds none, and for what it does not do yet: floating bases, and rows that are no hinge's or
+    slide's.
     """
     if robot.has_free_base or not all(robot.topology.dof_scalar):
         return None
     settings = Settings()
-    if nominal_uncertainty is not None:
-        mass, com, inertia = nominal_uncertainty
+    if asked.nominal_uncertainty is not None:
+        mass, com, inertia = asked.nominal_uncertainty
         settings = Settings(mass_tolerance=mass, com_stated=com, inertia_tolerance=inertia)
-    return pipeline.diagnose_as_bought(
+    return search(
         robot,
-        log,
-        test_log=test_log,
-        exclude=exclude,
-        extra=extra,
+        logs[0],
+        test_log=logs[1],
+        exclude=asked.exclude,
+        extra=asked.extra,
         settings=settings,
-        progress=progress,
+        progress=asked.progress,
     )
 
 
-def tolerance(nominal_uncertainty: tuple[float, float, float] | None) -> Tolerance | None:
+def _tolerance(nominal_uncertainty: tuple[float, float, float] | None) -> Tolerance | None:
     """What the search for single effects takes a nominal model to be off by, where it is stated."""
     if nominal_uncertainty is None:
         return None

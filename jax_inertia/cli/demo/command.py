@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         inputs = diagnose_run.read(
             folder / "model.xml", folder / "hidden.npz", folder / "hidden_test.npz", []
         )
-        diagnosed = diagnose_run.diagnosis(inputs, [], 3, stage)
+        diagnosed = diagnose_run.single_effects(inputs, [], 3, stage)
         diagnose_run.write(folder, inputs, diagnosed)
     if args.json:
         print(json.dumps(_numbers(compared, case.secret, diagnosed), indent=1, allow_nan=False))
