@@ -55,7 +55,7 @@ CASES = {
     "actuator_lag": (ELBOW, (0.04,), [0.04], 0.06),
     "encoder_offset": (ELBOW, (0.04,), [0.04], 0.01),
     "encoder_scale": (ELBOW, (), [0.02], 0.02),
-    "joint_coupling": (Place("joint", "wrist", 2, "elbow"), (), [0.3, 0.05], 0.01),
+    "joint_coupling": (Place("joint", "wrist", 2, "elbow"), (0.3, 0.0), [0.3, 0.0], 0.01),
     "gravity_tilt": (ALL, (0.03, -0.02), [0.03, -0.02], 0.01),
     "payload": (HAND, CARRIED, [*CARRIED], 0.01),
     "com_shift": (HAND, (0.01, 0.005, -0.02), [0.01, 0.005, -0.02], 0.01),
@@ -181,7 +181,7 @@ def test_columns_are_what_the_simulation_does_and_give_its_numbers_back(name):
     assert {k: p.unit for k, p in back.items()} == dict(effect.units)
     for key, p in put_in.items():
         scale = max(abs(x.value) for x in put_in.values() if x.unit == p.unit)
-        assert back[key].value == pytest.approx(p.value, abs=2 * tolerance * scale), key
+        assert back[key].value == pytest.approx(p.value, abs=2 * tolerance * scale + 1e-9), key
 
 
 WHOLE = [

@@ -54,24 +54,29 @@ def evidence_of_causes(
     if selection.state is CalibrationState.CALIBRATED:
         return parts
     heldout, *others = (by_other_rows(selection, asked, judge) for judge in judges)
-    return [sum(more, min(p, h)) for p, h, *more in zip(parts, heldout, *others, strict=True)]
+    own = [
+        p if h.family in PASSING else min(p, held)
+        for h, p, held in zip(asked, parts, heldout, strict=True)
+    ]
+    return [sum(each) for each in zip(own, *others, strict=True)]
 
 
 def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
     """Log evidence that each of some that are chosen brings where parts of the log have to tell the same, nats.
 
-    Prior odds apart. Of an effect that happens once parts say nothing. A calibrated model's equations are stated to be
-    right: there the whole log pays the odds, and its parts must not refute it.
+    Prior odds apart. Of an effect that happens once parts say nothing: of it, what it brings against a slow discrepancy
+    in its place (`Evidence.loss`). A calibrated model's equations are stated to be right: there the whole log pays the
+    odds, and its parts must not refute it.
     """
-    now, out = selection.posterior, []
-    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+    now, evidence, out = selection.posterior, selection.evidence, []
+    exact = selection.state is CalibrationState.CALIBRATED
+    worths = dict(zip(map(id, now.chosen), evidence.worths(now), strict=True))
     for h in asked:
-        own = float(worths[id(h)])
-        if h.family not in PASSING:
-            robust = selection.robust_worth(h)
-            exact = selection.state is CalibrationState.CALIBRATED
-            own = min(own, robust + h.odds) if exact else robust
-        out.append(own)
+        if h.family in PASSING:
+            robust = evidence.loss(now, h)
+        else:
+            robust = selection.robust_worth(h) + (h.odds if exact else 0.0)
+        out.append(min(float(worths[id(h)]), robust))
     return out
 
 
@@ -80,14 +85,12 @@ def by_other_rows(
 ) -> list[float]:
     """Log evidence that each of some that are chosen brings to rows its numbers were not fitted to, nats.
 
-    Prior odds apart (`support`). What happens once is not there in other rows: of it, what it brings against a slow
-    discrepancy in its place (`Evidence.loss`), and nothing in another run.
+    Prior odds apart (`support`). What happens once is not there in other rows, which say nothing of it.
     """
-    now, evidence = selection.posterior, selection.evidence
+    now = selection.posterior
     lasting = [h for h in asked if h.family not in PASSING]
     supports = dict(zip(map(id, lasting), judge.support(now, lasting), strict=True))
-    passing = evidence.loss if isinstance(judge, HeldOut) else lambda now, h: 0.0
-    return [float(supports[id(h)]) if id(h) in supports else passing(now, h) for h in asked]
+    return [float(supports.get(id(h), 0.0)) for h in asked]
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:

@@ -236,6 +236,8 @@ class Effect(abc.ABC):
 
     # --- simulation: attributes of a model where MJCF has them (`edit`), and before each step what they cannot hold
 
+    takes_over: ClassVar[bool] = False
+    """Whether its edit moves a joint's own numbers elsewhere: then after those of all others."""
     unread_by_mjx: ClassVar[bool] = False
     """Whether MJX does not read the attribute that holds it whole in MuJoCo C: there the step law does it."""
     rubs: ClassVar[bool] = False

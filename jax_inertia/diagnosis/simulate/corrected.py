@@ -56,7 +56,8 @@ def corrected(
     # A model that was corrected before has texts of its own.
     taken = {text.name for text in spec.texts}
     names = (name for k in itertools.count() if (name := f"gap_effect_{k}") not in taken)
-    for name, found in zip(names, effects, strict=False):
+    in_order = sorted(effects, key=lambda found: _takes_over(known(found.family, extra)))
+    for name, found in zip(names, in_order, strict=False):
         effect = known(found.family, extra)
         edit = (effect and effect.edit(spec, spec.compile(), found)) or Edit(whole=False)
         if edit.whole:
@@ -76,6 +77,10 @@ def corrected(
     spec.compile()
     every = tuple(inside), tuple(outside), tuple(neither), tuple(notes)
     return Correction(spec, *every, tuple(extra))
+
+
+def _takes_over(effect: Effect | None) -> bool:
+    return effect is not None and effect.takes_over
 
 
 def _name_all(spec: MjSpec, model: MjModel) -> None:
