@@ -46,19 +46,17 @@ def evidence_of_causes(
 ) -> list[float]:
     """Log evidence that each of some that are chosen is a cause, prior odds apart, nats.
 
-    What the log brings, the less of by its parts and by stretches that are held out, and what another run brings: data
-    of its own. Held-out rows are not asked for where a model is calibrated: a discrepancy as large as an effect is no
-    part of such a model.
+    The less of what the log brings by its parts (`by_parts`) and of what numbers bring to rows that they were not
+    fitted to, of all judges (`_Run.support`). The latter is not asked where a model is calibrated: a discrepancy as
+    large as an effect is no part of such a model. Nor of what happens once.
     """
     parts = by_parts(selection, asked)
     if selection.state is CalibrationState.CALIBRATED:
         return parts
-    heldout, *others = (by_other_rows(selection, asked, judge) for judge in judges)
-    own = [
-        p if h.family in PASSING else min(p, held)
-        for h, p, held in zip(asked, parts, heldout, strict=True)
-    ]
-    return [sum(each) for each in zip(own, *others, strict=True)]
+    lasting = [h for h in asked if h.family not in PASSING]
+    every = np.sum([judge.support(selection.posterior, lasting) for judge in judges], axis=0)
+    supports = dict(zip(map(id, lasting), every.tolist(), strict=True))
+    return [min(p, supports.get(id(h), np.inf)) for h, p in zip(asked, parts, strict=True)]
 
 
 def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
@@ -78,19 +76,6 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
             robust = selection.robust_worth(h) + (h.odds if exact else 0.0)
         out.append(min(float(worths[id(h)]), robust))
     return out
-
-
-def by_other_rows(
-    selection: Selection, asked: Sequence[Hypothesis], judge: OtherRun | HeldOut
-) -> list[float]:
-    """Log evidence that each of some that are chosen brings to rows its numbers were not fitted to, nats.
-
-    Prior odds apart (`support`). What happens once is not there in other rows, which say nothing of it.
-    """
-    now = selection.posterior
-    lasting = [h for h in asked if h.family not in PASSING]
-    supports = dict(zip(map(id, lasting), judge.support(now, lasting), strict=True))
-    return [float(supports.get(id(h), 0.0)) for h in asked]
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:

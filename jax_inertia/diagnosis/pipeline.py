@@ -32,18 +32,24 @@ def diagnose(
     exclude: Sequence[str] = (),
     extra: Sequence[Effect] = (),
     settings: Settings = Settings(),  # noqa: B008 (frozen)
+    state: CalibrationState | None = None,
     progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Find the ordinary physics of every joint that the model lacks, and what is odd beyond it.
 
     Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
-    must carry over to it. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
+    must carry over to it. `state`: whether the model has its joints' ordinary physics; the log says where it is left
+    out. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
     """
     library, residual = _begun(robot, log, exclude, extra, settings, progress)
-    selection, as_bought = _selected_as_bought(residual, library, settings, progress)
+    selection, as_bought = None, np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
+    if state is None:
+        selection, as_bought = _selected_as_bought(residual, library, settings, progress)
+        state = CalibrationState.CALIBRATED
     if selection is None:
-        start = started(residual, library, settings, CalibrationState.CALIBRATED)
-        selection = searched(start, library, settings, progress)
+        selection = searched(
+            started(residual, library, settings, state), library, settings, progress
+        )
     return _judged(robot, test_log, selection, as_bought, settings, progress)
 
 

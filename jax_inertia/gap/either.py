@@ -5,6 +5,7 @@ which has its ordinary physics already. What those do not explain is asked of th
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.report import json_report as whole_report
 from jax_inertia.diagnosis.result import Diagnosis as WholeRobot
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.gap import diagnosis as single
@@ -145,7 +146,9 @@ def searched(
     found = single_effects(robot, logs, asked, max_effects)
     if found.verdict in ENOUGH:
         return found
-    return _whole_robot(pipeline.diagnose, robot, logs, asked) or found
+    # More than that is off, so the model is none that has its ordinary physics.
+    as_bought = functools.partial(pipeline.diagnose, state=CalibrationState.AS_BOUGHT)
+    return _whole_robot(as_bought, robot, logs, asked) or found
 
 
 def single_effects(

@@ -23,7 +23,11 @@ class JointCoupling(Effect):
     motor's. The nonlinear number is c, about which dry friction is the secant.
     """
 
-    name, equation, form_error = "joint_coupling", "motor of j at q̇ⱼ + c q̇ᵢ, c of its torque on i", 0.05
+    name, equation, form_error = (
+        "joint_coupling",
+        "motor of j at q̇ⱼ + c q̇ᵢ, c of its torque on i",
+        0.05,
+    )
     calibrated, secant = True, True
     source, advice = (
         "belts and bevels through a wrist; Siciliano et al., Robotics, 2009, sec. 5.1",
@@ -85,8 +89,8 @@ class JointCoupling(Effect):
         for actuator in actuators_of(spec, found):
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_TENDON, tendon.name
         remark = (
-            f"joint {own.name!r}: its motor, with rotor and friction, is on the tendon {tendon.name!r}, which turns by q of "
-            f"{own.name} + {c:.4g} q of {other.name}"
+            f"joint {own.name!r}: its motor, with rotor and friction, is on the tendon {tendon.name!r}, which turns by "
+            f"q of {own.name} + {c:.4g} q of {other.name}"
         )
         return Edit(whole=False, remark=remark)
 

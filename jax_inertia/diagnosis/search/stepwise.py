@@ -104,21 +104,23 @@ def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
-    barred: set[int] = set()
+    # What is not added beside some may do better in the place of one of them.
+    barred, gone = set(), set()
     seen = {_odd_of(now)}
     for _ in range(most):
         moved = _added(residual, evidence, now, bank, barred)
+        if moved is not None and _odd_of(moved[0]) in seen:
+            # What drives out what it was driven out by is not tried again: no two take turns.
+            barred.add(id(moved[1]))
+            continue
         if moved is None:
-            moved = _exchanged(residual, evidence, now, bank, barred)
+            # One for one, and for good: that may be back to what was driven out by the way.
+            moved = _exchanged(residual, evidence, now, bank, gone)
+            barred |= gone
         if moved is None:
             break
-        after, added = moved
-        if _odd_of(after) in seen:
-            # What drives out what it was driven out by is not tried again: no two take turns.
-            barred.add(id(added))
-            continue
-        seen.add(_odd_of(after))
-        now = after
+        now = moved[0]
+        seen.add(_odd_of(now))
     now = learned(evidence, now.chosen, 2)
     return _pruned(evidence, bounded(residual, evidence, now))
 
@@ -164,22 +166,24 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
     return None
 
 
-def _exchanged(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
-    """One odd effect for a better one, everything else given; None where none is better."""
+def _exchanged(
+    residual, evidence, now, bank: Bank, gone: set[int]
+) -> tuple[Posterior, Hypothesis] | None:
+    """One odd effect for a better one that is not `gone`, everything else given; None where none is better."""
     worths = evidence.worths(now)
     for h, worth in zip(now.chosen, worths, strict=True):
         if not h.is_odd:
             continue
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
-        better = next(_best(residual, evidence, rest, bank, barred | own), None)
+        better = next(_best(residual, evidence, rest, bank, gone | own), None)
         if (
             better is not None
             and better[1] > worth - h.odds + EXCHANGE
             and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
         ):
             # Once exchanged, it does not come back: no two take turns.
-            barred.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+            gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             after = _with(residual, evidence, rest, better[0])
             if after is not None:
                 return _settled(residual, evidence, after), better[0]

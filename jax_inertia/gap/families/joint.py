@@ -48,10 +48,6 @@ class JointSpring(Family):
     effect = joint.JointSpring()
     simpler = ("torque_bias",)
 
-    def columns(self, context, place, shape):
-        q = self.effect.columns(context, place, shape).values
-        return Columns(np.concatenate([np.ones_like(q), q], axis=1), place.index)
-
     def sized(self, context, place, size):
         # About where the joint mostly is: a constant torque is no spring.
         return [size * np.array([np.mean(context.joint_position[:, place.index]), 1.0])]
