@@ -104,6 +104,21 @@ def test_plan_holds_every_stratum_by_its_share():
     assert tasks != mixed.plan(6, 200)
 
 
+def test_a_third_of_the_logs_with_torque_is_the_second_engines():
+    tasks = mixed.plan(5, 420)
+    for stratum in mixed.TWO_ENGINES:
+        made = [t.engine for t in tasks if t.stratum == stratum]
+        assert 0.25 < made.count("pinocchio") / len(made) < 0.4
+        kinds = {t.kind for t in tasks if (t.stratum, t.engine) == (stratum, "pinocchio")}
+        assert len(kinds) >= min(len(mixed.KINDS.get(stratum, "x")), 9)
+    assert {t.engine for t in tasks if t.stratum not in mixed.TWO_ENGINES} == {"mujoco"}
+    assert {t.engine for t in mixed.plan(5, 420, engines=("mujoco",))} == {"mujoco"}
+
+
+def test_a_robot_of_ones_own_stands_on_no_feet():
+    assert {t.stratum for t in mixed.plan(5, 40, ("mine.xml",))} == set(mixed.SHARES) - {"imu"}
+
+
 @pytest.fixture
 def log(scara):
     robot = own_robot(scara)
@@ -219,8 +234,8 @@ def test_the_summary_holds_each_number_with_its_bounds():
     rows = [
         {"stratum": "bare_odd", "log": f"cad{k}", "hidden": "payload at hand", "asked": k < 8, "found": k < 6,
          "first": k < 5, "there": [True], "confident_wrong": False, "right": True, "verdict": "explained",
-         "robot": "r", "listed": [], "sigmas": 9.0, "said": "", "confidence": 0.95,
-         "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
+         "robot": "r", "engine": ("mujoco", "pinocchio")[k % 2], "listed": [], "sigmas": 9.0, "said": "",
+         "confidence": 0.95, "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
         for k in range(10)
     ]  # fmt: skip
     told = [
@@ -246,7 +261,9 @@ def test_the_summary_holds_each_number_with_its_bounds():
     assert made["sound_no_gap"] == 1.0
     for name in numbers - {"one_effect_family"}:
         assert made[f"{name}_low"] - 1e-9 <= made[name] <= made[f"{name}_high"] + 1e-9
-    assert "closed-loop replay" in mixed_page.page(rows + told, pace, "title")
+    text = mixed_page.page(rows + told, pace, "title")
+    assert "closed-loop replay" in text
+    assert "| right, world by | mujoco | pinocchio |" in text
 
 
 def told(kind: str, *effects: dict, sigmas: float = 10.0) -> dict:

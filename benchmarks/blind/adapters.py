@@ -90,6 +90,8 @@ def report(folder: Path, tool: str) -> tuple[dict, str | None]:
     """report.json, and corrected.xml where the tool has one."""
     corrected = None
     log = read(folder / "log.npz")
+    if "base_quat" in log:
+        raise ValueError("the base floats; expected a fixed one")
     if "tau" not in log:
         if tool != "pace_like":
             raise ValueError("the log has no torque")
