@@ -1,4 +1,4 @@
-"""The mixed examination's two worlds: MuJoCo's and Pinocchio's robots move alike; robots on their feet weigh what they say."""
+"""The mixed examination's two engines make the same motion; robots on their feet weigh what their truth says."""
 
 from __future__ import annotations
 
@@ -101,11 +101,10 @@ def test_a_coupled_motor_is_the_same():
         ordinary.coupling = coupling
         return hidden.model(ARM), [ordinary, coupling]
 
-    rows = []
+    rows, start = [], (np.array([0.1, 0.4, -0.3]), np.zeros(3))
     for kind, law in ((Plant, cad_plant.Ordinary), (PinocchioPlant, Slips)):
         model, some = made(law)
         plant = kind(ARM, model, some)
-        start = np.array([0.1, 0.4, -0.3]), np.zeros(3)
         log = plant.run(
             lambda k, t, q, v, base, target: (np.array([5.0, -20.0, 6.0]), q), lambda t: start,
             start, 500, 0.2, Noise.none(3), np.random.default_rng(0), 0.0,

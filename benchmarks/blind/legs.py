@@ -1,4 +1,4 @@
-"""Robots on their feet for the stratum `imu`, made up here: quadrupeds and bipeds of drawn sizes, and what they are told.
+"""Robots on their feet, made up here for the stratum `imu`: quadrupeds and bipeds of drawn sizes, and their targets.
 
 Lengths in m, masses in kg, angles in rad. MJCF without friction and rotors; feet are balls, four to a biped's sole.
 Axes: x ahead, y to the left, z up; each leg has hip roll, hip pitch and knee, a biped's ankle pitch and roll besides.
@@ -58,12 +58,13 @@ class Walker:
     imu: np.ndarray
 
     def told(self, feet: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Joint angles (n) of a trunk moved by `pose` (x, y, z, roll, pitch, yaw) over feet (legs, 3) at their places."""
+        """Joint angles (n) of a trunk moved by `pose` (x, y, z, roll, pitch, yaw) over feet moved by `feet`."""
         turn = turned(pose[3:])
         out = []
         for leg, foot in zip(self.legs, feet, strict=True):
-            home = np.array([*leg.hip, 0.0]) + [0.0, leg.side * leg.aside, -self.height]
-            place = turn.T @ (home + foot - pose[:3]) - np.array([*leg.hip, 0.0])
+            hip = np.array([*leg.hip, 0.0])
+            under = np.array([0.0, leg.side * leg.aside, -self.height])
+            place = turn.T @ (hip + under + foot - pose[:3]) - hip
             angles = leg.angles(place)
             out.append(angles)
             if self.ankles:
@@ -218,10 +219,10 @@ def _leg(leg: Leg, masses: np.ndarray, ball: float, ankles: bool) -> str:
                     0.3 * shank * np.array([0.001, 0.003, 0.003]), sole)  # fmt: skip
         end = body("ankle", "ankle_pitch", (0, 0, -low), "0 1 0", 0.15 * shank, (0, 0, 0),
                    0.15 * shank * np.array([0.001, 0.001, 0.001]), foot)  # fmt: skip
-    thin = np.array([1.0, 1.0, 0.06])
+    thin, thicker = np.array([[1.0, 1.0, 0.06], [1.0, 1.0, 0.16]])
     lower = body("shank", "knee", (0, 0, -up), "0 1 0", shank, (0.005, 0, -0.45 * low),
                  shank * low**2 / 11 * thin, end)  # fmt: skip
     upper = body("thigh", "pitch", (0, s * leg.aside, 0), "0 1 0", thigh, (-0.003, -0.012 * s, -0.2 * up),
-                 thigh * up**2 / 10 * (thin + [0, 0, 0.1]), lower)  # fmt: skip
+                 thigh * up**2 / 10 * thicker, lower)  # fmt: skip
     first = hip * leg.thigh**2 * np.array([0.02, 0.03, 0.02])
     return body("hip", "roll", (*leg.hip, 0), "1 0 0", hip, (0.0, 0.01 * s, 0.0), first, upper)

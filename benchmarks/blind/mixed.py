@@ -12,10 +12,10 @@
 | `position_torque` | the same | the same, with the torques of its motors |
 | `imu` | as `sound`, or bodies alone | a robot on its feet without base pose and wrenches: nothing, friction, a load |
 
-Every third log of `TWO_ENGINES` is Pinocchio's forward dynamics with another law of dry friction (`gap/pinocchio_plant`),
-all others are MuJoCo's; the truth says which. Robots are `gap/cad_robots` and `replay/robots`, or any that one names (`gap/own_robot`). Some logs are of an ordinary
-motion, and some keep 20, 50 or 100 rows a second of a loop that is faster. A log depends on the seed and its index
-alone.
+Every third log of `TWO_ENGINES` is Pinocchio's forward dynamics with another law of dry friction
+(`gap/pinocchio_plant`), all others are MuJoCo's; the truth says which. Robots are `gap/cad_robots`, `replay/robots` and
+`legs`, or any that one names (`gap/own_robot`). Some logs are of an ordinary motion, and some keep 20, 50 or 100 rows a
+second of a loop that is faster. A log depends on the seed and its index alone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A second engine: the real robot by Pinocchio's articulated-body algorithm, its joints by slipping springs.
 
 Pinocchio gives q̈ = M⁻¹ (τ − h), integrated here by Runge and Kutta's fourth order; states of effects take their middle
-rate (second order). Dry friction is Maxwell's: four springs in parallel, each of which slips at its share of the level g
-(al-Bender, Lampaert, Swevers 2005). MuJoCo's forward dynamics and LuGre's bristle are the other engine's (`plant`,
+rate (second order). Dry friction is Maxwell's: four springs in parallel, each of which slips at its share of the level
+g (Al-Bender, Lampaert, Swevers 2005). MuJoCo's forward dynamics and LuGre's bristle are the other engine's (`plant`,
 `cad_plant`); drives, springs, loads and encoders (`effects`) act on both alike. Fixed bases, hinges and slides.
 """
 

@@ -1,4 +1,4 @@
-"""One log of a robot on its feet that knows its attitude and specific force alone: what was hidden beside what was said.
+"""One log of a robot on its feet that has an IMU alone: what was hidden beside what was said.
 
 Marked as robots that are told positions (`position_marks`), without a replay: where the base is, no such log says. A
 load's mass is compared with what a scale would tell: the load, and what the bodies weigh more than the model says.
