@@ -14,10 +14,12 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 for folder in ("blind", "gap"):
     sys.path.insert(0, str(BENCHMARKS / folder))
 
+import adapters  # noqa: E402
 import mixed  # noqa: E402
 import pace_positions  # noqa: E402
 import position  # noqa: E402
 import seal  # noqa: E402
+import sysid_fit  # noqa: E402
 import vault  # noqa: E402
 from check import inverse_dynamics  # noqa: E402
 from exam import mixed_marks, mixed_page, position_marks  # noqa: E402
@@ -339,6 +341,44 @@ def test_the_pace_like_fit_hands_back_a_model_that_replays(rigs, tmp_path):
     found = position_marks.errors(folder, tmp_path)
     assert found["tool"] < 0.5 * found["nominal"]
     assert {e["family"] for e in report["effects"]} & {"armature", "coulomb_friction"}
+
+
+def test_sysid_says_what_to_install_and_floating_bases_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sysid_fit, "AVAILABLE", False)
+    (tmp_path / "nominal.xml").write_text(SCARA)
+    one = {"time": np.arange(9.0), "joint_names": np.array(["turn"]), "tau": np.zeros((9, 1))}
+    np.savez(tmp_path / "log.npz", **one)
+    adapters.answer(tmp_path, tmp_path / "out", "mujoco_sysid")
+    place = tmp_path / "out" / "results" / tmp_path.name
+    run = json.loads((place / "run.json").read_text())
+    assert run["error"] == "mujoco.sysid lacks its libraries; pip install 'mujoco[sysid]'"
+    assert not (place / "report.json").exists()
+    np.savez(tmp_path / "log.npz", **one, base_quat=np.ones((9, 4)))
+    for tool in ("least_squares", "greedy_bic", "pace_like", "mujoco_sysid"):
+        with pytest.raises(ValueError, match="the base floats"):
+            adapters.report(tmp_path, tool)
+
+
+@pytest.mark.skipif(not sysid_fit.AVAILABLE, reason="needs mujoco[sysid]")
+def test_sysid_fits_what_it_is_told(tmp_path):
+    """A pendulum with friction that its model lacks, from its torques."""
+    model = (
+        '<mujoco><option timestep="0.001"/><worldbody><body name="bar"><joint name="a" axis="0 1 0"{}/>'
+        '<inertial pos="0 0 -0.3" mass="1" diaginertia="0.02 0.02 0.001"/></body></worldbody></mujoco>'
+    )
+    real = mujoco.MjModel.from_xml_string(model.format(' damping="0.3" armature="0.02"'))
+    data, rows = mujoco.MjData(real), []
+    for k in range(4000):
+        tau = 2.0 * np.sin(0.004 * k) + np.sin(0.011 * k)
+        if k % 4 == 0:
+            rows.append((0.001 * k, data.qpos[0], tau))
+        data.qfrc_applied[:] = tau
+        mujoco.mj_step(real, data)
+    time, q, tau = np.array(rows).T
+    log = {"time": time, "joint_names": np.array(["a"]), "qpos": q[:, None], "tau": tau[:, None]}
+    (lacking,), power = sysid_fit.fit(mujoco.MjSpec.from_string(model.format("")), log)
+    assert lacking[0] == pytest.approx(0.3, rel=0.2)
+    assert power.shape == (1, 4)
 
 
 def test_some_rows_of_a_log_are_kept_with_what_has_no_rows():

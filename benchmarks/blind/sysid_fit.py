@@ -7,13 +7,16 @@ position actuator where no torque is logged. Fixed bases. Needs the extra `mujoc
 
 from __future__ import annotations
 
+import contextlib
+
 import mujoco
 import numpy as np
 from baseline_chain import smooth
 from baseline_sysid import AVAILABLE, sysid, windows
 
 MISSING = "mujoco.sysid lacks its libraries; pip install 'mujoco[sysid]'"
-ITERATIONS = 30
+ITERATIONS = 12
+FIRST = 0.2  # of its unit, what a number starts from that the model has none of: not at its bound
 HEAVIER = 2.0  # most that a mass may be, as a factor, or least by its inverse
 UNITS = 20.0  # most that a number of a joint may be, in its own unit
 
@@ -21,7 +24,8 @@ UNITS = 20.0  # most that a number of a joint may be, in its own unit
 def fit(spec: mujoco.MjSpec, log: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """What each joint's numbers lack in the model (n, 4), and the power of their torques (n, 4).
 
-    Damping, friction, armature, and 0 for an offset; joints in the model's order. The spec is left with what was fitted: one actuator a joint, masses, and joint numbers.
+    Damping, friction, armature, and 0 for an offset; joints in the model's order. The spec is left with what was
+    fitted: one actuator a joint, masses, and joint numbers.
     Raises ValueError where the libraries of `mujoco.sysid` are absent.
     """
     if not AVAILABLE:
@@ -62,7 +66,7 @@ def fit(spec: mujoco.MjSpec, log: dict[str, np.ndarray]) -> tuple[np.ndarray, np
             body.inertia, body.iquat = factor * plain.body_inertia[b], plain.body_iquat[b]
 
     parameters = sysid.ParameterDict()
-    start = own / unit
+    start = np.maximum(own / unit, FIRST)
     parameters.add(
         sysid.Parameter(
             "joints", start.ravel(), np.zeros(start.size), np.maximum(UNITS, 2.0 * start).ravel(),
@@ -75,15 +79,17 @@ def fit(spec: mujoco.MjSpec, log: dict[str, np.ndarray]) -> tuple[np.ndarray, np
             "bodies", one, one / HEAVIER, one * HEAVIER, modifier=lambda s, p: write_bodies(s, p.value)
         )
     )  # fmt: skip
-    found, _ = sysid.optimize(
-        initial_params=parameters,
-        residual_fn=sysid.build_residual_fn(
-            models_sequences=[windows(spec, log, told)], n_threads=1
-        ),
-        optimizer="mujoco",
-        verbose=False,
-        max_iters=ITERATIONS,
-    )
+    # Its optimiser prints every iteration, whatever it is told.
+    with contextlib.redirect_stdout(None):
+        found, _ = sysid.optimize(
+            initial_params=parameters,
+            residual_fn=sysid.build_residual_fn(
+                models_sequences=[windows(spec, log, told)], n_threads=1
+            ),
+            optimizer="mujoco",
+            verbose=False,
+            max_iters=ITERATIONS,
+        )
     numbers = found["joints"].value.reshape(-1, 3) * unit
     write_joints(spec, numbers)
     write_bodies(spec, found["bodies"].value)
