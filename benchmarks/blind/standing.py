@@ -23,7 +23,7 @@ STRATUM = "imu"
 KINDS = ("sound", "payload", "ordinary", "payload", "sound", "payload_bare")
 STEP, TOLD, WARM, ATTEMPTS = 2.5e-4, 0.02, 1.5, 6  # s, s, s
 LOAD = (1.0, 3.0)  # kg
-SECONDS = (10.0, 6.0)  # of the log, of the other motion
+SECONDS = (6.0, 4.0)  # of the log, of the other motion
 TRUST = 0.01
 """Of a robot's weight: what an owner knows it by. A load's visibility is its weight over this."""
 
