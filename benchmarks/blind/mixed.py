@@ -104,8 +104,9 @@ def plan(
         if stratum in (*position.STRATA, standing.STRATUM):
             kind = str(first + before)
         # Kinds that come in threes are not always the same engine's.
-        threes = kinds and len(kinds) % EVERY == 0
-        turn = before + (before // len(kinds) if threes else 0)
+        turn = before
+        if kinds and len(kinds) % EVERY == 0:
+            turn += before // len(kinds)
         second = stratum in TWO_ENGINES and turn % EVERY == 1
         engine = engines[-1] if second else engines[0]
         tasks.append(Task(stratum, kind, seed, index, robots, fix_base, engine))
