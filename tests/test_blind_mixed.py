@@ -14,10 +14,12 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 for folder in ("blind", "gap"):
     sys.path.insert(0, str(BENCHMARKS / folder))
 
+import adapters  # noqa: E402
 import mixed  # noqa: E402
 import pace_positions  # noqa: E402
 import position  # noqa: E402
 import seal  # noqa: E402
+import sysid_fit  # noqa: E402
 import vault  # noqa: E402
 from check import inverse_dynamics  # noqa: E402
 from exam import mixed_marks, mixed_page, position_marks  # noqa: E402
@@ -102,6 +104,21 @@ def test_plan_holds_every_stratum_by_its_share():
     assert {t.stratum for t in mixed.plan(5, 12)} == set(mixed.SHARES)
     assert tasks == mixed.plan(5, 200)
     assert tasks != mixed.plan(6, 200)
+
+
+def test_a_third_of_the_logs_with_torque_is_the_second_engines():
+    tasks = mixed.plan(5, 420)
+    for stratum in mixed.TWO_ENGINES:
+        made = [t.engine for t in tasks if t.stratum == stratum]
+        assert 0.25 < made.count("pinocchio") / len(made) < 0.4
+        kinds = {t.kind for t in tasks if (t.stratum, t.engine) == (stratum, "pinocchio")}
+        assert len(kinds) >= min(len(mixed.KINDS.get(stratum, "x")), 9)
+    assert {t.engine for t in tasks if t.stratum not in mixed.TWO_ENGINES} == {"mujoco"}
+    assert {t.engine for t in mixed.plan(5, 420, engines=("mujoco",))} == {"mujoco"}
+
+
+def test_a_robot_of_ones_own_stands_on_no_feet():
+    assert {t.stratum for t in mixed.plan(5, 40, ("mine.xml",))} == set(mixed.SHARES) - {"imu"}
 
 
 @pytest.fixture
@@ -219,8 +236,8 @@ def test_the_summary_holds_each_number_with_its_bounds():
     rows = [
         {"stratum": "bare_odd", "log": f"cad{k}", "hidden": "payload at hand", "asked": k < 8, "found": k < 6,
          "first": k < 5, "there": [True], "confident_wrong": False, "right": True, "verdict": "explained",
-         "robot": "r", "listed": [], "sigmas": 9.0, "said": "", "confidence": 0.95,
-         "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
+         "robot": "r", "engine": ("mujoco", "pinocchio")[k % 2], "listed": [], "sigmas": 9.0, "said": "",
+         "confidence": 0.95, "errors": {"nominal": 1.0, "least_squares": 0.2, "oracle": 0.05, "tool": 0.1}}
         for k in range(10)
     ]  # fmt: skip
     told = [
@@ -246,7 +263,9 @@ def test_the_summary_holds_each_number_with_its_bounds():
     assert made["sound_no_gap"] == 1.0
     for name in numbers - {"one_effect_family"}:
         assert made[f"{name}_low"] - 1e-9 <= made[name] <= made[f"{name}_high"] + 1e-9
-    assert "closed-loop replay" in mixed_page.page(rows + told, pace, "title")
+    text = mixed_page.page(rows + told, pace, "title")
+    assert "closed-loop replay" in text
+    assert "| right, world by | mujoco | pinocchio |" in text
 
 
 def told(kind: str, *effects: dict, sigmas: float = 10.0) -> dict:
@@ -322,6 +341,44 @@ def test_the_pace_like_fit_hands_back_a_model_that_replays(rigs, tmp_path):
     found = position_marks.errors(folder, tmp_path)
     assert found["tool"] < 0.5 * found["nominal"]
     assert {e["family"] for e in report["effects"]} & {"armature", "coulomb_friction"}
+
+
+def test_sysid_says_what_to_install_and_floating_bases_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sysid_fit, "AVAILABLE", False)
+    (tmp_path / "nominal.xml").write_text(SCARA)
+    one = {"time": np.arange(9.0), "joint_names": np.array(["turn"]), "tau": np.zeros((9, 1))}
+    np.savez(tmp_path / "log.npz", **one)
+    adapters.answer(tmp_path, tmp_path / "out", "mujoco_sysid")
+    place = tmp_path / "out" / "results" / tmp_path.name
+    run = json.loads((place / "run.json").read_text())
+    assert run["error"] == "mujoco.sysid lacks its libraries; pip install 'mujoco[sysid]'"
+    assert not (place / "report.json").exists()
+    np.savez(tmp_path / "log.npz", **one, base_quat=np.ones((9, 4)))
+    for tool in ("least_squares", "greedy_bic", "pace_like", "mujoco_sysid"):
+        with pytest.raises(ValueError, match="the base floats"):
+            adapters.report(tmp_path, tool)
+
+
+@pytest.mark.skipif(not sysid_fit.AVAILABLE, reason="needs mujoco[sysid]")
+def test_sysid_fits_what_it_is_told(tmp_path):
+    """A pendulum with friction that its model lacks, from its torques."""
+    model = (
+        '<mujoco><option timestep="0.001"/><worldbody><body name="bar"><joint name="a" axis="0 1 0"{}/>'
+        '<inertial pos="0 0 -0.3" mass="1" diaginertia="0.02 0.02 0.001"/></body></worldbody></mujoco>'
+    )
+    real = mujoco.MjModel.from_xml_string(model.format(' damping="0.3" armature="0.02"'))
+    data, rows = mujoco.MjData(real), []
+    for k in range(4000):
+        tau = 2.0 * np.sin(0.004 * k) + np.sin(0.011 * k)
+        if k % 4 == 0:
+            rows.append((0.001 * k, data.qpos[0], tau))
+        data.qfrc_applied[:] = tau
+        mujoco.mj_step(real, data)
+    time, q, tau = np.array(rows).T
+    log = {"time": time, "joint_names": np.array(["a"]), "qpos": q[:, None], "tau": tau[:, None]}
+    (lacking,), power = sysid_fit.fit(mujoco.MjSpec.from_string(model.format("")), log)
+    assert lacking[0] == pytest.approx(0.3, rel=0.2)
+    assert power.shape == (1, 4)
 
 
 def test_some_rows_of_a_log_are_kept_with_what_has_no_rows():

@@ -182,6 +182,23 @@ def test_honest_answers_without_the_true_family():
     assert not left_out.honest(true, said("explained", ("payload", "a", {}, [])), whole)
 
 
+def test_honest_answers_on_a_robot_as_it_is_bought():
+    """A remainder that is flagged is honest; ordinary physics is no other cause."""
+    odd = effect("joint_spring", "a") | {"visibility": {"sigmas": 9.0}, "equivalent": []}
+    true = {"stratum": "bare_odd", "odd": odd}
+    assert left_out.hidden(true) is odd
+    assert left_out.hidden(true | {"stratum": "outside"}) is None
+    assert left_out.hidden(true | {"odd": odd | {"visibility": {"sigmas": 2.0}}}) is None
+    assert left_out.holders({"logs": {"x": {"truth": true}}}) == {"joint_spring": ["x"]}
+    rubs = ("coulomb_friction", "a", {}, [])
+    assert left_out.honest(true, said("partly", rubs), None)
+    assert not left_out.honest(true, said("explained", rubs), None)
+    tied = ("encoder_offset", "a", {}, [("joint_spring", "a")])
+    whole = said("explained", rubs, ("joint_spring", "a", {}, [("encoder_offset", "a")]))
+    assert left_out.honest(true, said("explained", rubs, tied), whole)
+    assert not left_out.honest(true, said("explained", rubs, ("payload", "a", {}, [])), whole)
+
+
 def test_the_summary_has_every_rate_with_bounds():
     rows = [{"log": "x"} | mark(answer("none"), said("no_gap"))]
     got = summary(rows)

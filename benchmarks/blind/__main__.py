@@ -6,7 +6,8 @@ Makes logs of robots like the model (`mixed.py`: sound ones, one effect on a goo
 with and without an odd effect, effects that no library has, logs that mean something else, robots that are told
 positions), diagnoses each by the public command in a process that can open nothing else, and writes OUT/RESULTS.md,
 rows.json and summary.json; settings.json holds what makes the same logs again. Without --model: the generator's own
-robots. A second call goes on where the first was stopped.
+robots, quadrupeds and bipeds on their feet among them. A third of the logs with torques are made by Pinocchio where
+that is installed. A second call goes on where the first was stopped.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import json
 import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -100,6 +102,7 @@ def main() -> None:
             own_robot(path, args.fix_base)
         except Unsuitable as error:
             parser.error(str(error))
+    engines = mixed.cad.ENGINES if find_spec("pinocchio") else (mixed.cad.MUJOCO,)
     settings = {
         "models": {
             str(p.resolve()): hashlib.sha256(p.read_bytes()).hexdigest() for p in args.model
@@ -107,6 +110,7 @@ def main() -> None:
         "fix_base": args.fix_base,
         "seed": args.seed,
         "n": args.n,
+        "engines": list(engines),
         "commit": checkout.commit(),
     }
     kept = args.out / "settings.json"
@@ -114,7 +118,7 @@ def main() -> None:
         parser.error(f"{args.out} holds another check ({kept.name}); choose another --out")
     args.out.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(settings, indent=1))
-    tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base)
+    tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base, engines)
     folders = generate(tasks, args.out / "logs", args.jobs)
     rows = examine(folders, args.out, args.jobs)
     pace = pace_like(folders, args.out, args.jobs)

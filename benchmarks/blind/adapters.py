@@ -1,11 +1,13 @@
 """What an engineer tries without a diagnosis, as tools of the protocol: a report.json for every log.
 
-    python benchmarks/blind/adapters.py LOGS OUT --tool least_squares|largest_residual|greedy_bic|pace_like [--jobs 2]
+    python benchmarks/blind/adapters.py LOGS OUT [--jobs 2] \\
+        --tool least_squares|largest_residual|greedy_bic|pace_like|mujoco_sysid
 
 `least_squares`: viscous and dry friction, rotor inertia and offset of every joint and every body's mass at once
-(`gap/baseline_least_squares`); a term that carries a hundredth of what the fit explains is listed. The others are
-those of `gap/baselines.py`; of logs without torque `pace_like` is the fit of closed-loop replays
-(`pace_positions.py`), and the others refuse those. All are `explained` where they list anything.
+(`gap/baseline_least_squares`); a term that carries a hundredth of what the fit explains is listed. `mujoco_sysid`:
+MuJoCo's own, told to fit all of these but the offset (`sysid_fit.py`). The others are those of `gap/baselines.py`; of
+logs without torque `pace_like` is the fit of closed-loop replays (`pace_positions.py`), and all but these two refuse
+those. Floating bases are refused. All are `explained` where they list anything.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import baselines
 import mujoco
 import numpy as np
 import pace_positions
+import sysid_fit
 from baseline_chain import Residual
 from baseline_least_squares import columns
 from cad_truth import TERMS
@@ -61,6 +64,25 @@ def least_squares(folder: Path) -> tuple[dict, str]:
     return _as_report(model, theta[: 4 * n].reshape(n, 4), carried.reshape(n, 4)), spec.to_xml()
 
 
+def mujoco_sysid(folder: Path) -> tuple[dict, str]:
+    """As `least_squares`; of a log without torque the model is the whole robot."""
+    spec, log = mujoco.MjSpec.from_file(str(folder / "nominal.xml")), read(folder / "log.npz")
+    plain = spec.compile()
+    lacking, carried = sysid_fit.fit(spec, log)
+    report = _as_report(plain, lacking, carried)
+    if "tau" in log:
+        # A report of torques states its joints' numbers itself.
+        for joint in spec.joints:
+            j = plain.joint(joint.name).dofadr[0]
+            joint.armature, joint.frictionloss = plain.dof_armature[j], plain.dof_frictionloss[j]
+            joint.damping = np.array([plain.dof_damping[j], *joint.damping[1:]])
+    spec.compile()
+    return report, spec.to_xml()
+
+
+FITS = {"least_squares": least_squares, "mujoco_sysid": mujoco_sysid}
+
+
 def bodies_of(model: mujoco.MjModel) -> list[int]:
     """Those that `columns` has a factor of."""
     return [
@@ -90,12 +112,14 @@ def report(folder: Path, tool: str) -> tuple[dict, str | None]:
     """report.json, and corrected.xml where the tool has one."""
     corrected = None
     log = read(folder / "log.npz")
-    if "tau" not in log:
-        if tool != "pace_like":
-            raise ValueError("the log has no torque")
+    if "base_quat" in log:
+        raise ValueError("the base floats; expected a fixed one")
+    if tool == "pace_like" and "tau" not in log:
         made, corrected = pace_positions.answer(folder, log)
-    elif tool == "least_squares":
-        made, corrected = least_squares(folder)
+    elif "tau" not in log and tool != "mujoco_sysid":
+        raise ValueError("the log has no torque")
+    elif tool in FITS:
+        made, corrected = FITS[tool](folder)
     else:
         made = {"effects": TOOLS[tool](Residual.read(folder))}
     for effect in made["effects"]:
@@ -141,7 +165,7 @@ def main() -> None:
     )
     parser.add_argument("logs", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--tool", required=True, choices=["least_squares", *TOOLS])
+    parser.add_argument("--tool", required=True, choices=[*FITS, *TOOLS])
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     folders = sorted(p for p in args.logs.iterdir() if (p / "log.npz").exists())

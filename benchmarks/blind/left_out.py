@@ -2,23 +2,32 @@
 
     python benchmarks/blind/left_out.py plan LOGS SEALED OUT --commitment HEX
     python benchmarks/blind/left_out.py run LOGS OUT --jobs 2 [--limit N]
+    python benchmarks/blind/left_out.py table LOGS SEALED OUT --commitment HEX --found FOUND
 
-After the answers are open. `plan` writes OUT/FAMILY.txt, the clear logs that hold that family alone; `run` diagnoses
-those with `--exclude FAMILY`, as `solve.py` does, into OUT/FAMILY; `score.py --left-out OUT` adds the table. Honest is
-`unknown`, or a twin: what the diagnosis with all families declares to tie with it, what contains the family as a
-special case, or the parts that it is the sum of.
+After the answers are open. `plan` writes OUT/FAMILY.txt, the clear logs that hold that family alone, or beside ordinary
+physics; `run` diagnoses those with `--exclude FAMILY`, as `solve.py` does, into OUT/FAMILY; `table` prints what came of
+it (`score.py --left-out OUT` adds it to its page). Honest is `unknown`, of mixed sets `partly` too, or a twin: what the
+diagnosis with all families declares to tie with it, what contains the family as a special case, or the parts that it is
+the sum of.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
-import solve
-import vault
-from exam.marks import CLEAR, accepted, key
-from exam.rates import Share
+HERE = Path(__file__).resolve().parent
+for folder in (HERE, HERE.parent / "gap"):
+    sys.path.append(str(folder))
+
+import solve  # noqa: E402
+import vault  # noqa: E402
+from evaluate_cad import SEEN, keys_of  # noqa: E402
+from exam.marks import CLEAR, accepted, key  # noqa: E402
+from exam.rates import Share  # noqa: E402
+from report_torque import ORDINARY  # noqa: E402
 
 CONTAINS = {
     "coulomb_friction": {"stribeck_friction", "asymmetric_coulomb", "load_friction"},
@@ -30,19 +39,40 @@ CONTAINS = {
 }
 """Families that are another one with a number more (a gear's play on its spring): to name those is no mistake."""
 
+FLAGGED = {False: ("unknown",), True: ("unknown", "partly")}
+"""Verdicts that say something is missing, of sets without and with --mixed."""
+
 PARTS = {"asymmetric_coulomb": {"coulomb_friction", "torque_bias"}}
 """Families that are the sum of others at the same place, exactly."""
+
+
+def is_mixed(truth: dict) -> bool:
+    return "setting" not in truth
+
+
+def hidden(truth: dict) -> dict | None:
+    """The one effect of a log that is clear and of the library."""
+    if is_mixed(truth):
+        odd = truth.get("odd")
+        mine = odd and truth["stratum"] in ("one_effect", "bare_odd")
+        return odd if mine and odd["visibility"]["sigmas"] >= SEEN else None
+    effect = truth["effects"][0] if truth["setting"]["stratum"] == "single" else None
+    return effect if effect and effect["visibility"]["distinct"] >= CLEAR else None
+
+
+def first(truth: dict, report: dict) -> dict | None:
+    """The most important effect listed; of a robot as it is bought, beyond ordinary physics."""
+    bought = truth.get("stratum") == "bare_odd"
+    some = [e for e in report["effects"] if not (bought and e["family"] in ORDINARY)]
+    return some[0] if some else None
 
 
 def holders(answers: dict) -> dict[str, list[str]]:
     """Names of the clear logs that hold one effect, by its family."""
     out: dict[str, list[str]] = {}
     for name, answer in answers["logs"].items():
-        truth = answer["truth"]
-        if truth["setting"]["stratum"] == "single":
-            effect = truth["effects"][0]
-            if effect["visibility"]["distinct"] >= CLEAR:
-                out.setdefault(effect["family"], []).append(name)
+        if effect := hidden(answer["truth"]):
+            out.setdefault(effect["family"], []).append(name)
     return dict(sorted(out.items()))
 
 
@@ -50,8 +80,15 @@ def honest(truth: dict, report: dict, whole: dict | None) -> bool:
     """Whether a report without the true family is an honest one; `whole` is the report with all families."""
     if report["verdict"] in ("unknown", "no_gap"):
         return report["verdict"] == "unknown"
-    found, effect = key(report["effects"][0]), truth["effects"][0]
-    if found in accepted(truth)[0]:
+    mixed = is_mixed(truth)
+    if mixed and report["verdict"] == "partly":
+        return True
+    effect = truth["odd"] if mixed else truth["effects"][0]
+    listed = first(truth, report)
+    if listed is None:
+        return False
+    found = key(listed)
+    if found in (keys_of(effect) if mixed else accepted(truth)[0]):
         return True
     place = effect["location"]["name"]
     if found[0] in CONTAINS.get(effect["family"], ()) and found[1] == place:
@@ -59,10 +96,8 @@ def honest(truth: dict, report: dict, whole: dict | None) -> bool:
     parts = PARTS.get(effect["family"])
     if parts and parts <= {f for f, at in map(key, report["effects"]) if at == place}:
         return True
-    if whole is None or not whole["effects"]:
-        return False
-    first = whole["effects"][0]
-    return {found, key(effect)} <= {key(first), *map(key, first["equivalent"])}
+    before = None if whole is None else first(truth, whole)
+    return before is not None and {found, key(effect)} <= keys_of(before)
 
 
 def table(answers: dict, out: Path, found: Path) -> str:
@@ -70,7 +105,7 @@ def table(answers: dict, out: Path, found: Path) -> str:
     lines = [
         "## Each family left out in turn",
         "",
-        "| left out | unknown | or a declared twin | place |",
+        "| left out | flagged | or a declared twin | place |",
     ]
     lines.append("|---|---|---|---|")
     sums = [0, 0, 0, 0]
@@ -84,11 +119,12 @@ def table(answers: dict, out: Path, found: Path) -> str:
             full = found / "results" / name / "report.json"
             whole = json.loads(full.read_text()) if full.exists() else None
             truth = answers["logs"][name]["truth"]
-            place = truth["effects"][0]["location"]["name"]
-            told = {key(e)[1] for e in report["effects"][:1]}
-            counts[0] += report["verdict"] == "unknown"
+            effect = hidden(truth)
+            assert effect is not None
+            listed = first(truth, report)
+            counts[0] += report["verdict"] in FLAGGED[is_mixed(truth)]
             counts[1] += honest(truth, report, whole)
-            counts[2] += place in told
+            counts[2] += listed is not None and key(listed)[1] == effect["location"]["name"]
             counts[3] += 1
         if counts[3]:
             sums = [a + b for a, b in zip(sums, counts, strict=True)]
@@ -103,21 +139,25 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, dest="command")
-    plan = commands.add_parser("plan")
-    plan.add_argument("logs", type=Path)
-    plan.add_argument("sealed", type=Path)
-    plan.add_argument("out", type=Path)
-    plan.add_argument("--commitment", required=True)
+    for name in ("plan", "table"):
+        one = commands.add_parser(name)
+        for argument in ("logs", "sealed", "out"):
+            one.add_argument(argument, type=Path)
+        one.add_argument("--commitment", required=True)
+    one.add_argument("--found", type=Path, required=True, help="what solve.py wrote")
     run = commands.add_parser("run")
     run.add_argument("logs", type=Path)
     run.add_argument("out", type=Path)
     run.add_argument("--jobs", type=int, default=1)
     run.add_argument("--limit", type=int, help="logs a family, at most")
     args = parser.parse_args()
-    if args.command == "plan":
+    if args.command != "run":
         told = Path(args.commitment)
         promise = told.read_text() if told.exists() else args.commitment
         answers = vault.unseal(args.sealed, promise, args.logs)
+        if args.command == "table":
+            print(table(answers, args.out, args.found))
+            return
         args.out.mkdir(parents=True, exist_ok=True)
         for family, names in holders(answers).items():
             (args.out / f"{family}.txt").write_text("\n".join(names) + "\n")

@@ -10,10 +10,12 @@
 | `misread` | the same | the log means something else than the model (`gap/misread.py`) |
 | `position` | bodies alone | a robot that is told positions, no torque: nothing, friction and more, effects |
 | `position_torque` | the same | the same, with the torques of its motors |
+| `imu` | as `sound`, or bodies alone | a robot on its feet without base pose and wrenches: nothing, friction, a load |
 
-Robots are `gap/cad_robots` and `replay/robots`, or any that one names (`gap/own_robot`). Some logs are of an ordinary
-motion, and some keep 20, 50 or 100 rows a second of a loop that is faster. A log depends on the seed and its index
-alone.
+Every third log of `TWO_ENGINES` is Pinocchio's forward dynamics with another law of dry friction
+(`gap/pinocchio_plant`), all others are MuJoCo's; the truth says which. Robots are `gap/cad_robots`, `replay/robots` and
+`legs`, or any that one names (`gap/own_robot`). Some logs are of an ordinary motion, and some keep 20, 50 or 100 rows a
+second of a loop that is faster. A log depends on the seed and its index alone.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 import cad
 import position
+import standing
 from cad_draw import ODD, OUTSIDE
 from cad_robots import CAD_ROBOTS, bare
 from many import write_folder
@@ -38,15 +41,19 @@ from own_robot import own_robot, rated_torque
 from robots import Robot
 
 SHARES = {
-    "sound": 0.10,
-    "one_effect": 0.14,
+    "sound": 0.08,
+    "one_effect": 0.12,
     "bare": 0.12,
-    "bare_odd": 0.24,
-    "outside": 0.09,
-    "misread": 0.11,
-    "position": 0.14,
-    "position_torque": 0.06,
+    "bare_odd": 0.22,
+    "outside": 0.08,
+    "misread": 0.10,
+    "position": 0.12,
+    "position_torque": 0.08,
+    "imu": 0.08,
 }
+TWO_ENGINES = ("sound", "one_effect", "bare", "bare_odd", "outside")
+EVERY = 3
+"""Which of their logs are the second engine's: the second of each three."""
 SLOW, ORDINARY = 0.3, 0.25
 """Shares of logs that keep some rows of the loop alone, and whose motion is an ordinary one."""
 RATES = (20, 50, 100)
@@ -64,16 +71,27 @@ class Task:
     robots: tuple[str, ...] = ()
     """Files of the robots; none for the generator's own."""
     fix_base: bool = False
+    engine: str = cad.MUJOCO
 
 
-def plan(seed: int, count: int, robots: tuple[str, ...] = (), fix_base: bool = False) -> list[Task]:
-    """Which log holds what: strata by their shares, kinds in turn, both in an order of the seed's."""
+def plan(
+    seed: int,
+    count: int,
+    robots: tuple[str, ...] = (),
+    fix_base: bool = False,
+    engines: tuple[str, ...] = cad.ENGINES,
+) -> list[Task]:
+    """Which log holds what: strata by their shares, kinds in turn, both in an order of the seed's.
+
+    One's own robots have a fixed base: no `imu` among them.
+    """
     rng = np.random.default_rng([seed, 0])
-    quota = {s: share * count for s, share in SHARES.items()}
+    shares = {s: x for s, x in SHARES.items() if not (robots and s == standing.STRATUM)}
+    quota = {s: share * count / sum(shares.values()) for s, share in shares.items()}
     names: list[str] = []
     for _ in range(count):
         # The stratum that is furthest behind its share: a short set holds every one of them.
-        behind = {s: quota[s] - names.count(s) for s in SHARES}
+        behind = {s: quota[s] - names.count(s) for s in shares}
         names.append(max(behind, key=lambda s: behind[s]))
     names = [str(x) for x in rng.permutation(names)]
     turns = {s: list(rng.permutation(kinds)) for s, kinds in KINDS.items()}
@@ -83,9 +101,15 @@ def plan(seed: int, count: int, robots: tuple[str, ...] = (), fix_base: bool = F
         kinds = turns.get(stratum)
         before = names[:index].count(stratum)
         kind = str(kinds[before % len(kinds)]) if kinds else ""
-        if stratum in position.STRATA:
+        if stratum in (*position.STRATA, standing.STRATUM):
             kind = str(first + before)
-        tasks.append(Task(stratum, kind, seed, index, robots, fix_base))
+        # Kinds that come in threes are not always the same engine's.
+        turn = before
+        if kinds and len(kinds) % EVERY == 0:
+            turn += before // len(kinds)
+        second = stratum in TWO_ENGINES and turn % EVERY == 1
+        engine = engines[-1] if second else engines[0]
+        tasks.append(Task(stratum, kind, seed, index, robots, fix_base, engine))
     return tasks
 
 
@@ -111,6 +135,8 @@ def make(task: Task) -> cad.Made:
     """Both logs, the nominal model and the truth. RuntimeError where no draw of the effect keeps the loop stable."""
     if task.stratum in position.STRATA:
         return _of_positions(task)
+    if task.stratum == standing.STRATUM:
+        return standing.make(int(task.kind), [task.seed, STANDING, task.index])
     setting = cad.draw_setting(task.seed, task.index, library(task))
     rng = np.random.default_rng([*setting.seed, 10])
     if rng.random() < ORDINARY:
@@ -119,6 +145,7 @@ def make(task: Task) -> cad.Made:
     if slow:
         # Of a row that is kept, the torque until the next one is not known.
         setting.options["tau_kind"] = "current"
+    setting.engine = task.engine
     setting.good = task.stratum in ("sound", "one_effect")
     kind = task.kind
     if kind == "joint_coupling" and len(setting.robot.joints) < 2:
@@ -148,11 +175,11 @@ def _of_positions(task: Task) -> cad.Made:
         bought = robots[f"own{number % len(robots)}"]()
     torque = task.stratum == "position_torque"
     made = position.make(number, [task.seed, POSITION, task.index], torque, bought)
-    made.truth["stratum"] = task.stratum
+    made.truth |= {"stratum": task.stratum, "engine": cad.MUJOCO}
     return made
 
 
-POSITION = 30  # in the seeds
+POSITION, STANDING = 30, 31  # in the seeds
 
 
 def kept(log: dict[str, np.ndarray], every: int) -> dict[str, np.ndarray]:

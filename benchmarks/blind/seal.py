@@ -102,7 +102,7 @@ def _made(setting: Planned):
 
 def _made_in_world(setting: Setting):
     """`make`, with other robots of the same kind where no draw of an effect leaves the loop stable."""
-    from world.make import make  # Pinocchio, which mixed strata do without.
+    from world.make import make  # It needs Pinocchio, and most mixed strata do not.
 
     for further in range(TRIES):
         try:

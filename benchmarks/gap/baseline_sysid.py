@@ -190,7 +190,7 @@ def fit(folder: Path, family: str, kind: str, name: str) -> tuple[dict, float] |
     )
     found, _ = sysid.optimize(
         initial_params=parameters,
-        residual_fn=sysid.build_residual_fn(models_sequences=[_windows(spec, log)], n_threads=1),
+        residual_fn=sysid.build_residual_fn(models_sequences=[windows(spec, log)], n_threads=1),
         optimizer="mujoco",
         verbose=False,
     )
@@ -198,8 +198,10 @@ def fit(folder: Path, family: str, kind: str, name: str) -> tuple[dict, float] |
     return as_effect(family, kind, name, wanted.report(found[family].value)), seconds
 
 
-def _windows(spec: mujoco.MjSpec, log: dict[str, np.ndarray]) -> sysid.ModelSequences:
-    """The log in short windows, each from a state of its own, torques as controls and joint positions as sensors."""
+def windows(
+    spec: mujoco.MjSpec, log: dict[str, np.ndarray], told: str = "tau"
+) -> sysid.ModelSequences:
+    """The log in short windows, each from a state of its own, `told` as controls and joint positions as sensors."""
     rate = 1.0 / float(np.median(np.diff(log["time"])))
     joints = [str(n) for n in log["joint_names"]]
     for name in joints:
@@ -223,7 +225,7 @@ def _windows(spec: mujoco.MjSpec, log: dict[str, np.ndarray]) -> sysid.ModelSequ
         for j, name in enumerate(joints):
             data.joint(name).qpos, data.joint(name).qvel = clean[k, j], speed[k, j]
         states.append(sysid.create_initial_state(model, data.qpos, data.qvel, data.act))
-        controls.append(sysid.TimeSeries(when, log["tau"][span][:, order]))
+        controls.append(sysid.TimeSeries(when, log[told][span][:, order]))
         sensors.append(sysid.TimeSeries.from_names(when, log["qpos"][span], model))
     names = [f"from {k}" for k in starts]
     return sysid.ModelSequences("robot", spec, names, states, controls, sensors)

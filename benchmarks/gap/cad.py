@@ -48,6 +48,8 @@ from robots import Robot
 
 ATTEMPTS = 10
 NUMBER = 20  # of this stratum, in the seeds
+MUJOCO, PINOCCHIO = ENGINES = ("mujoco", "pinocchio")
+"""What plays the world: `plant` with `cad_plant`'s bristles, or `pinocchio_plant` with its slipping springs."""
 
 
 @dataclass
@@ -66,6 +68,7 @@ class Setting:
     options: dict
     good: bool = False
     """The nominal model has every joint's friction and rotor."""
+    engine: str = MUJOCO
     mount: np.ndarray | None = None
     """Gravity as it really is, in the base's axes [m/s²]; None: as the model has it."""
 
@@ -157,10 +160,20 @@ def draw_kind(seed: int, index: int) -> str:
     return str(rng.choice(OUTSIDE)) if chance < 0.7 else ""
 
 
+def _plant(s: Setting, hidden: Hidden) -> Plant:
+    model = hidden.model(s.real)
+    if s.engine == PINOCCHIO:
+        from pinocchio_plant import PinocchioPlant, Slips  # Pinocchio, which most logs do without.
+
+        return PinocchioPlant(s.robot, model, hidden.effects(Slips))
+    plant = Plant(s.robot, model, hidden.effects())
+    plant.finest = STEP
+    return plant
+
+
 def simulate(s: Setting, hidden: Hidden, which: int, noise: Noise, preroll: float = 1.0) -> dict:
     """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
-    plant = Plant(s.robot, hidden.model(s.real), hidden.effects())
-    plant.finest = STEP
+    plant = _plant(s, hidden)
     motion = make_motion(s.robot, s.kinds[which], [*s.seed, 3, which])
     duration = (s.duration, s.test_duration)[which]
     run = nominal_run(s.robot, s.kinds[which], [*s.seed, 3, which], 4.0)
@@ -268,6 +281,7 @@ def describe(s: Setting, hidden: Hidden, noise: Noise, log, test, attempt: int) 
         "schema": 1,
         "stratum": "cad",
         "robot": s.robot.name,
+        "engine": s.engine,
         "joints": cad_truth.joint_terms(s.real, hidden, seen, other),
         "odd": entry,
         "present": present,

@@ -73,9 +73,9 @@ class Hidden:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         return model
 
-    def effects(self) -> list[fx.Effect]:
-        """For the plant, the ordinary ones first."""
-        ordinary = Ordinary(
+    def effects(self, kind: type[Ordinary] = Ordinary) -> list[fx.Effect]:
+        """For the plant, the ordinary ones first, by the friction of class `kind`."""
+        ordinary = kind(
             self.law, self.presliding, self.armature, self.bias, self.odd_law, self.wave
         )
         if isinstance(self.odd, tm.TwoMass):

@@ -44,6 +44,8 @@ class Plant:
     """A robot with hidden effects. `model` is edited: pass a copy."""
 
     finest = 2.5e-4  # s: the step where no effect asks for a shorter one
+    stretch = 1.0
+    """What effects ask for, of the midpoint rule, times this."""
 
     def __init__(self, robot: Robot, model: mujoco.MjModel, effects: list[Effect]):
         self.robot, self.effects = robot, effects
@@ -66,6 +68,10 @@ class Plant:
         self.actuate, self.load, self.sense = having("actuate"), having("load"), having("sense")
         self.evolve, self.commit, self.record = having("evolve"), having("commit"), having("record")
         self.pushes = any(e.kind == "body" for e in effects)
+
+    def _start(self, q: np.ndarray, v: np.ndarray) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = q, v
 
     def _accelerate(self, t: float, tau: np.ndarray) -> None:
         out = self.out
@@ -124,13 +130,12 @@ class Plant:
         row; contact wrenches are means over that same interval.
         """
         data, n, floating = self.data, len(self.robot.joints), self.robot.floating
-        mujoco.mj_resetData(self.model, data)
-        data.qpos[:], data.qvel[:] = start
+        self._start(*start)
         joint_q = data.qpos[7:] if floating else data.qpos
         joint_v = data.qvel[self.dofs]
         for effect in self.effects:
             effect.reset(joint_q, joint_v)
-        dt = min([self.finest] + [e.dt_max for e in self.effects])
+        dt = min([self.finest] + [self.stretch * e.dt_max for e in self.effects])
         substeps = int(np.ceil(1.0 / rate / dt - 1e-9))
         dt = 1.0 / rate / substeps
         first = -int(preroll * rate)

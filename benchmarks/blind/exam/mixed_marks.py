@@ -18,7 +18,7 @@ import evaluate_cad
 from evaluate_cad import SEEN, key, keys_of
 from report_torque import ORDINARY
 
-from exam import position_marks
+from exam import imu_marks, position_marks
 
 WORDS = {
     "no_gravity": r"gravity",
@@ -51,6 +51,7 @@ def mark(folder: Path, place: Path) -> dict:
         "log": folder.name,
         "stratum": truth["stratum"],
         "robot": truth["robot"],
+        "engine": truth.get("engine", "mujoco"),
         "verdict": "refused" if report is None else report["verdict"],
         "confidence": None if report is None else report.get("confidence"),
         "said": said[-SHOWN:],
@@ -58,6 +59,8 @@ def mark(folder: Path, place: Path) -> dict:
     }
     if truth["stratum"] in position_marks.STRATA:
         return row | position_marks.marks(folder, place, truth, report)
+    if truth["stratum"] == imu_marks.STRATUM:
+        return row | imu_marks.marks(truth, report)
     odd, stratum = truth["odd"], truth["stratum"]
     seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
     row |= {

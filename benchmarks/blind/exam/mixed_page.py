@@ -8,8 +8,10 @@ import numpy as np
 
 from exam.rates import Share, count
 
-POSITION = ("position", "position_torque")
-STRATA = ("sound", "one_effect", "bare", "bare_odd", "outside", "misread", *POSITION)
+POSITION = ("position", "position_torque", "imu")
+TORQUE = ("sound", "one_effect", "bare", "bare_odd", "outside")
+"""Strata that two engines make."""
+STRATA = (*TORQUE, "misread", *POSITION)
 CAD = ("bare", "bare_odd", "outside")
 MEANING = {
     "sound": "nothing is hidden, and `no_gap` is said",
@@ -20,6 +22,7 @@ MEANING = {
     "misread": "the fault is named, and no confident verdict given",
     "position": "`no_gap` of a sound robot; every effect listed, its place right, ties counted; else nothing invented",
     "position_torque": "the same",
+    "imu": "the same",
 }
 DRAWS = 2000
 SEALED = (
@@ -115,6 +118,12 @@ def shares(rows: list[dict]) -> dict[str, Share]:
         "outside_flagged": count(r["right"] for r in of(asked, "outside")),
         "misread_named": count(r["right"] for r in of(rows, "misread")),
         "position_family": count(x for r in of(rows, *POSITION) for x in r["named"]),
+        "imu_mass_within_5_percent": count(
+            abs(r["mass_error"] or 0.0) <= 0.05 and r["mass_error"] is not None
+            for r in of(rows, "imu")
+            if r["sigmas"]
+        ),
+        "imu_nothing_invented": count(not r["invented"] for r in of(rows, "imu")),
         "sound_no_gap": count(r["right"] for r in rows if r["hidden"] == "nothing"),
         "wrong_and_confident": count(r["confident_wrong"] for r in rows),
         "refused": count(r["verdict"] == "refused" for r in rows if r["stratum"] != "misread"),
@@ -153,6 +162,18 @@ def told(number: Bounded) -> str:
     return "–" if number[0] is None else "{:.3f} [{:.3f}, {:.3f}]".format(*number)
 
 
+def engines(rows: list[dict]) -> list[str]:
+    """Lines of a table: a row a stratum, a column an engine, of the strata that both make."""
+    names = sorted({r["engine"] for r in of(rows, *TORQUE)})
+    if len(names) < 2:
+        return []
+    lines = ["", f"| right, world by | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+    for stratum in TORQUE:
+        shares = [count(r["right"] for r in of(rows, stratum) if r["engine"] == e) for e in names]
+        lines.append(f"| {stratum} | {' | '.join(map(str, shares))} |")
+    return lines
+
+
 def page(rows: list[dict], pace: list[dict], title: str, head: str = "") -> str:
     """Markdown: strata, rates, every wrong row; `pace` as of `summary`."""
     lines = [
@@ -167,6 +188,7 @@ def page(rows: list[dict], pace: list[dict], title: str, head: str = "") -> str:
         if some := of(rows, stratum):
             right = count(r["right"] for r in some)
             lines.append(f"| {stratum} | {len(some)} | {right} | {MEANING[stratum]} |")
+    lines += engines(rows)
     lines += ["", "| | |", "|---|---|"]
     for name, share in shares(rows).items():
         if share.n:

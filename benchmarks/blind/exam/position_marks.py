@@ -87,8 +87,11 @@ def hidden(truth: dict) -> str:
     return odd or {"sound": "nothing"}.get(truth["kind"], "ordinary physics")
 
 
-def of_effects(truth: dict, report: dict | None) -> dict:
-    """Marks of one report; `named`: of each effect that is asked for, whether it was listed, ties counted."""
+def of_effects(truth: dict, report: dict | None, ordinary: set[str] = ORDINARY) -> dict:
+    """Marks of one report; `named`: of each effect that is asked for, whether it was listed, ties counted.
+
+    `ordinary`: families that every robot hides, but those that are sound otherwise.
+    """
     asked = [e for e in truth["effects"] if e["visibility"]["sigmas"] >= SEEN]
     row = {"asked": bool(asked) or not truth["effects"], "named": [False] * len(asked)}
     if report is None:
@@ -96,7 +99,7 @@ def of_effects(truth: dict, report: dict | None) -> dict:
     listed = report["effects"]
     named = [any(keys_of(e) & keys_of(h) for e in listed) for h in asked]
     real = set().union(*map(keys_of, truth["effects"])) if truth["effects"] else set()
-    usual = ORDINARY if truth["kind"] not in ("sound", "alone") else set()
+    usual = ordinary if truth["kind"] not in ("sound", "alone") else set()
     there = [e["family"] in usual or bool(keys_of(e) & real) for e in listed]
     verdict, sure = report["verdict"], report["verdict"] in ("explained", "no_gap")
     if truth["kind"] == "sound":
