@@ -1,6 +1,7 @@
 """Float64, shape annotations checked at run time, and one compiled set of functions per test robot."""
 
 import functools
+import gc
 import os
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -14,8 +15,11 @@ FLAGS = ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split
 if version("jaxlib").startswith("0.9."):  # an unknown flag aborts the process, and 0.12 has no such choice
     FLAGS.append("--xla_cpu_use_fusion_emitters=false")
 if "PYTEST_XDIST_WORKER" in os.environ:
-    FLAGS += ["--xla_cpu_multi_thread_eigen=false", "intra_op_parallelism_threads=1"]
+    FLAGS.append("--xla_cpu_multi_thread_eigen=false")
 os.environ["XLA_FLAGS"] = " ".join([*FLAGS, os.environ.get("XLA_FLAGS", "")])
+
+# Tracing makes millions of objects that live on, and each time jax's own callback is called too: a fifth of the time.
+gc.set_threshold(200_000, 20, 20)
 
 import jax
 from jaxtyping import config, install_import_hook
