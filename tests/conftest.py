@@ -21,12 +21,12 @@ os.environ["XLA_FLAGS"] = " ".join([*FLAGS, os.environ.get("XLA_FLAGS", "")])
 # Tracing makes millions of objects that live on, and each time jax's own callback is called too: a fifth of the time.
 gc.set_threshold(200_000, 20, 20)
 
+import annotations
 import jax
-from jaxtyping import config, install_import_hook
+from jaxtyping import config
 
 jax.config.update("jax_enable_x64", True)
-# Before anything imports the package, so that every annotation in it is checked.
-install_import_hook("jax_inertia", "beartype.beartype")
+annotations.install()
 
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
@@ -39,6 +39,12 @@ from jax_inertia.robots import humanoid_mjcf  # noqa: E402
 ROBOTS = (*MODELS, "humanoid")
 # Compiling is what these tests spend their time on.
 FAST = {"xla_backend_optimization_level": 0}
+
+
+@pytest.fixture(autouse=True)
+def checked_anew():
+    """Every test has its functions' first calls checked."""
+    annotations.calls.clear()
 
 
 @pytest.fixture
