@@ -12,18 +12,16 @@ os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM
 # Compiling is what these tests spend their time on: as little of it as XLA can be asked for. Without optimising, a
 # compilation takes a fifth of its time and a third of its memory, and what it makes runs at a third of its speed.
 FLAGS = ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
-if version("jaxlib").startswith("0.9."):  # an unknown flag aborts the process, and 0.12 has no such choice
+# A flag that XLA does not know aborts the process, and jax 0.12's has no choice of emitters.
+if version("jaxlib").startswith("0.9."):
     FLAGS.append("--xla_cpu_use_fusion_emitters=false")
 if "PYTEST_XDIST_WORKER" in os.environ:
     FLAGS.append("--xla_cpu_multi_thread_eigen=false")
 os.environ["XLA_FLAGS"] = " ".join([*FLAGS, os.environ.get("XLA_FLAGS", "")])
 
-# Tracing makes millions of objects that live on, and each time jax's own callback is called too: a fifth of the time.
-gc.set_threshold(200_000, 20, 20)
-
-import annotations
-import jax
-from jaxtyping import config
+import annotations  # noqa: E402
+import jax  # noqa: E402
+from jaxtyping import config  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 annotations.install()
@@ -35,6 +33,9 @@ from models import MODELS  # noqa: E402
 
 import jax_inertia as ji  # noqa: E402
 from jax_inertia.robots import humanoid_mjcf  # noqa: E402
+
+# Tracing makes millions of objects that live on, and each collection calls jax's own too: a fifth of the time.
+gc.set_threshold(200_000, 20, 20)
 
 ROBOTS = (*MODELS, "humanoid")
 # Compiling is what these tests spend their time on.
