@@ -1,6 +1,7 @@
 """The diagnosis on small logs made by MuJoCo C, effects in forms of its own; nothing of the generator's code."""
 
 import dataclasses
+import json
 
 import mujoco
 import numpy as np
@@ -29,10 +30,18 @@ def test_a_true_model_has_no_gap(robot):
     assert found.findings == ()
 
 
-def test_viscous_friction_is_named_placed_and_sized(robot):
-    log = simulate(lambda t, q, v, u: np.array([0.0, -0.15 * v[1]]))
-    other = simulate(lambda t, q, v, u: np.array([0.0, -0.15 * v[1]]), seed=5, seconds=6.0)
-    found = diagnose(robot, log, test_log=other)
+def viscous(t, q, v, u):
+    return np.array([0.0, -0.15 * v[1]])
+
+
+@pytest.fixture(scope="module")
+def with_friction(robot):
+    """The diagnosis of viscous friction at the elbow, and a test log."""
+    return diagnose(robot, simulate(viscous), test_log=simulate(viscous, seed=5, seconds=6.0))
+
+
+def test_viscous_friction_is_named_placed_and_sized(with_friction):
+    found = with_friction
     assert found.verdict is Verdict.EXPLAINED
     (effect,) = found.findings
     assert (effect.family, effect.place.name) == ("viscous_friction", "elbow")
@@ -84,7 +93,7 @@ def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor)
     assert effect.parameters["coulomb"].value == pytest.approx(0.2, rel=0.1)
 
 
-@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("joint", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_an_encoder_that_is_degrees_off_is_all_there_is(robot, joint):
     """To first order in the angle two per cent of it would be left, for a force or a shifted mass to explain."""
     wrong = 0.08 * np.eye(2)[joint]
@@ -119,20 +128,18 @@ def test_payload_is_found_on_its_body(robot):
 
 
 def test_excluded_families_are_not_found(robot):
-    log = simulate(lambda t, q, v, u: np.array([0.0, -0.15 * v[1]]))
+    log = simulate(viscous)
     found = diagnose(robot, log, exclude=["viscous_friction"])
     assert all(f.family != "viscous_friction" for f in found.findings)
     with pytest.raises(ValueError, match="valid: actuator_lag"):
         diagnose(robot, log, exclude=["viscosity"])
 
 
-def test_report_is_plain_json(robot):
-    import json
-
-    report = to_report(diagnose(robot, simulate(lambda t, q, v, u: np.array([0.5, 0.0]))))
+def test_report_is_plain_json(with_friction):
+    report = to_report(with_friction)
     text = json.dumps(report, allow_nan=False)
     assert json.loads(text)["schema"] == 1
-    assert report["effects"][0]["location"] == {"kind": "joint", "name": "shoulder"}
+    assert report["effects"][0]["location"] == {"kind": "joint", "name": "elbow"}
 
 
 def test_every_plan_of_search_is_for_an_effect_of_the_registry():
