@@ -18,6 +18,7 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.search.discrepancy import LENGTHS, SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
+from jax_inertia.diagnosis.search.selection import bayes_factor
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import verdict
 
@@ -92,6 +93,47 @@ def test_without_one_is_what_a_fit_without_it_finds(problem):
             np.testing.assert_allclose(
                 getattr(found, name), getattr(fresh, name), rtol=1e-7, atol=1e-9
             )
+
+
+def test_parts_that_agree_as_the_log_does_bring_the_worth(problem):
+    evidence, chosen = problem
+    now = evidence.posterior(chosen)
+    for h, part, worth in zip(chosen, now.slices, evidence.worths(now), strict=True):
+        own = now.covariance[part, part]
+        assert bayes_factor(h, now.mean[part], own, own) == pytest.approx(worth, rel=1e-4)
+
+
+def test_what_is_all_there_is_not_refuted_by_parts_that_find_seven_tenths_of_it():
+    """By a closed form: of ẑ ± √v, prior 1 ± s against none."""
+    place = Place("joint", "j0", 0)
+    h = Hypothesis(TorqueSaturation(), place, (), np.ones((ROWS, 1)), 0, np.array([0.2]), 0.0)
+    exact, wide = np.array([[1e-6]]), np.array([[1.0]])
+    mean = np.array([0.7 / 0.2])
+    wanted = 0.5 * (3.5**2 / 1.0 - (3.5 - 5.0) ** 2 / 2.0 + np.log(1.0 / 2.0))
+    assert bayes_factor(h, mean, exact, wide) == pytest.approx(wanted, rel=1e-3)
+    assert wanted > 4.0
+
+
+def test_a_moments_push_is_no_slow_misfit_and_a_slow_misfit_no_push():
+    rng, rows = np.random.default_rng(4), 400
+    place = Place("body", "b", 1)
+    window = np.zeros((rows, 1, 1))
+    window[150:190] = 1.0
+    h = Hypothesis(ViscousFriction(), place, (), window, None, np.array([10.0]), 0.0)
+    weight = np.ones((rows, 1))
+    slow = np.zeros(rows)
+    for k in range(1, rows):
+        slow[k] = 0.98 * slow[k - 1] + 0.2 * rng.normal()
+    noise = 0.02 * rng.normal(size=rows)
+
+    def lost(y: np.ndarray) -> float:
+        evidence = Evidence(y[:, None], weight, np.full(1, 1e-3))
+        now = evidence.posterior((h,))
+        evidence.learn(now)
+        return evidence.loss(evidence.posterior((h,)), h)
+
+    assert lost(noise + 0.6 * window[:, 0, 0]) > 100.0
+    assert lost(noise + slow) < 8.0
 
 
 def test_the_smallest_detectable_size_gains_its_prior_odds(problem):

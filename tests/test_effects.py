@@ -143,6 +143,21 @@ def residual_of(u: np.ndarray) -> Residual:
     return Residual(ROBOT, dataclasses.replace(log, qpos=Q), Settings())
 
 
+def test_load_is_of_the_motor_or_of_the_link():
+    """The motor's torque has the joint's own friction in it, the link's has not."""
+    rubbing = NOMINAL.replace('name="elbow"', 'name="elbow" damping="0.8" armature="0.1"')
+    robot = load_model(mujoco.MjModel.from_xml_string(rubbing)).astype("float64")
+    motor = needed(mujoco.MjModel.from_xml_string(rubbing))
+    link = needed(mujoco.MjModel.from_xml_string(NOMINAL))
+    log = log_of(TIME, Q, motor, noise=0.0)
+    residual = Residual(robot, dataclasses.replace(log, qpos=Q), Settings())
+    for side, torque in ((1.0, motor), (0.0, link)):
+        columns = columns_of(residual, known("load_friction"), ELBOW, (0.0, 0.0, side, 0.0))
+        wanted = on_rows(residual, -np.abs(torque) * np.sign(V))[:, 1]
+        off = (columns[:, 1, 0] - wanted)[5:-5]
+        assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(wanted**2)), side
+
+
 def on_rows(residual: Residual, torque: np.ndarray) -> np.ndarray:
     """A torque along the log on the residual's rows (R, n)."""
     grid = residual.prepared.time

@@ -76,7 +76,7 @@ class Selection:
         own, spread = self.posterior.covariance[part, part], self.spread[part, part]
         exact = self.state is CalibrationState.CALIBRATED
         wide = _larger(own, spread) if exact else own + spread
-        return _bayes_factor(h, self.posterior.mean[part], own, wide)
+        return bayes_factor(h, self.posterior.mean[part], own, wide)
 
     def odds_of_another(
         self, gone: Mapping[Hypothesis, float], refuted: Collection[Hypothesis]
@@ -125,7 +125,7 @@ def _larger(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k k"]) -> Float[n
     return (back * np.maximum(shares, 1.0)) @ back.T
 
 
-def _bayes_factor(
+def bayes_factor(
     h: Hypothesis,
     mean: Float[np.ndarray, " k"],
     covariance: Float[np.ndarray, "k k"],

@@ -104,7 +104,7 @@ def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
-    # What is not added beside some may do better in the place of one of them.
+    # What is not added to some may do better in the place of one of them.
     barred, gone = set(), set()
     seen = {_odd_of(now)}
     for _ in range(most):
