@@ -1,0 +1,332 @@
+"""A function of small arrays as the list of scalar operations that it comes to, known numbers folded in.
+
+For a kernel in which every thread computes one sample in its registers: there, arrays of three numbers are three
+registers, moving them about costs nothing, and what is multiplied by a known zero need not be computed at all (nor is
+it NaN where that is). A function is written once, for arrays, and stays the reference for what is made of it here.
+"""
+
+import itertools
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.extend.core import ClosedJaxpr, Literal
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Node:
+    """One operation; `Program` makes no two that are the same."""
+
+    name: str
+    """Of the primitive; `input` for a number that comes from outside."""
+    args: tuple
+    """Nodes and known numbers; of an input: which array, and where in it."""
+
+
+_OPERATIONS: dict[str, Callable] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "neg": operator.neg,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "abs": lax.abs,
+    "exp": lax.exp,
+    "log": lax.log,
+    "sin": lax.sin,
+    "cos": lax.cos,
+    "tanh": lax.tanh,
+    "sqrt": lax.sqrt,
+    "rsqrt": lax.rsqrt,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "lt": operator.lt,
+    "le": operator.le,
+    "gt": operator.gt,
+    "ge": operator.ge,
+    "and": operator.and_,
+    "or": operator.or_,
+    "not": operator.invert,
+    "is_finite": lambda x: abs(x) < np.inf,
+    "select_n": lambda which, *cases: jnp.where(which, cases[1], cases[0]),
+}
+"""What is done with arrays of the same shape, entry by entry."""
+
+
+@dataclass
+class Program:
+    """The scalar operations of a function: `traced` makes one, `run` evaluates it."""
+
+    outputs: list[np.ndarray] = field(default_factory=list)
+    """Nodes and known numbers, in the shapes of the function's results."""
+    _known: dict[tuple, Node] = field(default_factory=dict)
+
+    def node(self, name: str, *args: Any) -> Any:
+        """The node of this operation, or its result where that is known."""
+        if not any(isinstance(x, Node) for x in args):
+            return np.asarray(_OPERATIONS[name](*(np.asarray(x) for x in args)))[()]
+        short = _shortened(name, args)
+        if short is None:
+            key = (name, *(id(x) if isinstance(x, Node) else x for x in args))
+            short = self._known.setdefault(key, Node(name, args))
+        return self.node(*short) if isinstance(short, tuple) else short
+
+    def map(self, name: str, *arrays: np.ndarray) -> np.ndarray:
+        """An operation on every entry."""
+        arrays = tuple(np.broadcast_arrays(*arrays))
+        out = np.empty(arrays[0].shape, object)
+        for at in np.ndindex(out.shape):
+            out[at] = self.node(name, *(x[at] for x in arrays))
+        return out
+
+    def total(self, terms: Sequence[Any]) -> Any:
+        """The sum, from the first term on."""
+        out = np.float32(0.0)
+        for term in terms:
+            out = self.node("add", out, term)
+        return out
+
+    def ordered(self) -> list[Node]:
+        """All that the outputs need, each after what it needs itself, and late: what is computed early, waits.
+
+        Backwards, since joints come in the order of the tree: the tips' rows are done before those that carry them.
+        """
+        done: dict[int, Node] = {}
+        for output in reversed(self.outputs):
+            for root in output.ravel()[::-1]:
+                stack = [root] if isinstance(root, Node) else []
+                while stack:
+                    top = stack[-1]
+                    args = () if top.name == "input" else top.args
+                    left = [x for x in args if isinstance(x, Node) and id(x) not in done]
+                    if left:
+                        stack.append(left[0])
+                    else:
+                        done.setdefault(id(stack.pop()), top)
+        return list(done.values())
+
+    def run(self, load: Callable[[int, tuple[int, ...]], Any]) -> Iterator[tuple[int, tuple, Any]]:
+        """Every entry of the outputs, (output, index, value), each as soon as it is there.
+
+        `load(k, index)` gives an entry of the k-th argument. Numbers are of whatever shape it returns.
+        """
+        wanted: dict[int, list] = {}
+        for k, output in enumerate(self.outputs):
+            for at in np.ndindex(output.shape):
+                if isinstance(output[at], Node):
+                    wanted.setdefault(id(output[at]), []).append((k, at))
+                else:
+                    yield k, at, output[at]
+        values: dict[int, Any] = {}
+        for node in self.ordered():
+            if node.name == "input":
+                value = load(*node.args)
+            else:
+                args = (values[id(x)] if isinstance(x, Node) else x for x in node.args)
+                value = _OPERATIONS[node.name](*args)
+            values[id(node)] = value
+            for k, at in wanted.get(id(node), ()):
+                yield k, at, value
+
+
+def traced(function: Callable, *args: Any) -> Program:
+    """The program of function(*args) → tuple of arrays.
+
+    Arguments that are `jax.ShapeDtypeStruct`s are inputs, all others known numbers. Raises NotImplementedError for a
+    primitive that is not known here: loops, branches, factorisations.
+    """
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in args]
+    closed = jax.make_jaxpr(lambda *x: function(*x))(*shapes)
+    program = Program()
+    values = []
+    for k, x in enumerate(args):
+        if isinstance(x, jax.ShapeDtypeStruct):
+            value = np.empty(x.shape, object)
+            for at in np.ndindex(x.shape):
+                value[at] = program._known.setdefault(("input", k, at), Node("input", (k, at)))
+        else:
+            value = _numbers(x)
+        values.append(value)
+    program.outputs = _evaluated(program, closed, values)
+    return program
+
+
+def _shortened(name: str, args: tuple) -> Any:
+    """A node, a number or another operation (a tuple) that comes to the same; None: there is none."""
+    first = args[0]
+    if name == "select_n":
+        if not isinstance(first, Node):
+            return args[1 + int(first)]
+        return args[1] if args[1] is args[2] else None
+    if name == "neg":
+        return first.args[0] if first.name == "neg" else None
+    if name not in ("add", "sub", "mul", "div"):
+        return None
+    second = args[1]
+    zero, one = ([not isinstance(x, Node) and x == y for x in args] for y in (0, 1))
+    if name == "add":
+        return second if zero[0] else first if zero[1] else None
+    if name == "sub":
+        return ("neg", second) if zero[0] else first if zero[1] else None
+    if zero[0] or (name == "mul" and zero[1]):
+        return np.float32(0.0)
+    if one[1] or (name == "mul" and one[0]):
+        return first if one[1] else second
+    if name == "mul":
+        minus = [not isinstance(x, Node) and x == -1 for x in args]
+        return ("neg", second) if minus[0] else ("neg", first) if minus[1] else None
+    return None
+
+
+def _numbers(x: Any) -> np.ndarray:
+    """Known numbers as an array of objects."""
+    x = np.asarray(x)
+    out = np.empty(x.shape, object)
+    for at in np.ndindex(x.shape):
+        out[at] = x[at]
+    return out
+
+
+def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) -> list[np.ndarray]:
+    jaxpr = closed.jaxpr
+    known = dict(zip(jaxpr.constvars, map(_numbers, closed.consts), strict=True))
+    known |= dict(zip(jaxpr.invars, values, strict=True))
+    for eqn in jaxpr.eqns:
+        args = [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in eqn.invars]
+        name = eqn.primitive.name
+        inner = next((p for p in eqn.params.values() if isinstance(p, ClosedJaxpr)), None)
+        if inner is not None:
+            out = _evaluated(program, inner, args)
+        elif name in _OPERATIONS:
+            out = [program.map(name, *args)]
+        elif name in _RULES:
+            out = _RULES[name](program, *args, **eqn.params)
+            out = out if isinstance(out, list) else [out]
+        else:
+            raise NotImplementedError(f"no scalar form of {name}")
+        known |= dict(zip(eqn.outvars, out, strict=True))
+    return [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in jaxpr.outvars]
+
+
+def _converted(_, x, *, new_dtype, **__):
+    if all(isinstance(value, Node) for value in x.ravel()):
+        return x
+    out = x.copy()
+    for at in np.ndindex(x.shape):
+        if not isinstance(x[at], Node):
+            out[at] = np.dtype(new_dtype).type(x[at])
+    return out
+
+
+def _broadcast(_, x, *, shape, broadcast_dimensions, **__):
+    lengths = [1] * len(shape)
+    for axis, length in zip(broadcast_dimensions, x.shape, strict=True):
+        lengths[axis] = length
+    return np.broadcast_to(x.reshape(lengths), shape)
+
+
+def _sliced(_, x, *, start_indices, limit_indices, strides):
+    steps = strides or [1] * x.ndim
+    return x[tuple(map(slice, start_indices, limit_indices, steps))]
+
+
+def _gathered(_, x, indices, *, dimension_numbers, slice_sizes, **params):
+    with jax.ensure_compile_time_eval():
+        places = jnp.arange(x.size, dtype=np.int32).reshape(x.shape)
+        at = jnp.asarray(indices.astype(np.int32))
+        params = {k: v for k, v in params.items() if k in ("unique_indices", "indices_are_sorted", "mode")}
+        picked = np.asarray(lax.gather(places, at, dimension_numbers, slice_sizes, **params))
+    return x.ravel()[picked]
+
+
+def _power(program, x, *, y):
+    if y < 0:
+        return program.map("div", np.float32(1.0), _power(program, x, y=-y))
+    out = x
+    for _ in range(y - 1):
+        out = program.map("mul", out, x)
+    return out
+
+
+def _summed(program, x, *, axes, **_):
+    x = np.moveaxis(x, axes, range(len(axes)))
+    x = x.reshape(-1, *x.shape[len(axes) :])
+    out = np.empty(x.shape[1:], object)
+    for at in np.ndindex(out.shape):
+        out[at] = program.total(x[(slice(None), *at)])
+    return out
+
+
+def _product(program, a, b, *, dimension_numbers, **_):
+    (over_a, over_b), (batch_a, batch_b) = dimension_numbers
+
+    def as_matrices(x, over, batch, last):
+        free = [i for i in range(x.ndim) if i not in over and i not in batch]
+        order = [*batch, *over, *free] if last else [*batch, *free, *over]
+        turned = np.transpose(x, order)
+        n = [int(np.prod([x.shape[i] for i in axes])) for axes in (batch, over, free)]
+        shape = (n[0], n[1], n[2]) if last else (n[0], n[2], n[1])
+        return turned.reshape(shape), [x.shape[i] for i in free]
+
+    left, rows = as_matrices(a, over_a, batch_a, False)
+    right, columns = as_matrices(b, over_b, batch_b, True)
+    out = np.empty((*left.shape[:2], right.shape[2]), object)
+    for k in range(len(out)):
+        if all(not isinstance(x, Node) and x in (0, 1) for x in left[k].ravel()):
+            out[k] = _sums(program, left[k] == 1, right[k])
+            continue
+        for i, j in np.ndindex(out.shape[1:]):
+            out[k, i, j] = program.total(program.map("mul", left[k, i], right[k, :, j]))
+    return out.reshape([*(a.shape[i] for i in batch_a), *rows, *columns])
+
+
+def _sums(program, which: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Sums of rows of x, the smaller ones used in the larger: along a tree, one addition for each node."""
+    out = np.empty((len(which), x.shape[1]), object)
+    done: list[tuple[np.ndarray, int]] = []
+    for i in sorted(range(len(which)), key=lambda i: which[i].sum()):
+        left, parts = which[i].copy(), []
+        for own, k in reversed(done):
+            if own.any() and not (own & ~left).any():
+                parts.append(out[k])
+                left &= ~own
+        parts += list(x[left])
+        out[i] = [program.total([part[j] for part in parts]) for j in range(x.shape[1])]
+        done.append((which[i], i))
+    return out
+
+
+_RULES: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda _, *x, dimension, **__: np.concatenate(x, dimension),
+    "convert_element_type": _converted,
+    "copy": lambda _, x, **__: x,
+    "dot_general": _product,
+    "gather": _gathered,
+    "integer_pow": _power,
+    "iota": lambda _, *, dtype, shape, dimension, **__: _numbers(
+        np.broadcast_to(
+            np.arange(shape[dimension], dtype=dtype).reshape(
+                [-1 if i == dimension else 1 for i in range(len(shape))]
+            ),
+            shape,
+        )
+    ),
+    "optimization_barrier": lambda _, *x: list(x),
+    "reduce_sum": _summed,
+    "reshape": lambda _, x, *, new_sizes, **__: x.reshape(new_sizes),
+    "slice": _sliced,
+    "split": lambda _, x, *, sizes, axis: np.split(x, list(itertools.accumulate(sizes))[:-1], axis),
+    "square": lambda program, x, **__: program.map("mul", x, x),
+    "squeeze": lambda _, x, *, dimensions: np.squeeze(x, dimensions),
+    "stack": lambda _, *x, axis=0, **__: np.stack(x, axis),
+    "stop_gradient": lambda _, x: x,
+    "transpose": lambda _, x, *, permutation: np.transpose(x, permutation),
+}
+"""What moves entries about or puts several together."""
