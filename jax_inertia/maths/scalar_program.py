@@ -42,7 +42,7 @@ _OPERATIONS: dict[str, Callable] = {
     "sin": lax.sin,
     "cos": lax.cos,
     "tanh": lax.tanh,
-    "sqrt": lax.sqrt,
+    "sqrt": lambda x: 1.0 / lax.rsqrt(x),  # a kernel has had no other before jax 0.11
     "rsqrt": lax.rsqrt,
     "eq": operator.eq,
     "ne": operator.ne,
@@ -111,6 +111,10 @@ class Program:
                         done.setdefault(id(stack.pop()), top)
         return list(done.values())
 
+    def used(self) -> list[int]:
+        """Which arguments the outputs need."""
+        return sorted({node.args[0] for node in self.ordered() if node.name == "input"})
+
     def run(self, load: Callable[[int, tuple[int, ...]], Any]) -> Iterator[tuple[int, tuple, Any]]:
         """Every entry of the outputs, (output, index, value), each as soon as it is there.
 
@@ -135,25 +139,24 @@ class Program:
                 yield k, at, value
 
 
-def traced(function: Callable, *args: Any) -> Program:
-    """The program of function(*args) → tuple of arrays.
+def traced(closed: ClosedJaxpr, args: Sequence[Any]) -> Program:
+    """The program of a traced function with these arguments.
 
-    Arguments that are `jax.ShapeDtypeStruct`s are inputs, all others known numbers. Raises NotImplementedError for a
-    primitive that is not known here: loops, branches, factorisations.
+    A `jax.ShapeDtypeStruct` stands for an input, everything else is a known number. Raises NotImplementedError for a
+    primitive that is not known here: loops, factorisations.
     """
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in args]
-    closed = jax.make_jaxpr(lambda *x: function(*x))(*shapes)
     program = Program()
     values = []
     for k, x in enumerate(args):
         if isinstance(x, jax.ShapeDtypeStruct):
             value = np.empty(x.shape, object)
             for at in np.ndindex(x.shape):
-                value[at] = program._known.setdefault(("input", k, at), Node("input", (k, at)))
+                value[at] = Node("input", (k, at))
         else:
             value = _numbers(x)
         values.append(value)
-    program.outputs = _evaluated(program, closed, values)
+    with jax.ensure_compile_time_eval():  # of what is known
+        program.outputs = _evaluated(program, closed, values)
     return program
 
 
@@ -201,7 +204,9 @@ def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) 
         args = [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in eqn.invars]
         name = eqn.primitive.name
         inner = next((p for p in eqn.params.values() if isinstance(p, ClosedJaxpr)), None)
-        if inner is not None:
+        if name == "cond":
+            out = _both(program, eqn.params["branches"], *args)
+        elif inner is not None:
             out = _evaluated(program, inner, args)
         elif name in _OPERATIONS:
             out = [program.map(name, *args)]
@@ -212,6 +217,12 @@ def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) 
             raise NotImplementedError(f"no scalar form of {name}")
         known |= dict(zip(eqn.outvars, out, strict=True))
     return [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in jaxpr.outvars]
+
+
+def _both(program: Program, branches: Sequence[ClosedJaxpr], which: np.ndarray, *args: np.ndarray):
+    """Of two branches: each thread may take another one, so both are computed."""
+    no, yes = (_evaluated(program, branch, list(args)) for branch in branches)
+    return [program.map("select_n", which, x, y) for x, y in zip(no, yes, strict=True)]
 
 
 def _converted(_, x, *, new_dtype, **__):
@@ -236,13 +247,12 @@ def _sliced(_, x, *, start_indices, limit_indices, strides):
     return x[tuple(map(slice, start_indices, limit_indices, steps))]
 
 
-def _gathered(_, x, indices, *, dimension_numbers, slice_sizes, **params):
-    with jax.ensure_compile_time_eval():
-        places = jnp.arange(x.size, dtype=np.int32).reshape(x.shape)
-        at = jnp.asarray(indices.astype(np.int32))
-        params = {k: v for k, v in params.items() if k in ("unique_indices", "indices_are_sorted", "mode")}
-        picked = np.asarray(lax.gather(places, at, dimension_numbers, slice_sizes, **params))
-    return x.ravel()[picked]
+def _gathered(_, x, indices, *, dimension_numbers, slice_sizes, mode, **__):
+    places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+    picked = lax.gather(
+        places, indices.astype(np.int32), dimension_numbers, slice_sizes, mode=mode
+    )
+    return x.ravel()[np.asarray(picked)]
 
 
 def _power(program, x, *, y):
@@ -254,13 +264,15 @@ def _power(program, x, *, y):
     return out
 
 
-def _summed(program, x, *, axes, **_):
-    x = np.moveaxis(x, axes, range(len(axes)))
-    x = x.reshape(-1, *x.shape[len(axes) :])
-    out = np.empty(x.shape[1:], object)
-    for at in np.ndindex(out.shape):
-        out[at] = program.total(x[(slice(None), *at)])
-    return out
+def _reduced(name):
+    def rule(program, x, *, axes, **_):
+        x = np.moveaxis(x, axes, range(len(axes)))
+        out, *others = x.reshape(-1, *x.shape[len(axes) :])
+        for other in others:
+            out = program.map(name, out, other)
+        return out
+
+    return rule
 
 
 def _product(program, a, b, *, dimension_numbers, **_):
@@ -319,7 +331,11 @@ _RULES: dict[str, Callable] = {
         )
     ),
     "optimization_barrier": lambda _, *x: list(x),
-    "reduce_sum": _summed,
+    "reduce_and": _reduced("and"),
+    "reduce_max": _reduced("max"),
+    "reduce_min": _reduced("min"),
+    "reduce_or": _reduced("or"),
+    "reduce_sum": _reduced("add"),
     "reshape": lambda _, x, *, new_sizes, **__: x.reshape(new_sizes),
     "slice": _sliced,
     "split": lambda _, x, *, sizes, axis: np.split(x, list(itertools.accumulate(sizes))[:-1], axis),

@@ -1,0 +1,156 @@
+"""Functions of one sample that a GPU computes one sample a thread, everything in between in its registers.
+
+XLA makes many kernels of a filter's dynamics and sends some hundred times the bytes through memory that go in and come
+out. Here all is one kernel (Pallas, Mosaic GPU: Hopper and later): arrays have the samples last, contiguous, and each
+of a block's 128 threads has one of them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import mosaic_gpu as gpu
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jaxtyping import Array, Float
+
+from jax_inertia.maths.scalar_program import Program, traced
+
+LANES = 128
+"""Samples to a block: Mosaic's threads are groups of so many."""
+CAPABILITY = 9.0
+"""Of the first GPUs that Mosaic compiles for."""
+
+
+def available() -> bool:
+    """Whether every GPU here can run such kernels; true where there is none, for programs that are exported."""
+    if jax.default_backend() != "gpu":
+        return True
+    return all(float(d.compute_capability) >= CAPABILITY for d in jax.devices("gpu"))
+
+
+def lane_kernel(
+    body: Callable[..., None],
+    shapes: Sequence[tuple[int, ...]],
+    arrays: Sequence[Float[Array, "... n"]],
+    shared: Sequence[Float[Array, "..."]] = (),
+) -> list[Float[Array, "... n"]]:
+    """`body(*arrays, *shared, *results)` for n ≥ 128 samples; `shapes` are the results', without their last axis.
+
+    Each of its arguments is a function of an index: an array's gives the entry for 128 samples, one's that all share a
+    number, and a result's takes the entry before the index. The last block repeats samples of the one before it.
+    """
+    count = arrays[0].shape[-1]
+    out = [jax.ShapeDtypeStruct((*shape, count), jnp.float32) for shape in shapes]
+    wide = len(arrays)
+
+    def program(*refs: Any) -> None:
+        first = jnp.minimum(jax.lax.axis_index("block") * LANES, count - LANES)
+        at = pl.ds(first, LANES)
+
+        def of_samples(ref: Any) -> Callable:
+            return lambda *index: ref[(*index, at)]
+
+        def of_all(ref: Any) -> Callable:
+            return lambda *index: ref[index or (0,)]
+
+        def result(ref: Any) -> Callable:
+            def store(value: Any, *index: Any) -> None:
+                ref[(*index, at)] = jnp.broadcast_to(value, (LANES,))
+
+            return store
+
+        last = wide + len(shared)
+        body(
+            *map(of_samples, refs[:wide]),
+            *map(of_all, refs[wide:last]),
+            *map(result, refs[last:]),
+        )
+
+    name = "out_shape" if jax.__version_info__ < (0, 11) else "out_type"
+    run = gpu.kernel(
+        program,
+        **{name: out},
+        grid=(-(-count // LANES),),
+        grid_names=("block",),
+        compiler_params=gpu.CompilerParams(lowering_semantics=gpu.LoweringSemantics.Lane),
+    )
+    return list(run(*arrays, *(jnp.atleast_1d(x) for x in shared)))
+
+
+def in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, which a `vmap` of at least 128 samples on a GPU hands to one kernel.
+
+    It maps trees of arrays to such, all float32 (booleans may be among them) for the kernel, without loops or
+    factorisations; of a `cond` both branches are computed. Numbers known where it is traced, closed over or not, are
+    folded in, and all that they make needless falls away. Elsewhere it is what it was. A batch over several devices
+    has to be split by `jax.shard_map`: XLA does not split a kernel. Not differentiable.
+    """
+
+    def wrapped(*args: Any) -> Any:
+        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+        leaves = [*closed.consts, *jax.tree.leaves(args)]
+        given = [*closed.jaxpr.constvars, *closed.jaxpr.invars]
+        closed = ClosedJaxpr(closed.jaxpr.replace(constvars=[], invars=given), [])
+        moving = [k for k, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
+        out = _lanes(closed, leaves, moving)(*(leaves[k] for k in moving))
+        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+
+    return wrapped
+
+
+def _lanes(closed: ClosedJaxpr, leaves: Sequence[Any], moving: Sequence[int]) -> Callable:
+    """The traced function of its `moving` leaves."""
+
+    def of_moving(*values: Array) -> list[Array]:
+        every = list(leaves)
+        for k, x in zip(moving, values, strict=True):
+            every[k] = x
+        return jaxpr_as_fun(closed)(*every)
+
+    call = custom_vmap(of_moving)
+
+    @call.def_vmap
+    def rule(size: int, batched: list[bool], *values: Array) -> tuple[list[Array], list[bool]]:
+        plain = jax.vmap(of_moving, [0 if on else None for on in batched], axis_size=size)
+        kinds = {jnp.dtype(x.aval.dtype) for x in closed.jaxpr.outvars}
+        kinds |= {jnp.dtype(x.dtype) for x in values}
+        every = [True] * len(closed.jaxpr.outvars)
+        if kinds - {jnp.dtype(bool)} != {jnp.dtype(jnp.float32)} or size < LANES or not available():
+            return plain(*values), every
+
+        def kernel(*values: Array) -> list[Array]:
+            given = list(leaves)
+            for k, x, on in zip(moving, values, batched, strict=True):
+                given[k] = jax.ShapeDtypeStruct(x.shape[1:] if on else x.shape, x.dtype)
+            where = dict(zip(moving, range(len(moving)), strict=True))
+            return _in_kernel(traced(closed, given), where, batched, values)
+
+        return jax.lax.platform_dependent(*values, cuda=kernel, default=plain), every
+
+    return call
+
+
+def _in_kernel(
+    program: Program, where: dict[int, int], batched: Sequence[bool], values: Sequence[Array]
+) -> list[Array]:
+    """The program's results; its k-th argument is the `where[k]`-th value."""
+    used = program.used()
+    wide = [k for k in used if batched[where[k]]]
+    shared = [k for k in used if not batched[where[k]]]
+
+    def body(*refs: Callable) -> None:
+        loads = dict(zip([*wide, *shared], refs, strict=False))
+        results = refs[len(loads) :]
+        for k, at, value in program.run(lambda k, at: loads[k](*at)):
+            results[k](value, *at)
+
+    out = lane_kernel(
+        body,
+        [x.shape for x in program.outputs],
+        [jnp.moveaxis(values[where[k]].astype(jnp.float32), 0, -1) for k in wide],
+        [values[where[k]].astype(jnp.float32) for k in shared],
+    )
+    return [jnp.moveaxis(x, -1, 0) for x in out]
