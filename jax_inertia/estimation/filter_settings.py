@@ -88,21 +88,12 @@ def require_physical(
     )
 
 
-def require_noise(noise: Noise, robot: Robot, form: kalman.Form | None, *, alone: bool) -> None:
-    """ValueError for noise of other rows than the robot's, or of none; for a form that leaves out rows of it.
-
-    `alone`: no noise of accelerations besides it.
-    """
+def require_noise(noise: Noise, robot: Robot) -> None:
+    """ValueError for noise of other rows than the robot's, or of none."""
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
         raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
     sizes = jnp.sqrt(noise.variances())
     require("sigma of the noise", sizes, is_positive, "positive in all rows")
-    independent = isinstance(noise, IndependentNoise) and alone
-    if form is not None and form.leaves_rows_out and not independent:
-        raise ValueError(
-            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
-            "give it all rows"
-        )
 
 
 def covariance(

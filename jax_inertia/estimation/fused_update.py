@@ -9,14 +9,11 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from jax_inertia.dynamics.sparse_rows import moved_rows as moved_rows
-from jax_inertia.dynamics.sparse_rows import take_rows
-from jax_inertia.maths.lanes import LANES, available, lane_kernel
 from jax_inertia.maths.kalman import Correction, SquareRoot, cholesky
+from jax_inertia.maths.lanes import LANES, available, in_lanes, lane_kernel
 from jax_inertia.maths.precision import in_full_precision
 
 MAX_STATES = 24
@@ -24,22 +21,17 @@ MAX_STATES = 24
 
 
 class FusedSquareRoot(SquareRoot):
-    """`kalman.SquareRoot`, done by one kernel (Pallas) where `vmap` batches it on a GPU.
+    """`kalman.SquareRoot` for a fleet: what `vmap` batches on a GPU are a few kernels, one filter a thread.
 
-    The rows are taken one after the other by the triangular update of Carlson (1973, "Fast triangular formulation of
-    the square root filter", AIAA Journal 11): P⁺ = L Lᵀ stays positive, as with the QR factorisation. On other
-    devices, unbatched, or with more than 24 states it is `SquareRoot` itself. A batch over several devices has to be
-    split by `jax.shard_map`: XLA does not split a kernel. To differentiate through a filter, take `SquareRoot`.
-
-    `rows` are those of H that may differ from zero, ascending (None: all), the `moved_rows` of the estimated bodies;
-    the others count in `nis` alone. Whitening must not mix rows then: independent noise.
+    The update takes the rows one after the other by the triangular update of Carlson (1973, "Fast triangular
+    formulation of the square root filter", AIAA Journal 11): P⁺ = L Lᵀ stays positive, as with the QR factorisation.
+    What comes before and after it goes through `lanes.in_lanes`. On other devices, unbatched, or with more than 24
+    states it is `SquareRoot` itself. A batch over several devices has to be split by `jax.shard_map`: XLA does not
+    split a kernel. To differentiate through a filter, take `SquareRoot`.
     """
 
-    rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
-
-    @property
-    def leaves_rows_out(self) -> bool:
-        return self.rows is not None
+    def fused(self, function: Callable) -> Callable:
+        return in_lanes(function)
 
     @in_full_precision
     def correct(
@@ -47,11 +39,7 @@ class FusedSquareRoot(SquareRoot):
     ) -> Correction:
         if len(p) > MAX_STATES:
             return super().correct(p, h, nu)
-        rows = tuple(range(len(nu))) if self.rows is None else self.rows
-        rest = np.setdiff1d(np.arange(len(nu)), rows)
-        step, covariance, nis, log_det = _correct(p, take_rows(h, rows), take_rows(nu, rows))
-        nis = nis + jnp.sum(nu[rest] ** 2)
-        return Correction(step, covariance, nis, log_det, h @ cholesky(p))
+        return Correction(*_correct(p, h, nu), h @ cholesky(p))
 
 
 def _plain(p: Array, h: Array, nu: Array) -> tuple[Array, Array, Array, Array]:

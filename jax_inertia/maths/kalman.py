@@ -18,12 +18,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.maths.gates import Gate
 from jax_inertia.maths.noise import Noise
 from jax_inertia.maths.precision import in_full_precision
+from jax_inertia.maths.row_runs import spread_rows, take_rows
 
 
 class Belief(eqx.Module):
@@ -49,7 +51,7 @@ class Innovation(eqx.Module):
     accepted: Bool[Array, ""]
 
 
-class Correction(eqx.Module):
+class Correction(NamedTuple):
     """What a form makes of whitened rows, for S = H P Hᵀ + 1."""
 
     step: Float[Array, " n"]
@@ -67,10 +69,9 @@ class Correction(eqx.Module):
 class Form(eqx.Module):
     """How gain and posterior covariance are computed from whitened rows (unit noise)."""
 
-    @property
-    def leaves_rows_out(self) -> bool:
-        """Whether some rows of H are taken for zero: whitening must not mix rows then, noise be independent."""
-        return False
+    def fused(self, function: Callable) -> Callable:
+        """The same function, as one kernel where the form is for many filters on a GPU."""
+        return function
 
     @abc.abstractmethod
     def correct(
@@ -200,6 +201,7 @@ def update(
     noise: Noise,
     *,
     jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None,
+    rows: tuple[int, ...] | None = None,
     mask: Bool[Array, " m"] | None = None,
     gate: Gate | None = None,
     outliers: Gate | None = None,
@@ -209,9 +211,10 @@ def update(
 ) -> tuple[Belief, Innovation]:
     """One measurement update; iterations = 1 is the paper's extended Kalman filter.
 
-    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
-    False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
-    is returned unchanged where the gate rejects or the result would not be finite.
+    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. `rows`, ascending, are those
+    that hang on the state at all (None: any may); the noise must be independent then, and the others count in `nis`
+    alone. Rows where `mask` is False, or whose measurement is not finite, are left out. `project` is applied to every
+    iterate. The belief is returned unchanged where the gate rejects or the result would not be finite.
 
     `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
     noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
@@ -234,47 +237,72 @@ def update(
     z = jnp.where(used, measurement, 0.0)
     used = used.astype(prior.dtype)
 
-    def linearise(x: Float[Array, " n"]) -> tuple[Array, Array, Array, Array]:
+    hanging = tuple(range(len(z))) if rows is None else rows
+    rest = np.setdiff1d(np.arange(len(z)), hanging)
+
+    def linearise(x: Float[Array, " n"]) -> tuple[Float[Array, " m"], _Rows]:
         # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
         h: Array = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
         left: Array = jnp.where(used > 0, z - model(x), 0.0)
         nu = left - h @ (prior - x)
         white = noise.whiten(jnp.concatenate([h, nu[:, None], left[:, None]], axis=1), used)
-        return left, white[:, :-2], white[:, -2], white[:, -1]
+        own = take_rows(white, hanging)
+        return left, _Rows(own[:, :-2], own[:, -2], jnp.sum(white[rest, -2] ** 2), white[:, -1])
 
-    rows = jnp.sum(used)
-    residual, h_white, nu_white, left_white = linearise(prior)
-    first = form.correct(p, h_white, nu_white)
+    count = jnp.sum(used)
+    residual, white = form.fused(linearise)(prior)
+    first = white.corrected(form, p)
     step, covariance = first.step, first.covariance
     weight = jnp.ones_like(first.nis)
     if outliers is not None:
-        weight = _weight(form, p, h_white, nu_white, first.nis, outliers.threshold(rows))
-        weighed = form.correct(p, weight * h_white, weight * nu_white)
+        weight = _weight(form, p, white, first.nis, outliers.threshold(count))
+        weighed = white.times(weight).corrected(form, p)
         step, covariance = weighed.step, weighed.covariance
-        left_white = weight * left_white
-    mean = project(prior + step)
+    mean = form.fused(lambda step: project(prior + step))(step)
     if iterations > 1:
 
         def whitened(x: Float[Array, " n"]) -> Float[Array, " m"]:
             return noise.whiten(jnp.where(used > 0, z - model(x), 0.0)[:, None], used)[:, 0]
 
-        def again(x: Float[Array, " n"]) -> tuple[Array, ...]:
-            return tuple(weight * part for part in linearise(x)[1:])
+        def again(x: Float[Array, " n"]) -> _Rows:
+            return form.fused(linearise)(x)[1].times(weight)
 
-        first_step = (left_white, step, covariance)
+        first_step = (weight * white.left, step, covariance)
         trials = _Trials(belief, form, again, lambda x: weight * whitened(x), project)
         mean, step, covariance = trials.run(first_step, iterations - 1)
 
-    limit = jnp.inf if gate is None else gate.threshold(rows)
+    limit = jnp.inf if gate is None else gate.threshold(count)
     # The step too, since `project` may make a number of what is none.
     finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, covariance)]
     accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
     out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, covariance, p))
     # The log-density of ν itself: whitening scaled it by √det R.
     log_det = first.log_det + noise.log_det(used)
-    likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
-    sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
-    return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
+    likelihood = -0.5 * (first.nis + log_det + count * jnp.log(2.0 * jnp.pi))
+    seen = noise.colour(spread_rows(first.rows, hanging, len(z)), used)
+    sigma = jnp.sqrt(jnp.sum(seen**2, axis=1) + noise.variances())
+    return out, Innovation(residual, sigma, first.nis, count, likelihood, accepted)
+
+
+class _Rows(NamedTuple):
+    """A measurement linearised at a point, whitened."""
+
+    h: Float[Array, "k n"]
+    """Of the rows that hang on the state."""
+    nu: Float[Array, " k"]
+    rest: Float[Array, ""]
+    """|ν|² of the others."""
+    left: Float[Array, " m"]
+    """Residual z − h(x) of all."""
+
+    def times(self, factor: Float[Array, ""]) -> "_Rows":
+        """With less noise, by this factor."""
+        return _Rows(factor * self.h, factor * self.nu, factor**2 * self.rest, factor * self.left)
+
+    def corrected(self, form: Form, p: Float[Array, "n n"]) -> Correction:
+        """The correction of covariance `p` by all rows."""
+        seen = form.correct(p, self.h, self.nu)
+        return seen._replace(nis=seen.nis + self.rest)
 
 
 class _Trials(NamedTuple):
@@ -282,8 +310,7 @@ class _Trials(NamedTuple):
 
     prior: Belief
     form: Form
-    linearise: Callable[[Float[Array, " n"]], tuple[Array, ...]]
-    """Whitened (H, ν, residual z − h(x)) at a point."""
+    linearise: Callable[[Float[Array, " n"]], _Rows]
     left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
     """White z − h(x)."""
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]]
@@ -301,8 +328,8 @@ class _Trials(NamedTuple):
         def again(_, state):
             x, best, step, covariance, share = state
             trial = self.project(x + share * (prior + step - x))
-            h, nu, left = self.linearise(trial)
-            value, new = cost(trial, left), self.form.correct(p, h, nu)
+            rows = self.linearise(trial)
+            value, new = cost(trial, rows.left), rows.corrected(self.form, p)
             better = (value <= best) & jnp.all(jnp.isfinite(new.step))
             moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
             stayed = (x, best, step, covariance, 0.25 * share)
@@ -319,8 +346,7 @@ class _Trials(NamedTuple):
 def _weight(
     form: Form,
     p: Float[Array, "n n"],
-    h: Float[Array, "m n"],
-    nu: Float[Array, " m"],
+    rows: _Rows,
     nis: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> Float[Array, ""]:
@@ -333,11 +359,11 @@ def _weight(
     # Zero where all rows are left out; and a threshold of no rows may be infinite.
     t = jnp.maximum(nis / limit, 1.0)
     for _ in range(2):
-        root = jax.lax.rsqrt(t)
-        seen = form.correct(p, root * h, root * nu)
-        left = root * (nu - h @ seen.step)
+        scaled = rows.times(jax.lax.rsqrt(t))
+        seen = scaled.corrected(form, p)
+        left = scaled.nu - scaled.h @ seen.step
         excess = jnp.maximum(seen.nis / limit - 1.0, 0.0)
-        most = jnp.maximum(left @ left, jnp.finfo(p.dtype).tiny)
+        most = jnp.maximum(left @ left + scaled.rest, jnp.finfo(p.dtype).tiny)
         t = t * (1.0 + excess * seen.nis / most)
     return jax.lax.rsqrt(t)
 

@@ -75,7 +75,10 @@ def lane_kernel(
         **{name: out},
         grid=(-(-count // LANES),),
         grid_names=("block",),
-        compiler_params=gpu.CompilerParams(lowering_semantics=gpu.LoweringSemantics.Lane),
+        compiler_params=gpu.CompilerParams(
+            lowering_semantics=gpu.LoweringSemantics.Lane,
+            unsafe_no_auto_barriers=True,  # no thread reads what another one writes
+        ),
     )
     return list(run(*arrays, *(jnp.atleast_1d(x) for x in shared)))
 
@@ -126,7 +129,11 @@ def _lanes(closed: ClosedJaxpr, leaves: Sequence[Any], moving: Sequence[int]) ->
             for k, x, on in zip(moving, values, batched, strict=True):
                 given[k] = jax.ShapeDtypeStruct(x.shape[1:] if on else x.shape, x.dtype)
             where = dict(zip(moving, range(len(moving)), strict=True))
-            return _in_kernel(traced(closed, given), where, batched, values)
+            out = _in_kernel(traced(closed, given), where, batched, values)
+            return [
+                x != 0 if var.aval.dtype == bool else x
+                for x, var in zip(out, closed.jaxpr.outvars, strict=True)
+            ]
 
         return jax.lax.platform_dependent(*values, cuda=kernel, default=plain), every
 
@@ -145,7 +152,8 @@ def _in_kernel(
         loads = dict(zip([*wide, *shared], refs, strict=False))
         results = refs[len(loads) :]
         for k, at, value in program.run(lambda k, at: loads[k](*at)):
-            results[k](value, *at)
+            logical = jnp.result_type(value) == bool
+            results[k](jnp.where(value, 1.0, 0.0) if logical else value, *at)
 
     out = lane_kernel(
         body,

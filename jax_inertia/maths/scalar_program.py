@@ -142,7 +142,7 @@ class Program:
 def traced(closed: ClosedJaxpr, args: Sequence[Any]) -> Program:
     """The program of a traced function with these arguments.
 
-    A `jax.ShapeDtypeStruct` stands for an input, everything else is a known number. Raises NotImplementedError for a
+    A `jax.ShapeDtypeStruct` stands for an input, a boolean being a number that is not zero; everything else is known. Raises NotImplementedError for a
     primitive that is not known here: loops, factorisations.
     """
     program = Program()
@@ -152,6 +152,8 @@ def traced(closed: ClosedJaxpr, args: Sequence[Any]) -> Program:
             value = np.empty(x.shape, object)
             for at in np.ndindex(x.shape):
                 value[at] = Node("input", (k, at))
+                if x.dtype == bool:
+                    value[at] = program.node("ne", value[at], np.float32(0.0))
         else:
             value = _numbers(x)
         values.append(value)
@@ -337,6 +339,7 @@ _RULES: dict[str, Callable] = {
     "reduce_or": _reduced("or"),
     "reduce_sum": _reduced("add"),
     "reshape": lambda _, x, *, new_sizes, **__: x.reshape(new_sizes),
+    "rev": lambda _, x, *, dimensions: np.flip(x, dimensions),
     "slice": _sliced,
     "split": lambda _, x, *, sizes, axis: np.split(x, list(itertools.accumulate(sizes))[:-1], axis),
     "square": lambda program, x, **__: program.map("mul", x, x),
