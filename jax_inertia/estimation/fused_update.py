@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from jax_inertia.maths.kalman import Correction, SquareRoot, cholesky
+from jax_inertia.maths.kalman import Correction, SquareRoot, T, cholesky
 from jax_inertia.maths.lanes import LANES, available, in_lanes, lane_kernel
 from jax_inertia.maths.precision import in_full_precision
 
@@ -30,8 +30,11 @@ class FusedSquareRoot(SquareRoot):
     split a kernel. To differentiate through a filter, take `SquareRoot`.
     """
 
-    def fused(self, function: Callable) -> Callable:
+    def fused(self, function: Callable[..., T]) -> Callable[..., T]:
         return in_lanes(function)
+
+    def kept(self, function: Callable[[], T]) -> Callable[[], T]:
+        return function
 
     @in_full_precision
     def correct(
@@ -70,7 +73,8 @@ def kernel(
     """K ν, P⁺, νᵀ S⁻¹ ν and log det S of at least 128 filters."""
     _, m, n = h.shape
     last = [jnp.moveaxis(x, 0, -1) for x in (p, h, nu)]
-    out = lane_kernel(partial(body, n, m), [(n,), (n, n), (), ()], last)
+    out = lane_kernel(
+        "square_root_update", partial(body, n, m), [(n,), (n, n), (), ()], last)
     step, covariance, nis, log_det = (jnp.moveaxis(x, -1, 0) for x in out)
     return step, covariance, nis, log_det
 

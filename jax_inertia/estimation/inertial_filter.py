@@ -103,11 +103,9 @@ class Estimator(eqx.Module):
         known = self.robot, observation, self.bodies, state.bias
         valid = jnp.asarray(observation.motion.valid)
         if self.sigma_a is None:
-
-            def rows() -> tuple[Array, Array, Array]:
-                return self._moved(*torque_residual(*known), valid)
-
-            return self._updated(state, *self.form.fused(rows)(), dt)
+            return self._updated(
+                state, lambda: self._measurement(*torque_residual(*known), valid), dt
+            )
         belief, _ = self._predicted(state, _elapsed(dt, state))
         own = belief.mean.reshape(-1, 10)
         g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
@@ -133,49 +131,42 @@ class Estimator(eqx.Module):
         rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
         the gate opens, and the filter looks anew.
         """
-        return self._updated(state, *self._moved(regressor, residual, valid), dt)
+        return self._updated(state, lambda: self._measurement(regressor, residual, valid), dt)
 
-    def _moved(
+    def _measurement(
         self, regressor: Float[Array, "nv bodies 10"], residual: Float[Array, " nv"], valid: Array
-    ) -> tuple[Float[Array, "rows bodies 10"], Float[Array, " nv"], Bool[Array, " nv"]]:
-        """The rows that the bodies move, of their regressor, and which rows of the residual can be used."""
+    ) -> kalman.Measurement:
+        """Of the rows that the bodies move the regressor must be finite; of the others it is zero."""
         moved = moved_rows(self.robot, self.bodies)
         own = take_rows(regressor, moved)
         broken = ~jnp.all(jnp.isfinite(own), axis=(1, 2))
-        return own, residual, valid & ~spread_rows(broken, moved, len(residual))
-
-    def _updated(
-        self,
-        state: State,
-        regressor: Float[Array, "rows bodies 10"],
-        residual: Float[Array, " nv"],
-        usable: Bool[Array, " nv"],
-        dt: Float[Array, ""] | float,
-    ) -> tuple[State, Step]:
-        """`update` by what `_moved` gives."""
-        dt = _elapsed(dt, state)
-        belief, reopened = self._predicted(state, dt)
-        moved = moved_rows(self.robot, self.bodies)
 
         def predicted(x: Float[Array, " n"]) -> Float[Array, " nv"]:
-            rows = jnp.einsum("vbp,bp->v", regressor, self._pi(x))
+            rows = jnp.einsum("vbp,bp->v", own, self._pi(x))
             return spread_rows(rows, moved, len(residual))
 
         def jacobian(x: Float[Array, " n"]) -> Float[Array, "nv n"]:
-            own = x.reshape(-1, 10)
-            g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
-            rows = jnp.einsum("vbp,bpj->vbj", regressor, g)
+            at = x.reshape(-1, 10)
+            g = self.chart.jacobian(at) if self.analytic_jacobian else _slopes(self.chart, at)
+            rows = jnp.einsum("vbp,bpj->vbj", own, g)
             return spread_rows(rows.reshape(len(moved), -1), moved, len(residual))
 
-        belief, innovation = kalman.update(
+        usable = valid & ~spread_rows(broken, moved, len(residual))
+        return kalman.Measurement(-residual, predicted, jacobian, usable)
+
+    def _updated(
+        self, state: State, measure: Callable[[], kalman.Measurement], dt: Float[Array, ""] | float
+    ) -> tuple[State, Step]:
+        """Predict, and update by what is measured."""
+        dt = _elapsed(dt, state)
+        belief, reopened = self._predicted(state, dt)
+        independent = isinstance(self.noise, IndependentNoise)
+        belief, innovation = kalman.update_by(
             belief,
-            -residual,
-            predicted,
+            measure,
             self.noise,
-            jacobian=jacobian,
             # Noise that mixes rows ties those that no body moves to the others.
-            rows=moved if isinstance(self.noise, IndependentNoise) else None,
-            mask=usable,
+            rows=moved_rows(self.robot, self.bodies) if independent else None,
             gate=self.gate,
             outliers=self.outliers,
             iterations=self.iterations,

@@ -13,7 +13,7 @@ Numerical trouble is returned as data (`Innovation.accepted`), never raised: an 
 
 import abc
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -26,6 +26,9 @@ from jax_inertia.maths.gates import Gate
 from jax_inertia.maths.noise import Noise
 from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.row_runs import spread_rows, take_rows
+
+
+T = TypeVar("T")
 
 
 class Belief(eqx.Module):
@@ -69,9 +72,16 @@ class Correction(NamedTuple):
 class Form(eqx.Module):
     """How gain and posterior covariance are computed from whitened rows (unit noise)."""
 
-    def fused(self, function: Callable) -> Callable:
+    def fused(self, function: Callable[..., T]) -> Callable[..., T]:
         """The same function, as one kernel where the form is for many filters on a GPU."""
         return function
+
+    def kept(self, function: Callable[[], T]) -> Callable[[], T]:
+        """What is needed more than once, as it was computed the first time; or computed each time, where that is less
+        work for a kernel than to read it from memory.
+        """
+        value = function()
+        return lambda: value
 
     @abc.abstractmethod
     def correct(
@@ -193,7 +203,33 @@ def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
     return Belief(belief.mean, belief.covariance + q)
 
 
-@in_full_precision
+class Measurement(NamedTuple):
+    """One measurement z = h(x) + noise."""
+
+    z: Float[Array, " m"]
+    model: Callable[[Float[Array, " n"]], Float[Array, " m"]]
+    """h."""
+    jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None
+    """∂h/∂x; None: by forward-mode autodiff."""
+    mask: Bool[Array, " m"] | None = None
+    """Rows where it is False are left out, and all that are not finite."""
+
+    def used(self) -> Bool[Array, " m"]:
+        """The rows that are not left out."""
+        finite = jnp.isfinite(self.z)
+        return finite if self.mask is None else finite & self.mask
+
+    def left(self, x: Float[Array, " n"]) -> Float[Array, " m"]:
+        """z − h(x); what is left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled."""
+        used = self.used()
+        return jnp.where(used, jnp.where(used, self.z, 0.0) - self.model(x), 0.0)
+
+    def slope(self, x: Float[Array, " n"]) -> Float[Array, "m n"]:
+        """∂h/∂x, zero where left out."""
+        jacobian = jax.jacfwd(self.model) if self.jacobian is None else self.jacobian
+        return jnp.where(self.used()[:, None], jacobian(x), 0.0)
+
+
 def update(
     belief: Belief,
     measurement: Float[Array, " m"],
@@ -201,7 +237,6 @@ def update(
     noise: Noise,
     *,
     jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None,
-    rows: tuple[int, ...] | None = None,
     mask: Bool[Array, " m"] | None = None,
     gate: Gate | None = None,
     outliers: Gate | None = None,
@@ -209,18 +244,7 @@ def update(
     form: Form | None = None,
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
 ) -> tuple[Belief, Innovation]:
-    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
-
-    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. `rows`, ascending, are those
-    that hang on the state at all (None: any may); the noise must be independent then, and the others count in `nis`
-    alone. Rows where `mask` is False, or whose measurement is not finite, are left out. `project` is applied to every
-    iterate. The belief is returned unchanged where the gate rejects or the result would not be finite.
-
-    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
-    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
-    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
-    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
-    certainty to match, for ever. The innovation is normalised by the noise as given.
+    """One measurement update; see `Measurement` for what is measured, `update_by` for everything else.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.maths.kalman import Belief, update
@@ -230,27 +254,66 @@ def update(
     >>> after.mean.round(6), after.covariance.round(6)
     (Array([1.], dtype=float64), Array([[0.5]], dtype=float64))
     """
+    return update_by(
+        belief,
+        lambda: Measurement(measurement, model, jacobian, mask),
+        noise,
+        gate=gate,
+        outliers=outliers,
+        iterations=iterations,
+        form=form,
+        project=project,
+    )
+
+
+@in_full_precision
+def update_by(
+    belief: Belief,
+    measure: Callable[[], Measurement],
+    noise: Noise,
+    *,
+    rows: tuple[int, ...] | None = None,
+    gate: Gate | None = None,
+    outliers: Gate | None = None,
+    iterations: int = 1,
+    form: Form | None = None,
+    project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
+) -> tuple[Belief, Innovation]:
+    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
+
+    `measure` computes the measurement, which goes into one kernel with its linearisation where the form is for that.
+    `rows`, ascending, are those that hang on the state at all (None: any may); the noise must be independent then, and
+    the others count in `nis` alone. `project` is applied to every iterate. The belief is returned unchanged where the
+    gate rejects or the result would not be finite.
+
+    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
+    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
+    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
+    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
+    certainty to match, for ever. The innovation is normalised by the noise as given.
+    """
     form = default_form(belief.mean.dtype) if form is None else form
-    jacobian = jax.jacfwd(model) if jacobian is None else jacobian
     prior, p = belief.mean, belief.covariance
-    used = jnp.isfinite(measurement) if mask is None else jnp.isfinite(measurement) & mask
-    z = jnp.where(used, measurement, 0.0)
-    used = used.astype(prior.dtype)
+    size = len(noise.variances())
+    hanging = tuple(range(size)) if rows is None else rows
+    rest = np.setdiff1d(np.arange(size), hanging)
+    measured = form.kept(measure)
 
-    hanging = tuple(range(len(z))) if rows is None else rows
-    rest = np.setdiff1d(np.arange(len(z)), hanging)
-
-    def linearise(x: Float[Array, " n"]) -> tuple[Float[Array, " m"], _Rows]:
-        # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
-        h: Array = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
-        left: Array = jnp.where(used > 0, z - model(x), 0.0)
+    def linearised(x: Float[Array, " n"]) -> _Rows:
+        one = measured()
+        used = one.used().astype(prior.dtype)
+        h, left = one.slope(x), one.left(x)
         nu = left - h @ (prior - x)
         white = noise.whiten(jnp.concatenate([h, nu[:, None], left[:, None]], axis=1), used)
-        own = take_rows(white, hanging)
-        return left, _Rows(own[:, :-2], own[:, -2], jnp.sum(white[rest, -2] ** 2), white[:, -1])
+        own, others = take_rows(white, hanging), white[rest]
+        every = jnp.concatenate([own[:, -1], others[:, -1]])
+        return _Rows(own[:, :-2], own[:, -2], jnp.sum(others[:, -2] ** 2), every)
 
-    count = jnp.sum(used)
-    residual, white = form.fused(linearise)(prior)
+    def seen_first() -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, ""], _Rows]:
+        used = measured().used().astype(prior.dtype)
+        return measured().left(prior), used, jnp.sum(used), linearised(prior)
+
+    residual, used, count, white = form.fused(seen_first)()
     first = white.corrected(form, p)
     step, covariance = first.step, first.covariance
     weight = jnp.ones_like(first.nis)
@@ -261,25 +324,25 @@ def update(
     mean = form.fused(lambda step: project(prior + step))(step)
     if iterations > 1:
 
-        def whitened(x: Float[Array, " n"]) -> Float[Array, " m"]:
-            return noise.whiten(jnp.where(used > 0, z - model(x), 0.0)[:, None], used)[:, 0]
+        def left(x: Float[Array, " n"]) -> Float[Array, " m"]:
+            return weight * noise.whiten(measured().left(x)[:, None], used)[:, 0]
 
         def again(x: Float[Array, " n"]) -> _Rows:
-            return form.fused(linearise)(x)[1].times(weight)
+            return linearised(x).times(weight)
 
-        first_step = (weight * white.left, step, covariance)
-        trials = _Trials(belief, form, again, lambda x: weight * whitened(x), project)
-        mean, step, covariance = trials.run(first_step, iterations - 1)
+        trials = _Trials(belief, form, form.fused(again), form.fused(left), project)
+        mean, step, covariance = trials.run((weight * white.left, step, covariance), iterations - 1)
 
     limit = jnp.inf if gate is None else gate.threshold(count)
-    # The step too, since `project` may make a number of what is none.
-    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, covariance)]
+    # The step too, since `project` may make a number of what is none. An entry of the covariance that is none leaves
+    # none on its row's diagonal.
+    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, jnp.diagonal(covariance))]
     accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
     out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, covariance, p))
     # The log-density of ν itself: whitening scaled it by √det R.
     log_det = first.log_det + noise.log_det(used)
     likelihood = -0.5 * (first.nis + log_det + count * jnp.log(2.0 * jnp.pi))
-    seen = noise.colour(spread_rows(first.rows, hanging, len(z)), used)
+    seen = noise.colour(spread_rows(first.rows, hanging, size), used)
     sigma = jnp.sqrt(jnp.sum(seen**2, axis=1) + noise.variances())
     return out, Innovation(residual, sigma, first.nis, count, likelihood, accepted)
 
@@ -293,7 +356,7 @@ class _Rows(NamedTuple):
     rest: Float[Array, ""]
     """|ν|² of the others."""
     left: Float[Array, " m"]
-    """Residual z − h(x) of all."""
+    """Residual z − h(x) of all, the others' last: a kernel is done with them before it comes to H."""
 
     def times(self, factor: Float[Array, ""]) -> "_Rows":
         """With less noise, by this factor."""

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import mosaic_gpu as gpu
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxtyping import Array, Float
 
-from jax_inertia.maths.scalar_program import Program, traced
+from jax_inertia.maths.scalar_program import one_thread, traced
 
 LANES = 128
 """Samples to a block: Mosaic's threads are groups of so many."""
@@ -32,6 +32,7 @@ def available() -> bool:
 
 
 def lane_kernel(
+    name: str,
     body: Callable[..., None],
     shapes: Sequence[tuple[int, ...]],
     arrays: Sequence[Float[Array, "... n"]],
@@ -69,10 +70,11 @@ def lane_kernel(
             *map(result, refs[last:]),
         )
 
-    name = "out_shape" if jax.__version_info__ < (0, 11) else "out_type"
+    program.__name__ = name  # what a profiler shows
+    which = "out_shape" if jax.__version_info__ < (0, 11) else "out_type"
     run = gpu.kernel(
         program,
-        **{name: out},
+        **{which: out},
         grid=(-(-count // LANES),),
         grid_names=("block",),
         compiler_params=gpu.CompilerParams(
@@ -93,60 +95,65 @@ def in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def wrapped(*args: Any) -> Any:
-        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-        leaves = [*closed.consts, *jax.tree.leaves(args)]
-        given = [*closed.jaxpr.constvars, *closed.jaxpr.invars]
-        closed = ClosedJaxpr(closed.jaxpr.replace(constvars=[], invars=given), [])
-        moving = [k for k, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
-        out = _lanes(closed, leaves, moving)(*(leaves[k] for k in moving))
+        usual, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+        before = one_thread.set(True)
+        straight = jax.make_jaxpr(function)(*args)
+        one_thread.reset(before)
+        name = getattr(function, "__name__", "function")
+        out = _called(name, usual, straight, jax.tree.leaves(args))
         return jax.tree.unflatten(jax.tree.structure(shapes), out)
 
     return wrapped
 
 
-def _lanes(closed: ClosedJaxpr, leaves: Sequence[Any], moving: Sequence[int]) -> Callable:
-    """The traced function of its `moving` leaves."""
+def _called(
+    name: str, usual: ClosedJaxpr, straight: ClosedJaxpr, args: Sequence[Any]
+) -> list[Array]:
+    """A function of these arguments, traced as it is and for one thread."""
+    leaves = [*usual.consts, *straight.consts, *args]
+    first, second = len(usual.consts), len(usual.consts) + len(straight.consts)
+    moving = [k for k, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
 
-    def of_moving(*values: Array) -> list[Array]:
-        every = list(leaves)
-        for k, x in zip(moving, values, strict=True):
-            every[k] = x
-        return jaxpr_as_fun(closed)(*every)
+    def plain(*values: Array) -> list[Array]:
+        given = dict(enumerate(leaves)) | dict(zip(moving, values, strict=True))
+        every = list(given.values())
+        return jax.core.eval_jaxpr(usual.jaxpr, every[:first], *every[second:])
 
-    call = custom_vmap(of_moving)
+    call = custom_vmap(plain)
 
     @call.def_vmap
     def rule(size: int, batched: list[bool], *values: Array) -> tuple[list[Array], list[bool]]:
-        plain = jax.vmap(of_moving, [0 if on else None for on in batched], axis_size=size)
-        kinds = {jnp.dtype(x.aval.dtype) for x in closed.jaxpr.outvars}
-        kinds |= {jnp.dtype(x.dtype) for x in values}
-        every = [True] * len(closed.jaxpr.outvars)
-        if kinds - {jnp.dtype(bool)} != {jnp.dtype(jnp.float32)} or size < LANES or not available():
-            return plain(*values), every
+        many = jax.vmap(plain, [0 if on else None for on in batched], axis_size=size)
+        dtypes = [jnp.dtype(x.aval.dtype) for x in usual.jaxpr.outvars]
+        numbers = {*dtypes, *(jnp.dtype(x.dtype) for x in values)} - {jnp.dtype(bool)}
+        every = [True] * len(dtypes)
+        if numbers != {jnp.dtype(jnp.float32)} or size < LANES or not available():
+            return many(*values), every
 
         def kernel(*values: Array) -> list[Array]:
-            given = list(leaves)
-            for k, x, on in zip(moving, values, batched, strict=True):
-                given[k] = jax.ShapeDtypeStruct(x.shape[1:] if on else x.shape, x.dtype)
-            where = dict(zip(moving, range(len(moving)), strict=True))
-            out = _in_kernel(traced(closed, given), where, batched, values)
-            return [
-                x != 0 if var.aval.dtype == bool else x
-                for x, var in zip(out, closed.jaxpr.outvars, strict=True)
-            ]
+            inputs = dict(zip(moving, zip(values, batched, strict=True), strict=True))
+            out = _in_kernel(
+                name, straight.jaxpr, [inputs.get(k, leaves[k]) for k in range(first, len(leaves))]
+            )
+            pairs = zip(out, dtypes, strict=True)
+            return [x != 0 if dtype == bool else x for x, dtype in pairs]
 
-        return jax.lax.platform_dependent(*values, cuda=kernel, default=plain), every
+        return jax.lax.platform_dependent(*values, cuda=kernel, default=many), every
 
-    return call
+    return call(*(leaves[k] for k in moving))
 
 
-def _in_kernel(
-    program: Program, where: dict[int, int], batched: Sequence[bool], values: Sequence[Array]
-) -> list[Array]:
-    """The program's results; its k-th argument is the `where[k]`-th value."""
+def _in_kernel(name: str, jaxpr: Jaxpr, args: Sequence[Any]) -> list[Array]:
+    """The results for numbers that are known and inputs: pairs of an array and whether every sample has its own."""
+
+    def of_one(x: Any) -> Any:
+        if not isinstance(x, tuple):
+            return x
+        return jax.ShapeDtypeStruct(x[0].shape[1:] if x[1] else x[0].shape, x[0].dtype)
+
+    program = traced(jaxpr, [of_one(x) for x in args])
     used = program.used()
-    wide = [k for k in used if batched[where[k]]]
-    shared = [k for k in used if not batched[where[k]]]
+    wide, shared = [k for k in used if args[k][1]], [k for k in used if not args[k][1]]
 
     def body(*refs: Callable) -> None:
         loads = dict(zip([*wide, *shared], refs, strict=False))
@@ -156,9 +163,10 @@ def _in_kernel(
             results[k](jnp.where(value, 1.0, 0.0) if logical else value, *at)
 
     out = lane_kernel(
+        name,
         body,
         [x.shape for x in program.outputs],
-        [jnp.moveaxis(values[where[k]].astype(jnp.float32), 0, -1) for k in wide],
-        [values[where[k]].astype(jnp.float32) for k in shared],
+        [jnp.moveaxis(args[k][0].astype(jnp.float32), 0, -1) for k in wide],
+        [args[k][0].astype(jnp.float32) for k in shared],
     )
     return [jnp.moveaxis(x, -1, 0) for x in out]

@@ -5,9 +5,10 @@ registers, moving them about costs nothing, and what is multiplied by a known ze
 it NaN where that is). A function is written once, for arrays, and stays the reference for what is made of it here.
 """
 
+import contextvars
 import itertools
 import operator
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+
+AHEAD = 300
+"""Operations before it is needed at which an input is read: memory takes as long."""
+one_thread = contextvars.ContextVar("one_thread", default=False)
+"""Whether what is traced is for one thread: then what takes fewer operations is better, even where all wait for all."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,6 +33,11 @@ class Node:
     """Of the primitive; `input` for a number that comes from outside."""
     args: tuple
     """Nodes and known numbers; of an input: which array, and where in it."""
+
+    @property
+    def needs(self) -> list["Node"]:
+        return [] if self.name == "input" else [x for x in self.args if isinstance(x, Node)]
+
 
 
 _OPERATIONS: dict[str, Callable] = {
@@ -93,23 +105,22 @@ class Program:
         return out
 
     def ordered(self) -> list[Node]:
-        """All that the outputs need, each after what it needs itself, and late: what is computed early, waits.
+        """All that the outputs need, each after what it needs itself.
 
-        Backwards, since joints come in the order of the tree: the tips' rows are done before those that carry them.
+        What is computed early, waits in a register: so everything is computed late. The last output sets the order,
+        backwards, since joints come in the order of the tree: the tips' rows are done before those that carry them.
+        Entries of other outputs follow where what they share with it has been computed. Inputs are read `AHEAD`.
         """
-        done: dict[int, Node] = {}
-        for output in reversed(self.outputs):
-            for root in output.ravel()[::-1]:
-                stack = [root] if isinstance(root, Node) else []
-                while stack:
-                    top = stack[-1]
-                    args = () if top.name == "input" else top.args
-                    left = [x for x in args if isinstance(x, Node) and id(x) not in done]
-                    if left:
-                        stack.append(left[0])
-                    else:
-                        done.setdefault(id(stack.pop()), top)
-        return list(done.values())
+        ready: dict[int, int] = {}
+        for k, output in enumerate(reversed(self.outputs)):
+            for node in _in_order(output.ravel()[::-1], ready):
+                own = len(ready) if k == 0 else -1
+                ready[id(node)] = max([own, *(ready[id(x)] for x in node.needs)])
+        roots = [x for output in reversed(self.outputs) for x in output.ravel()[::-1]]
+        roots = [x for x in roots if isinstance(x, Node)]
+        late = _in_order(sorted(roots, key=lambda x: ready[id(x)]), ())
+        when = {id(x): i - AHEAD * (x.name == "input") for i, x in enumerate(late)}
+        return sorted(late, key=lambda x: when[id(x)])
 
     def used(self) -> list[int]:
         """Which arguments the outputs need."""
@@ -139,11 +150,11 @@ class Program:
                 yield k, at, value
 
 
-def traced(closed: ClosedJaxpr, args: Sequence[Any]) -> Program:
-    """The program of a traced function with these arguments.
+def traced(jaxpr: Jaxpr, args: Sequence[Any]) -> Program:
+    """The program of a traced function of its constants and arguments.
 
-    A `jax.ShapeDtypeStruct` stands for an input, a boolean being a number that is not zero; everything else is known. Raises NotImplementedError for a
-    primitive that is not known here: loops, factorisations.
+    A `jax.ShapeDtypeStruct` stands for an input, a boolean being a number that is not zero; everything else is known.
+    Raises NotImplementedError for a primitive that is not known here: loops, factorisations.
     """
     program = Program()
     values = []
@@ -158,8 +169,23 @@ def traced(closed: ClosedJaxpr, args: Sequence[Any]) -> Program:
             value = _numbers(x)
         values.append(value)
     with jax.ensure_compile_time_eval():  # of what is known
-        program.outputs = _evaluated(program, closed, values)
+        program.outputs = _evaluated(program, jaxpr, values)
     return program
+
+
+def _in_order(roots: Iterable[Any], done: Container[int]) -> list[Node]:
+    """Nodes among the roots and all that they need, but for what is done, each after what it needs."""
+    out: dict[int, Node] = {}
+    for root in roots:
+        stack = [root] if isinstance(root, Node) and id(root) not in done else []
+        while stack:
+            left = [x for x in stack[-1].needs if id(x) not in out and id(x) not in done]
+            if left:
+                stack.append(left[0])
+            else:
+                top = stack.pop()
+                out[id(top)] = top
+    return list(out.values())
 
 
 def _shortened(name: str, args: tuple) -> Any:
@@ -178,6 +204,8 @@ def _shortened(name: str, args: tuple) -> Any:
     if name == "add":
         return second if zero[0] else first if zero[1] else None
     if name == "sub":
+        if first is second:
+            return np.float32(0.0)
         return ("neg", second) if zero[0] else first if zero[1] else None
     if zero[0] or (name == "mul" and zero[1]):
         return np.float32(0.0)
@@ -198,10 +226,9 @@ def _numbers(x: Any) -> np.ndarray:
     return out
 
 
-def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) -> list[np.ndarray]:
-    jaxpr = closed.jaxpr
-    known = dict(zip(jaxpr.constvars, map(_numbers, closed.consts), strict=True))
-    known |= dict(zip(jaxpr.invars, values, strict=True))
+def _evaluated(program: Program, jaxpr: Jaxpr, values: list[np.ndarray]) -> list[np.ndarray]:
+    """Results for constants and arguments."""
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], values, strict=True))
     for eqn in jaxpr.eqns:
         args = [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in eqn.invars]
         name = eqn.primitive.name
@@ -209,7 +236,7 @@ def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) 
         if name == "cond":
             out = _both(program, eqn.params["branches"], *args)
         elif inner is not None:
-            out = _evaluated(program, inner, args)
+            out = _inner(program, inner, args)
         elif name in _OPERATIONS:
             out = [program.map(name, *args)]
         elif name in _RULES:
@@ -221,9 +248,13 @@ def _evaluated(program: Program, closed: ClosedJaxpr, values: list[np.ndarray]) 
     return [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in jaxpr.outvars]
 
 
+def _inner(program: Program, closed: ClosedJaxpr, args: list[np.ndarray]) -> list[np.ndarray]:
+    return _evaluated(program, closed.jaxpr, [*map(_numbers, closed.consts), *args])
+
+
 def _both(program: Program, branches: Sequence[ClosedJaxpr], which: np.ndarray, *args: np.ndarray):
     """Of two branches: each thread may take another one, so both are computed."""
-    no, yes = (_evaluated(program, branch, list(args)) for branch in branches)
+    no, yes = (_inner(program, branch, list(args)) for branch in branches)
     return [program.map("select_n", which, x, y) for x, y in zip(no, yes, strict=True)]
 
 
