@@ -89,7 +89,7 @@ class Program:
             short = self._known.setdefault(key, Node(name, args))
         return self.node(*short) if isinstance(short, tuple) else short
 
-    def map(self, name: str, *arrays: np.ndarray) -> np.ndarray:
+    def map(self, name: str, *arrays: Any) -> np.ndarray:
         """An operation on every entry."""
         arrays = tuple(np.broadcast_arrays(*arrays))
         out = np.empty(arrays[0].shape, object)
@@ -97,7 +97,7 @@ class Program:
             out[at] = self.node(name, *(x[at] for x in arrays))
         return out
 
-    def total(self, terms: Sequence[Any]) -> Any:
+    def total(self, terms: Iterable[Any]) -> Any:
         """The sum, from the first term on."""
         out = np.float32(0.0)
         for term in terms:
@@ -232,11 +232,10 @@ def _evaluated(program: Program, jaxpr: Jaxpr, values: list[np.ndarray]) -> list
     for eqn in jaxpr.eqns:
         args = [_numbers(x.val) if isinstance(x, Literal) else known[x] for x in eqn.invars]
         name = eqn.primitive.name
-        inner = next((p for p in eqn.params.values() if isinstance(p, ClosedJaxpr)), None)
         if name == "cond":
             out = _both(program, eqn.params["branches"], *args)
-        elif inner is not None:
-            out = _inner(program, inner, args)
+        elif name in _CALLS:
+            out = _inner(program, eqn.params[_CALLS[name]], args)
         elif name in _OPERATIONS:
             out = [program.map(name, *args)]
         elif name in _RULES:
@@ -300,8 +299,9 @@ def _power(program, x, *, y):
 def _reduced(name):
     def rule(program, x, *, axes, **_):
         x = np.moveaxis(x, axes, range(len(axes)))
-        out, *others = x.reshape(-1, *x.shape[len(axes) :])
-        for other in others:
+        x = x.reshape(-1, *x.shape[len(axes) :])
+        out = x[:1].reshape(x.shape[1:])
+        for other in x[1:]:
             out = program.map(name, out, other)
         return out
 
@@ -347,6 +347,15 @@ def _sums(program, which: np.ndarray, x: np.ndarray) -> np.ndarray:
     return out
 
 
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "custom_vmap_call": "call",
+}
+"""What calls another function, and the parameter that is its trace."""
 _RULES: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda _, *x, dimension, **__: np.concatenate(x, dimension),
