@@ -35,6 +35,7 @@ FUNCTIONS = {
     "moves": lambda a, b: (a[::-1, 1:], jnp.stack([a, b]).reshape(-1), a[np.array([2, 0])]),
     "sums": lambda a, b: (a.sum(0), b.max(1), (a > b).any(), (a > 0).all(1), jnp.where(a > b, a, b)),
     "scalars": lambda a, b: (a**3, a**-2, -(-a), jnp.sqrt(a * a), a / b, abs(a - a)),
+    "logic": lambda a, b: ((a > b).astype(float).sum(), jnp.sum(a > b), ~(a > b) & (a > 0), a.astype(bool) | (b > 0)),
     "branches": lambda a, b: (jax.lax.cond(a[0, 0] > b[0, 0], lambda: a, lambda: b),),
     "functions": lambda a, b: (jnp.sin(a), jnp.cos(b), jnp.exp(a), jnp.tanh(b), jnp.log(a * a), jnp.isfinite(a)),
 }  # fmt: skip

@@ -1,18 +1,18 @@
 """A few rows of an array, taken out and put back by runs of consecutive ones: no gather, no scatter."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Shaped
 
 
-def take_rows(x: Float[Array, "n ..."], rows: tuple[int, ...]) -> Float[Array, "k ..."]:
+def take_rows(x: Shaped[Array, "n ..."], rows: tuple[int, ...]) -> Shaped[Array, "k ..."]:
     """These ascending rows of x, by runs: of what `spread_rows` put together nothing is left but the rows."""
     parts = [x[first:last] for first, last in _runs(rows)]
     return parts[0] if len(parts) == 1 else jnp.concatenate([x[:0], *parts])
 
 
 def spread_rows(
-    x: Float[Array, "k ..."], rows: tuple[int, ...], count: int
-) -> Float[Array, "n ..."]:
+    x: Shaped[Array, "k ..."], rows: tuple[int, ...], count: int
+) -> Shaped[Array, "n ..."]:
     """`count` rows, zero but for these ascending ones."""
     parts, taken, done = [], 0, 0
     for first, last in _runs(rows):

@@ -239,7 +239,10 @@ def _evaluated(program: Program, jaxpr: Jaxpr, values: list[np.ndarray]) -> list
         elif name in _OPERATIONS:
             out = [program.map(name, *args)]
         elif name in _RULES:
-            out = _RULES[name](program, *args, **eqn.params)
+            params = eqn.params
+            if name == "convert_element_type":
+                params = {**params, "was": np.dtype(eqn.invars[0].aval.dtype)}
+            out = _RULES[name](program, *args, **params)
             out = out if isinstance(out, list) else [out]
         else:
             raise NotImplementedError(f"no scalar form of {name}")
@@ -257,13 +260,16 @@ def _both(program: Program, branches: Sequence[ClosedJaxpr], which: np.ndarray, 
     return [program.map("select_n", which, x, y) for x, y in zip(no, yes, strict=True)]
 
 
-def _converted(_, x, *, new_dtype, **__):
-    if all(isinstance(value, Node) for value in x.ravel()):
-        return x
+def _converted(program, x, *, new_dtype, was, **__):
+    new = np.dtype(new_dtype)
+    if was == bool and new != bool:
+        return program.map("select_n", x, new.type(0), new.type(1))
+    if was != bool and new == bool:
+        return program.map("ne", x, was.type(0))
     out = x.copy()
     for at in np.ndindex(x.shape):
         if not isinstance(x[at], Node):
-            out[at] = np.dtype(new_dtype).type(x[at])
+            out[at] = new.type(x[at])
     return out
 
 
