@@ -89,7 +89,9 @@ def lowered(function, *args) -> str:
     checks = [jax.export.DisabledSafetyCheck.custom_call(x) for x in names]
     with jax.sharding.use_abstract_mesh(one_h100()):
         out = jax.export.export(jax.jit(function), platforms=["cuda"], disabled_checks=checks)
-        return out(*(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), args))).mlir_module()
+        return out(
+            *(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), args))
+        ).mlir_module()
 
 
 def test_kernel_lowers_for_a_gpu():

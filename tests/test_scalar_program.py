@@ -7,9 +7,10 @@ import pytest
 
 from jax_inertia.dynamics import recursions
 from jax_inertia.dynamics.kinematics import forward_kinematics
-from jax_inertia.maths import scalar_program
+from jax_inertia.maths import scalar_trace
 from jax_inertia.maths.charts import LogCholeskyUUt
-from jax_inertia.maths.scalar_program import Node, Program, one_thread
+from jax_inertia.maths.scalar_program import Node, Program
+from jax_inertia.maths.scalar_trace import one_thread
 
 
 def program_of(function, *args, straight: bool = False) -> Program:
@@ -19,8 +20,10 @@ def program_of(function, *args, straight: bool = False) -> Program:
     closed = jax.make_jaxpr(lambda *x: jax.tree.leaves(function(*x)))(*shapes)
     one_thread.reset(before)
     # Arguments first, then what the trace found to be known.
-    jaxpr = closed.jaxpr.replace(constvars=[], invars=[*closed.jaxpr.invars, *closed.jaxpr.constvars])
-    return scalar_program.traced(jaxpr, [*shapes, *closed.consts])
+    jaxpr = closed.jaxpr.replace(
+        constvars=[], invars=[*closed.jaxpr.invars, *closed.jaxpr.constvars]
+    )
+    return scalar_trace.traced(jaxpr, [*shapes, *closed.consts])
 
 
 def results(program: Program, *args) -> list[np.ndarray]:
@@ -34,7 +37,7 @@ FUNCTIONS = {
     "products": lambda a, b: (a @ b, a.T @ a, jnp.einsum("ij,ik->kj", a, b)),
     "moves": lambda a, b: (a[::-1, 1:], jnp.stack([a, b]).reshape(-1), a[np.array([2, 0])]),
     "sums": lambda a, b: (a.sum(0), b.max(1), (a > b).any(), (a > 0).all(1), jnp.where(a > b, a, b)),
-    "scalars": lambda a, b: (a**3, a**-2, -(-a), jnp.sqrt(a * a), a / b, abs(a - a)),
+    "scalars": lambda a, b: (a**3, a**-2, 0.0 - (-a), jnp.sqrt(a * a), a / b, abs(a - a)),
     "logic": lambda a, b: ((a > b).astype(float).sum(), jnp.sum(a > b), ~(a > b) & (a > 0), a.astype(bool) | (b > 0)),
     "branches": lambda a, b: (jax.lax.cond(a[0, 0] > b[0, 0], lambda: a, lambda: b),),
     "functions": lambda a, b: (jnp.sin(a), jnp.cos(b), jnp.exp(a), jnp.tanh(b), jnp.log(a * a), jnp.isfinite(a)),
@@ -77,7 +80,9 @@ def test_one_thread_composes_each_pose_once(cases):
 
 def test_chart_and_its_jacobian():
     chart, x = LogCholeskyUUt(), jnp.linspace(-0.4, 0.5, 10)
-    found = results(program_of(lambda x: (chart.to_pi(x), chart.jacobian(x), chart.project(x)), x), x)
+    found = results(
+        program_of(lambda x: (chart.to_pi(x), chart.jacobian(x), chart.project(x)), x), x
+    )
     for a, b in zip(found, (chart.to_pi(x), chart.jacobian(x), chart.project(x)), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -86,7 +91,8 @@ def test_known_numbers_are_folded_in():
     known = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -1.0, 2.0]])
     program = program_of(lambda x: known @ x, np.ones(3))
     (out,) = program.outputs
-    assert out[0].name == "input" and out[1] == 0.0
+    assert out[0].name == "input"
+    assert out[1] == 0.0
     assert [n.name for n in program.ordered()].count("mul") == 1
     assert program.used() == [0]
 

@@ -9,10 +9,10 @@ from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Float
 
 from jax_inertia.estimation.priors import Uncertainty
-from jax_inertia.maths import charts, kalman
+from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, known, require
 from jax_inertia.maths.gates import ChiSquaredGate, FixedGate, Gate
-from jax_inertia.maths.noise import IndependentNoise, Noise
+from jax_inertia.maths.noise import Noise
 from jax_inertia.model.robot import Robot
 
 

@@ -6,13 +6,12 @@ XLA sends every small factorisation through memory: some 100 kB a filter and sam
 from collections.abc import Callable
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from jax_inertia.maths.kalman import Correction, SquareRoot, T, cholesky
+from jax_inertia.maths.kalman_forms import Correction, SquareRoot, T, cholesky
 from jax_inertia.maths.lanes import LANES, available, in_lanes, lane_kernel
 from jax_inertia.maths.precision import in_full_precision
 
@@ -73,8 +72,7 @@ def kernel(
     """K ν, P⁺, νᵀ S⁻¹ ν and log det S of at least 128 filters."""
     _, m, n = h.shape
     last = [jnp.moveaxis(x, 0, -1) for x in (p, h, nu)]
-    out = lane_kernel(
-        "square_root_update", partial(body, n, m), [(n,), (n, n), (), ()], last)
+    out = lane_kernel("square_root_update", partial(body, n, m), [(n,), (n, n), (), ()], last)
     step, covariance, nis, log_det = (jnp.moveaxis(x, -1, 0) for x in out)
     return step, covariance, nis, log_det
 
@@ -130,7 +128,9 @@ def body(
     for i in range(n):
         for j in range(i + 1):
             """Entry of L Lᵀ, kept positive as by `kalman.positive`."""
-            new = _dot([columns[k][i - k] for k in range(j + 1)], [columns[k][j - k] for k in range(j + 1)])
+            new = _dot(
+                [columns[k][i - k] for k in range(j + 1)], [columns[k][j - k] for k in range(j + 1)]
+            )
             if i == j:
                 new = new * (1.0 + n * margin) + float(jnp.finfo(jnp.float32).tiny) ** 0.5
             else:

@@ -16,7 +16,7 @@ from jax.experimental.pallas import mosaic_gpu as gpu
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxtyping import Array, Float
 
-from jax_inertia.maths.scalar_program import one_thread, traced
+from jax_inertia.maths.scalar_trace import one_thread, traced
 
 LANES = 128
 """Samples to a block: Mosaic's threads are groups of so many."""
@@ -136,7 +136,7 @@ def _called(
                 name, straight.jaxpr, [inputs.get(k, leaves[k]) for k in range(first, len(leaves))]
             )
             pairs = zip(out, dtypes, strict=True)
-            return [x != 0 if dtype == bool else x for x, dtype in pairs]
+            return [x != 0 if dtype.kind == "b" else x for x, dtype in pairs]
 
         return jax.lax.platform_dependent(*values, cuda=kernel, default=many), every
 
@@ -159,7 +159,7 @@ def _in_kernel(name: str, jaxpr: Jaxpr, args: Sequence[Any]) -> list[Array]:
         loads = dict(zip([*wide, *shared], refs, strict=False))
         results = refs[len(loads) :]
         for k, at, value in program.run(lambda k, at: loads[k](*at)):
-            logical = jnp.result_type(value) == bool
+            logical = jnp.result_type(value).kind == "b"
             results[k](jnp.where(value, 1.0, 0.0) if logical else value, *at)
 
     out = lane_kernel(
