@@ -98,9 +98,9 @@ def _sliced(_, x, *, start_indices, limit_indices, strides):
     return x[tuple(map(slice, start_indices, limit_indices, steps))]
 
 
-def _gathered(_, x, indices, *, dimensionnumbers, slice_sizes, mode, **__):
+def _gathered(_, x, indices, *, dimension_numbers, slice_sizes, mode, **__):
     places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
-    picked = lax.gather(places, indices.astype(np.int32), dimensionnumbers, slice_sizes, mode=mode)
+    picked = lax.gather(places, indices.astype(np.int32), dimension_numbers, slice_sizes, mode=mode)
     return x.ravel()[np.asarray(picked)]
 
 
@@ -113,10 +113,12 @@ def _power(program, x, *, y):
     return out
 
 
-def _reduced(name):
+def _reduced(name, empty):
     def rule(program, x, *, axes, **_):
         x = np.moveaxis(x, axes, range(len(axes)))
         x = x.reshape(-1, *x.shape[len(axes) :])
+        if not len(x):
+            return np.full(x.shape[1:], empty, object)
         out = x[:1].reshape(x.shape[1:])
         for other in x[1:]:
             out = program.map(name, out, other)
@@ -125,7 +127,7 @@ def _reduced(name):
     return rule
 
 
-def _product(program, a, b, *, dimensionnumbers, **_):
+def _product(program, a, b, *, dimension_numbers, **_):
     (over_a, over_b), (batch_a, batch_b) = dimension_numbers
 
     def as_matrices(x, over, batch, last):
@@ -190,11 +192,11 @@ _RULES: dict[str, Callable] = {
         )
     ),
     "optimization_barrier": lambda _, *x: list(x),
-    "reduce_and": _reduced("and"),
-    "reduce_max": _reduced("max"),
-    "reduce_min": _reduced("min"),
-    "reduce_or": _reduced("or"),
-    "reduce_sum": _reduced("add"),
+    "reduce_and": _reduced("and", np.True_),
+    "reduce_max": _reduced("max", np.float32(-np.inf)),
+    "reduce_min": _reduced("min", np.float32(np.inf)),
+    "reduce_or": _reduced("or", np.False_),
+    "reduce_sum": _reduced("add", np.float32(0.0)),
     "reshape": lambda _, x, *, new_sizes, **__: x.reshape(new_sizes),
     "rev": lambda _, x, *, dimensions: np.flip(x, dimensions),
     "slice": _sliced,
