@@ -119,8 +119,9 @@ def fleet(form, robots: int = 130):
 
 def assert_same(found, wanted, tolerance: float) -> None:
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
-        size = np.abs(np.asarray(b, float)).max()
-        np.testing.assert_allclose(np.asarray(a, float), b, rtol=0, atol=tolerance * size)
+        a, b = np.asarray(a, float), np.asarray(b, float)
+        size = np.abs(b[np.isfinite(b)]).max(initial=0.0)
+        np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * size)
 
 
 def test_step_in_kernels_is_the_step(hand_run):
@@ -131,9 +132,8 @@ def test_step_in_kernels_is_the_step(hand_run):
 
 def test_step_lowers_for_a_gpu():
     step, args = fleet(FusedSquareRoot())
-    text = lowered(step, *args)
-    for name in ("seen_first", "square_root_update"):
-        assert f"{name}_mosaic_gpu" in text or text.count("mosaic_gpu_v2") >= 3
+    # What is measured with its slope, the update, and the projection.
+    assert lowered(step, *args).count("mosaic_gpu_v2") == 3
 
 
 def test_few_robots_need_no_kernel():
