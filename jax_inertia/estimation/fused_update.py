@@ -41,7 +41,8 @@ class FusedSquareRoot(SquareRoot):
     ) -> Correction:
         if len(p) > MAX_STATES:
             return super().correct(p, h, nu)
-        return Correction(*_correct(p, h, nu), h @ cholesky(p))
+        step, covariance, nis, log_det = _correct(p, h, nu)
+        return Correction(step, covariance, nis, log_det, h @ cholesky(p))
 
 
 def _plain(p: Array, h: Array, nu: Array) -> tuple[Array, Array, Array, Array]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer, eval_jaxpr
 from jax.custom_batching import custom_vmap
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import mosaic_gpu as gpu
@@ -71,16 +72,16 @@ def lane_kernel(
         )
 
     program.__name__ = name  # what a profiler shows
-    which = "out_shape" if jax.__version_info__ < (0, 11) else "out_type"
+    results: dict[str, Any] = {"out_shape" if jax.__version_info__ < (0, 11) else "out_type": out}
     run = gpu.kernel(
         program,
-        **{which: out},
         grid=(-(-count // LANES),),
         grid_names=("block",),
         compiler_params=gpu.CompilerParams(
             lowering_semantics=gpu.LoweringSemantics.Lane,
             unsafe_no_auto_barriers=True,  # no thread reads what another one writes
         ),
+        **results,
     )
     return list(run(*arrays, *(jnp.atleast_1d(x) for x in shared)))
 
@@ -112,12 +113,12 @@ def _called(
     """A function of these arguments, traced as it is and for one thread."""
     leaves = [*usual.consts, *straight.consts, *args]
     first, second = len(usual.consts), len(usual.consts) + len(straight.consts)
-    moving = [k for k, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
+    moving = [k for k, x in enumerate(leaves) if isinstance(x, Tracer)]
 
     def plain(*values: Array) -> list[Array]:
         given = dict(enumerate(leaves)) | dict(zip(moving, values, strict=True))
         every = list(given.values())
-        return jax.core.eval_jaxpr(usual.jaxpr, every[:first], *every[second:])
+        return eval_jaxpr(usual.jaxpr, every[:first], *every[second:])
 
     call = custom_vmap(plain)
 

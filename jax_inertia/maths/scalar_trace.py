@@ -54,7 +54,8 @@ def _evaluated(program: Program, jaxpr: Jaxpr, values: list[np.ndarray]) -> list
         elif name in _RULES:
             params = eqn.params
             if name == "convert_element_type":
-                params = {**params, "was": np.dtype(eqn.invars[0].aval.dtype)}
+                before: Any = eqn.invars[0].aval
+                params = {**params, "was": np.dtype(before.dtype)}
             out = _RULES[name](program, *args, **params)
             out = out if isinstance(out, list) else [out]
         else:
