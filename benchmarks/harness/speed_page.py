@@ -150,7 +150,8 @@ def _gpu(gpu: dict | None) -> str:
     return (
         f"{about['device']}, commit {about['commit']}, jax {about['jax']}, MuJoCo {about['mujoco']}.\n\n"
         f"{results.table(head, rows)}\n\nOperations are XLA's count, which leaves out the kernels' own: some 14 000 "
-        "scalar ones for the measurement and its slope, 25 000 for the update (Cholesky, 13 rows of 20 states, L Lᵀ). In float32 the information form loses the load on states as wild "
+        "scalar ones for the measurement and its slope, 25 000 for the update (Cholesky, 13 rows of 20 states, L Lᵀ). "
+        "In float32 the information form loses the load on states as wild "
         f"as these.{cost}{several()}"
     )
 
