@@ -16,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from benchmarks.harness import fleet
+from jax_inertia.estimation.fused_update import FusedSquareRoot
 
 STEPS, ROUNDS = 20, 5
 
@@ -23,7 +24,7 @@ STEPS, ROUNDS = 20, 5
 def measured(devices: int, robots: int) -> dict:
     """Rate of a chain of filter steps, each fed with the result of the one before."""
     robot = fleet.humanoid_robot("float32")
-    filter_ = fleet.estimator(robot, form=fleet.in_one_kernel(robot))
+    filter_ = fleet.estimator(robot, form=FusedSquareRoot())
     mesh = Mesh(np.array(jax.devices()[:devices]), ("robots",))
     sharding = NamedSharding(mesh, PartitionSpec("robots"))
     count = robots * devices

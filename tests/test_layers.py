@@ -13,8 +13,9 @@ ORDER: dict[str, str] = {
     "": """text maths logs model dynamics signals preflight estimation diagnosis gap replay fleet
         control robots cli __main__""",
     "text": "closest_names notebook_page report_page words",
-    "maths": """argument_checks precision over_samples batch_last spatial finite_difference inertial_parameters
-        charts noise gates sample_weight kalman least_squares""",
+    "maths": """argument_checks precision over_samples row_runs batch_last scalar_program scalar_trace lanes spatial
+        finite_difference inertial_parameters charts noise gates sample_weight kalman_forms kalman
+        least_squares""",
     "logs": "npz atomic_files schema unwrap as_model log findings readers log_files chunks",
     "logs.readers": """stamps options protobuf plain_messages streams bag_messages bag_collect bag column_plan columns
         delimited normalised arrow_columns parquet export""",

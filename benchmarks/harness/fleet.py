@@ -6,7 +6,6 @@ import numpy as np
 
 from benchmarks.harness.states import BODIES, humanoid, states
 from jax_inertia import inverse_dynamics, load_model
-from jax_inertia.estimation.fused_update import FusedSquareRoot, moved_rows
 from jax_inertia.estimation.inertial_filter import Estimator, State, make_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.maths.gates import ChiSquaredGate
@@ -36,11 +35,6 @@ def estimator(
         form=form,
         analytic_jacobian=analytic,
     )
-
-
-def in_one_kernel(robot: Robot) -> FusedSquareRoot:
-    """The form of the update for a fleet on a GPU, of the rows that the two bodies move."""
-    return FusedSquareRoot(moved_rows(robot, tuple(robot.body_index(b) for b in BODIES)))
 
 
 def observations(robot: Robot, samples: int) -> Observation:

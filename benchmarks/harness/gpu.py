@@ -15,6 +15,7 @@ from mujoco import mjx
 from benchmarks.harness import fleet
 from benchmarks.harness.states import BODIES, states
 from jax_inertia import condensed_dynamics, torque_regressor
+from jax_inertia.estimation.fused_update import FusedSquareRoot
 from jax_inertia.maths.kalman import Form, Information, SquareRoot
 from jax_inertia.robots import HumanoidOptions, humanoid_mjcf
 
@@ -152,20 +153,20 @@ def closed_loop(robots: int, ticks: int = 30) -> Build:
 def rows(robots: int, loops: int) -> dict[str, Build]:
     """Everything that is timed, in the order of importance."""
     forms: dict[str, Callable[[Any], Form]] = {
-        "one kernel": fleet.in_one_kernel,
+        "fused": lambda _: FusedSquareRoot(),
         "information": lambda _: Information(),
         "square root, the default": lambda _: SquareRoot(),
     }
     out: dict[str, Build] = {
         f"filter step, {name}": filter_step(robots, form) for name, form in forms.items()
     }
-    out["filter step for the loop's robots"] = filter_step(loops, forms["one kernel"])
+    out["filter step for the loop's robots"] = filter_step(loops, forms["fused"])
     out["closed loop tick"] = closed_loop(loops)
     out["MJX tick alone"] = mjx_ticks(loops)
     out["regressor of two bodies and τ_nom"] = regressors(robots, "two")
     out["full regressor"] = regressors(robots, "all")
     for n in (1024, 8192):
-        out[f"filter step, one kernel, {n} robots"] = filter_step(n, forms["one kernel"])
+        out[f"filter step, fused, {n} robots"] = filter_step(n, forms["fused"])
     return out
 
 

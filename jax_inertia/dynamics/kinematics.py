@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from jax_inertia.maths import spatial
 from jax_inertia.maths.batch_last import compose, cross, skew, total, turn
+from jax_inertia.maths.scalar_trace import one_thread
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, Robot
 
 
@@ -40,7 +41,7 @@ def forward_kinematics(robot: Robot, q: Float[Array, "nq ..."]) -> Kinematics:
     batch = position.shape[2:]
     world = jnp.eye(3, dtype=q.dtype).reshape(3, 3, *(1 for _ in batch))
     world = jnp.broadcast_to(world[None], (1, 3, 3, *batch))
-    for jump in top.doubling:
+    for jump in top.one_by_one if one_thread.get() else top.doubling:
         up_r = jnp.concatenate([rotation, world])[jump]
         up_p = jnp.concatenate([position, jnp.zeros_like(position, shape=(1, 3, *batch))])[jump]
         position = up_p + turn(up_r, position)

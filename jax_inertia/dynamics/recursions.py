@@ -14,7 +14,7 @@ from jax_inertia.dynamics.kinematics import (
     accumulate_outward,
     forward_kinematics,
 )
-from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
+from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.maths import spatial
 from jax_inertia.maths.batch_last import (
     compose,
@@ -26,6 +26,7 @@ from jax_inertia.maths.batch_last import (
     turn,
     turn_back,
 )
+from jax_inertia.maths.row_runs import spread_rows, take_rows
 from jax_inertia.model.robot import Robot
 
 

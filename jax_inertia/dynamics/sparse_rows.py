@@ -1,10 +1,8 @@
-"""Rows of the torque that a few bodies can move, and those alone: all others of their regressor are zero."""
+"""Rows of the torque that a few bodies can move: all others of their regressor are zero."""
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jax_inertia.model.robot import Robot
 
@@ -12,28 +10,3 @@ from jax_inertia.model.robot import Robot
 def moved_rows(robot: Robot, bodies: Sequence[int]) -> tuple[int, ...]:
     """Rows of the torque that any of the bodies (by index) can move: those of the joints that carry it."""
     return tuple(int(i) for i in np.flatnonzero(robot.topology.body_dof[list(bodies)].any(axis=0)))
-
-
-def take_rows(x: Float[Array, "n ..."], rows: tuple[int, ...]) -> Float[Array, "k ..."]:
-    """These ascending rows of x, by runs: of what `spread_rows` put together nothing is left but the rows."""
-    parts = [x[first:last] for first, last in _runs(rows)]
-    return parts[0] if len(parts) == 1 else jnp.concatenate([x[:0], *parts])
-
-
-def spread_rows(
-    x: Float[Array, "k ..."], rows: tuple[int, ...], count: int
-) -> Float[Array, "n ..."]:
-    """`count` rows, zero but for these ascending ones."""
-    parts, taken, done = [], 0, 0
-    for first, last in _runs(rows):
-        parts += [jnp.zeros((first - done, *x.shape[1:]), x.dtype), x[taken : taken + last - first]]
-        taken, done = taken + last - first, last
-    parts.append(jnp.zeros((count - done, *x.shape[1:]), x.dtype))
-    parts = [part for part in parts if len(part)] or [x]
-    return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
-
-
-def _runs(rows: tuple[int, ...]) -> list[tuple[int, int]]:
-    """First and one past the last of each run of consecutive numbers."""
-    starts = [i for i in rows if i - 1 not in rows]
-    return [(i, next(j for j in range(i, rows[-1] + 2) if j not in rows)) for i in starts]

@@ -9,10 +9,10 @@ from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Float
 
 from jax_inertia.estimation.priors import Uncertainty
-from jax_inertia.maths import charts, kalman
+from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, known, require
 from jax_inertia.maths.gates import ChiSquaredGate, FixedGate, Gate
-from jax_inertia.maths.noise import IndependentNoise, Noise
+from jax_inertia.maths.noise import Noise
 from jax_inertia.model.robot import Robot
 
 
@@ -88,21 +88,12 @@ def require_physical(
     )
 
 
-def require_noise(noise: Noise, robot: Robot, form: kalman.Form | None, *, alone: bool) -> None:
-    """ValueError for noise of other rows than the robot's, or of none; for a form that leaves out rows of it.
-
-    `alone`: no noise of accelerations besides it.
-    """
+def require_noise(noise: Noise, robot: Robot) -> None:
+    """ValueError for noise of other rows than the robot's, or of none."""
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
         raise ValueError(f"noise is {noise!r}; give a Noise of the robot's {robot.nv} rows")
     sizes = jnp.sqrt(noise.variances())
     require("sigma of the noise", sizes, is_positive, "positive in all rows")
-    independent = isinstance(noise, IndependentNoise) and alone
-    if form is not None and form.leaves_rows_out and not independent:
-        raise ValueError(
-            f"{type(form).__name__} leaves rows out, which correlated noise (or sigma_a) ties to the others; "
-            "give it all rows"
-        )
 
 
 def covariance(

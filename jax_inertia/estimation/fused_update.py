@@ -3,47 +3,37 @@
 XLA sends every small factorisation through memory: some 100 kB a filter and sample, where 6 kB are needed.
 """
 
+from collections.abc import Callable
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_batching import custom_vmap
-from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton
 from jaxtyping import Array, Float
 
-from jax_inertia.dynamics.sparse_rows import moved_rows as moved_rows
-from jax_inertia.dynamics.sparse_rows import take_rows
-from jax_inertia.maths.kalman import Correction, SquareRoot, cholesky
+from jax_inertia.maths.kalman_forms import Correction, SquareRoot, T, cholesky
+from jax_inertia.maths.lanes import LANES, available, in_lanes, lane_kernel
 from jax_inertia.maths.precision import in_full_precision
 
 MAX_STATES = 24
 """More do not fit into the registers."""
-WIDTH, WARPS = 8, 1
-"""Filters to a program; the rows of their matrices are dealt among four lanes: two shuffles to a sum, no barrier."""
-BLOCK = 5
-"""Columns that a loop of the factorisation goes over; fewer are less work and more code."""
 
 
 class FusedSquareRoot(SquareRoot):
-    """`kalman.SquareRoot`, done by one kernel (Pallas) where `vmap` batches it on a GPU.
+    """`kalman.SquareRoot` for a fleet: what `vmap` batches on a GPU are a few kernels, one filter a thread.
 
-    The rows are taken one after the other by the triangular update of Carlson (1973, "Fast triangular formulation of
-    the square root filter", AIAA Journal 11): P⁺ = L Lᵀ stays positive, as with the QR factorisation. On other
-    devices, unbatched, or with more than 24 states it is `SquareRoot` itself. A batch over several devices has to be
-    split by `jax.shard_map`: XLA does not split a kernel. To differentiate through a filter, take `SquareRoot`.
-
-    `rows` are those of H that may differ from zero, ascending (None: all), the `moved_rows` of the estimated bodies;
-    the others count in `nis` alone. Whitening must not mix rows then: independent noise.
+    The update takes the rows one after the other by the triangular update of Carlson (1973, "Fast triangular
+    formulation of the square root filter", AIAA Journal 11): P⁺ = L Lᵀ stays positive, as with the QR factorisation.
+    What comes before and after it goes through `lanes.in_lanes`. On other devices, unbatched, or with more than 24
+    states it is `SquareRoot` itself. A batch over several devices has to be split by `jax.shard_map`: XLA does not
+    split a kernel. To differentiate through a filter, take `SquareRoot`.
     """
 
-    rows: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    def fused(self, function: Callable[..., T]) -> Callable[..., T]:
+        return in_lanes(function)
 
-    @property
-    def leaves_rows_out(self) -> bool:
-        return self.rows is not None
+    def kept(self, function: Callable[[], T]) -> Callable[[], T]:
+        return function
 
     @in_full_precision
     def correct(
@@ -51,10 +41,7 @@ class FusedSquareRoot(SquareRoot):
     ) -> Correction:
         if len(p) > MAX_STATES:
             return super().correct(p, h, nu)
-        rows = tuple(range(len(nu))) if self.rows is None else self.rows
-        rest = np.setdiff1d(np.arange(len(nu)), rows)
-        step, covariance, nis, log_det = _correct(p, take_rows(h, rows), take_rows(nu, rows))
-        nis = nis + jnp.sum(nu[rest] ** 2)
+        step, covariance, nis, log_det = _correct(p, h, nu)
         return Correction(step, covariance, nis, log_det, h @ cholesky(p))
 
 
@@ -72,98 +59,91 @@ def _batched(axis_size: int, batched: list[bool], p: Array, h: Array, nu: Array)
         x if on else jnp.broadcast_to(x, (axis_size, *x.shape))
         for x, on in zip((p, h, nu), batched, strict=True)
     ]
-    out = jax.lax.platform_dependent(*args, cuda=kernel, default=jax.vmap(_plain))
-    return out, (True,) * 4
+    plain = jax.vmap(_plain)
+    if axis_size < LANES or p.dtype != jnp.float32 or not available():
+        return plain(*args), (True,) * 4
+    return jax.lax.platform_dependent(*args, cuda=kernel, default=plain), (True,) * 4
 
 
 def kernel(
     p: Float[Array, "robots n n"],
     h: Float[Array, "robots m n"],
     nu: Float[Array, "robots m"],
-    *,
-    interpret: bool = False,
 ) -> tuple[Array, Array, Array, Array]:
-    """K ν, P⁺, νᵀ S⁻¹ ν and log det S of every filter; `interpret` runs it without a GPU, slowly."""
-    robots, _, n = h.shape
-
-    def last(x: Array) -> Array:
-        return jnp.moveaxis(x, 0, -1)
-
-    inputs = last(p), last(h), last(nu)
-    shapes = (n, robots), (n, n, robots), (robots,), (robots,)
-    step, covariance, nis, log_det = pl.pallas_call(
-        partial(_program, n),
-        grid=(-(-robots // WIDTH),),
-        out_shape=[jax.ShapeDtypeStruct(s, p.dtype) for s in shapes],
-        interpret=interpret,
-        compiler_params=triton.CompilerParams(num_warps=WARPS, num_stages=1),
-    )(*inputs)
-    return step.T, jnp.moveaxis(covariance, -1, 0), nis, log_det
+    """K ν, P⁺, νᵀ S⁻¹ ν and log det S of at least 128 filters."""
+    _, m, n = h.shape
+    last = [jnp.moveaxis(x, 0, -1) for x in (p, h, nu)]
+    out = lane_kernel("square_root_update", partial(body, n, m), [(n,), (n, n), (), ()], last)
+    step, covariance, nis, log_det = (jnp.moveaxis(x, -1, 0) for x in out)
+    return step, covariance, nis, log_det
 
 
-def _program(n: int, p_ref, h_ref, nu_ref, step_ref, p_out, nis_ref, log_det_ref) -> None:
-    """WIDTH filters: matrices are lists of columns, a column has a row for each state and a lane for each filter."""
-    robots, dtype = nu_ref.shape[1], p_ref.dtype
-    height = 1 << (n - 1).bit_length()  # Triton's tensors have powers of two
-    lane = pl.program_id(0) * WIDTH + jnp.arange(WIDTH)
-    # Lanes beyond the last filter and rows beyond the last state do its work again, and write the same.
-    lane = jnp.minimum(lane, robots - 1)
-    level = jnp.minimum(jnp.arange(height), n - 1)
-    row = jax.lax.broadcasted_iota(jnp.int32, (height, WIDTH), 0)
-    state = jnp.minimum(row, n - 1)
-    one, zero = jnp.ones(WIDTH, dtype), jnp.zeros((height, WIDTH), dtype)
-    margin = float(jnp.finfo(dtype).eps)
-
-    def column_of(ref, j) -> Array:
-        return triton.load(ref.at[j, level[:, None], lane[None, :]])
-
-    def entry(column: Array, i) -> Array:
-        return jnp.sum(jnp.where(row == i, column, 0.0), axis=0)
-
-    def factored(j, columns):
+def body(
+    n: int,
+    m: int,
+    p: Callable,
+    h: Callable,
+    nu: Callable,
+    step_out: Callable,
+    p_out: Callable,
+    nis_out: Callable,
+    log_det_out: Callable,
+) -> None:
+    """One filter's update, entry by entry (see `maths.lanes`): `columns[j][i - j]` is L_ij."""
+    margin = float(jnp.finfo(jnp.float32).eps)
+    columns: list[list[Array]] = []
+    for j in range(n):
         """Column j of `kalman.cholesky`, from the left."""
-        new = column_of(p_ref, j)
-        new = jnp.where(state == j, new * (1.0 + 8.0 * margin), new)
-        for other in columns:
-            new = new - other * entry(other, j)[None]
-        new = jnp.where(row >= j, new * jax.lax.rsqrt(entry(new, j))[None], 0.0)
-        return [jnp.where(j == i, new, other) for i, other in enumerate(columns)]
+        new = [p(j, i) for i in range(j, n)]
+        new[0] = new[0] * (1.0 + 8.0 * margin)
+        for k, other in enumerate(columns):
+            own = other[j - k]
+            new = [x - other[j - k + i] * own for i, x in enumerate(new)]
+        scale = jax.lax.rsqrt(new[0])
+        columns.append([x * scale for x in new])
 
-    def absorbed(i, carry):
-        """Row i of H with unit noise: Carlson's recursion from the last column; `gain` is K s, s = 1 + |Lᵀ h|²."""
+    def absorbed(row: Array, carry: tuple) -> tuple:
+        """Row of H with unit noise: Carlson's recursion from the last column; `gain` is K s, s = 1 + |Lᵀ h|²."""
         columns, step, nis, log_det = carry
-        h: Array = jnp.where(row < n, column_of(h_ref, i), 0.0)
-        left = triton.load(nu_ref.at[i, lane]) - jnp.sum(h * step, axis=0)
-        new, gain, s, root = list(columns), zero, one, one
+        own = [h(row, i) for i in range(n)]
+        left = nu(row) - _dot(own, step)
+        f = [_dot(own[j:], column) for j, column in enumerate(columns)]
+        new, gain = list(columns), [0.0] * n
+        s = root = 1.0
         for j in reversed(range(n)):
-            f = jnp.sum(columns[j] * h, axis=0)
-            more = s + f * f
+            more = s + f[j] * f[j]
             root_more = jax.lax.rsqrt(more)
             both = root * root_more
-            new[j] = columns[j] * (s * both)[None] - gain * (f * both)[None]
-            gain = gain + columns[j] * f[None]
+            keep, less = s * both, f[j] * both
+            new[j] = [x * keep - gain[j + i] * less for i, x in enumerate(columns[j])]
+            for i, x in enumerate(columns[j]):
+                gain[j + i] = gain[j + i] + x * f[j]
             s, root = more, root_more
         share = left / s
-        return new, step + gain * share[None], nis + left * share, log_det + jnp.log(s)
+        step = [x + g * share for x, g in zip(step, gain, strict=True)]
+        return new, step, nis + left * share, log_det + jnp.log(s)
 
-    def multiplied(columns, j, _):
-        """Column j of L Lᵀ, kept positive as by `kalman.positive`."""
-        new: Array = zero
-        for column in columns:
-            new = new + column * entry(column, j)[None]
-        more = new * (1.0 + n * margin) + float(jnp.finfo(dtype).tiny) ** 0.5
-        at = p_out.at[j, level[:, None], lane[None, :]]
-        triton.store(at, jnp.asarray(jnp.where(state == j, more, new)))
+    zero = 0.0 * columns[0][0]
+    start = (columns, [zero] * n, zero, zero)
+    columns, step, nis, log_det = jax.lax.fori_loop(0, m, absorbed, start)
+    for i in range(n):
+        for j in range(i + 1):
+            """Entry of L Lᵀ, kept positive as by `kalman.positive`."""
+            new = _dot(
+                [columns[k][i - k] for k in range(j + 1)], [columns[k][j - k] for k in range(j + 1)]
+            )
+            if i == j:
+                new = new * (1.0 + n * margin) + float(jnp.finfo(jnp.float32).tiny) ** 0.5
+            else:
+                p_out(new, j, i)
+            p_out(new, i, j)
+        step_out(step[i], i)
+    nis_out(nis)
+    log_det_out(log_det)
 
-    # By blocks: of column j only the j before it count, and zeros cost as much as numbers.
-    blocks = [(first, min(first + BLOCK, n)) for first in range(0, n, BLOCK)]
-    columns: list[Array] = []
-    for first, last in blocks:
-        columns = jax.lax.fori_loop(first, last, factored, columns + [zero] * (last - first))
-    start = (columns, zero, 0.0 * one, 0.0 * one)
-    columns, step, nis, log_det = jax.lax.fori_loop(0, h_ref.shape[0], absorbed, start)
-    for first, last in blocks:
-        jax.lax.fori_loop(first, last, partial(multiplied, columns[:last]), None)
-    triton.store(step_ref.at[level[:, None], lane[None, :]], step)
-    triton.store(nis_ref.at[lane], nis)
-    triton.store(log_det_ref.at[lane], log_det)
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    out = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        out = out + x * y
+    return out

@@ -20,7 +20,7 @@ from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics.rigid_body import resolve_bodies
-from jax_inertia.dynamics.sparse_rows import moved_rows, spread_rows, take_rows
+from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.estimation import filter_settings as settings
 from jax_inertia.estimation.physical_estimate import Estimate, own_blocks, physical_units
 from jax_inertia.estimation.priors import Load, Uncertainty
@@ -29,6 +29,7 @@ from jax_inertia.maths.argument_checks import floats_as
 from jax_inertia.maths.gates import ChiSquaredGate, Gate
 from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.maths.precision import in_full_precision
+from jax_inertia.maths.row_runs import spread_rows, take_rows
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.errors_in_variables import agreed_residual
@@ -102,7 +103,9 @@ class Estimator(eqx.Module):
         known = self.robot, observation, self.bodies, state.bias
         valid = jnp.asarray(observation.motion.valid)
         if self.sigma_a is None:
-            return self.update(state, *torque_residual(*known), valid, dt)
+            return self._updated(
+                state, lambda: self._measurement(*torque_residual(*known), valid), dt
+            )
         belief, _ = self._predicted(state, _elapsed(dt, state))
         own = belief.mean.reshape(-1, 10)
         g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
@@ -128,27 +131,42 @@ class Estimator(eqx.Module):
         rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
         the gate opens, and the filter looks anew.
         """
-        dt = _elapsed(dt, state)
-        belief, reopened = self._predicted(state, dt)
+        return self._updated(state, lambda: self._measurement(regressor, residual, valid), dt)
 
+    def _measurement(
+        self, regressor: Float[Array, "nv bodies 10"], residual: Float[Array, " nv"], valid: Array
+    ) -> kalman.Measurement:
+        """Of the rows that the bodies move the regressor must be finite; of the others it is zero."""
         moved = moved_rows(self.robot, self.bodies)
+        own = take_rows(regressor, moved)
+        broken = ~jnp.all(jnp.isfinite(own), axis=(1, 2))
 
-        def predicted(x):
-            return jnp.einsum("vbp,bp->v", regressor, self._pi(x))
+        def predicted(x: Float[Array, " n"]) -> Float[Array, " nv"]:
+            rows = jnp.einsum("vbp,bp->v", own, self._pi(x))
+            return spread_rows(rows, moved, len(residual))
 
-        def jacobian(x):
-            own = x.reshape(-1, 10)
-            g = self.chart.jacobian(own) if self.analytic_jacobian else _slopes(self.chart, own)
-            rows = jnp.einsum("vbp,bpj->vbj", take_rows(regressor, moved), g)
+        def jacobian(x: Float[Array, " n"]) -> Float[Array, "nv n"]:
+            at = x.reshape(-1, 10)
+            g = self.chart.jacobian(at) if self.analytic_jacobian else _slopes(self.chart, at)
+            rows = jnp.einsum("vbp,bpj->vbj", own, g)
             return spread_rows(rows.reshape(len(moved), -1), moved, len(residual))
 
-        belief, innovation = kalman.update(
+        usable = valid & ~spread_rows(broken, moved, len(residual))
+        return kalman.Measurement(-residual, predicted, jacobian, usable)
+
+    def _updated(
+        self, state: State, measure: Callable[[], kalman.Measurement], dt: Float[Array, ""] | float
+    ) -> tuple[State, Step]:
+        """Predict, and update by what is measured."""
+        dt = _elapsed(dt, state)
+        belief, reopened = self._predicted(state, dt)
+        independent = isinstance(self.noise, IndependentNoise)
+        belief, innovation = kalman.update_by(
             belief,
-            -residual,
-            predicted,
+            measure,
             self.noise,
-            jacobian=jacobian,
-            mask=valid & jnp.all(jnp.isfinite(regressor), axis=(1, 2)),
+            # Noise that mixes rows ties those that no body moves to the others.
+            rows=moved_rows(self.robot, self.bodies) if independent else None,
             gate=self.gate,
             outliers=self.outliers,
             iterations=self.iterations,
@@ -293,7 +311,7 @@ def make_estimator(
         noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
     if sigma_a is not None:
         sigma_a = settings.of_rows("sigma_a", sigma_a, robot)
-    settings.require_noise(noise, robot, form, alone=sigma_a is None)
+    settings.require_noise(noise, robot)
     covariance = block_diag(*settings.covariance("prior", prior, chart, nominal))
     start = kalman.Belief(mean.ravel(), covariance)
     if drift is None:

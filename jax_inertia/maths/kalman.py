@@ -1,9 +1,7 @@
 """Kalman filtering of one measurement at a time; knows no robot.
 
 The update is the paper's (Foster et al., eq. predict and eq. update, with H = ∂h/∂x at the prior for the extended
-filter). In exact arithmetic the forms below are that update; `Standard` is its literal text, `SquareRoot` (the
-default in float32) computes the same through a QR factorisation, so that the covariance stays symmetric positive, and
-`Information` (the default in float64) through a Cholesky factorisation, which is faster.
+filter), in one of the forms of `kalman_forms`.
 
 Beyond the paper, each by one argument of `update`: iterations (Gauss–Newton from the prior: the iterated EKF of Bell
 and Cathey 1993, which counts the observation once; steps that raise its cost are shortened), a gate on the *prior*
@@ -11,19 +9,28 @@ innovation, a mask of rows to leave out, noise enlarged for outliers.
 Numerical trouble is returned as data (`Innovation.accepted`), never raised: an update that is not finite is not made.
 """
 
-import abc
 from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_solve, solve_triangular
+import numpy as np
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.maths.gates import Gate
+from jax_inertia.maths.kalman_forms import Correction as Correction
+from jax_inertia.maths.kalman_forms import Form as Form
+from jax_inertia.maths.kalman_forms import Information as Information
+from jax_inertia.maths.kalman_forms import SquareRoot as SquareRoot
+from jax_inertia.maths.kalman_forms import Standard as Standard
+from jax_inertia.maths.kalman_forms import cholesky as cholesky
+from jax_inertia.maths.kalman_forms import default_form as default_form
+from jax_inertia.maths.kalman_forms import positive as positive
 from jax_inertia.maths.noise import Noise
 from jax_inertia.maths.precision import in_full_precision
+from jax_inertia.maths.row_runs import spread_rows, take_rows
 
 
 class Belief(eqx.Module):
@@ -49,138 +56,6 @@ class Innovation(eqx.Module):
     accepted: Bool[Array, ""]
 
 
-class Correction(eqx.Module):
-    """What a form makes of whitened rows, for S = H P Hᵀ + 1."""
-
-    step: Float[Array, " n"]
-    """K ν."""
-    covariance: Float[Array, "n n"]
-    """P⁺."""
-    nis: Float[Array, ""]
-    """νᵀ S⁻¹ ν."""
-    log_det: Float[Array, ""]
-    """log det S."""
-    rows: Float[Array, "m n"]
-    """H L with P = L Lᵀ, so that S = H L (H L)ᵀ + 1."""
-
-
-class Form(eqx.Module):
-    """How gain and posterior covariance are computed from whitened rows (unit noise)."""
-
-    @property
-    def leaves_rows_out(self) -> bool:
-        """Whether some rows of H are taken for zero: whitening must not mix rows then, noise be independent."""
-        return False
-
-    @abc.abstractmethod
-    def correct(
-        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-    ) -> Correction:
-        """The correction of covariance `p` by rows `h` with innovation `nu`."""
-
-
-class Standard(Form):
-    """The paper's text: K = P Hᵀ S⁻¹, P⁺ = (1 − K H) P (eq. update). Loses symmetry and sign in float32."""
-
-    @in_full_precision
-    def correct(
-        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-    ) -> Correction:
-        ph = p @ h.T
-        s = h @ ph + jnp.eye(len(nu), dtype=p.dtype)
-        factor = jnp.linalg.cholesky(s)
-        gain = cho_solve((factor, True), ph.T).T
-        return Correction(
-            step=gain @ nu,
-            covariance=p - gain @ ph.T,
-            nis=nu @ cho_solve((factor, True), nu),
-            log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(factor))),
-            rows=h @ cholesky(p),
-        )
-
-
-class SquareRoot(Form):
-    """The same from one QR factorisation; P⁺ is positive by construction.
-
-    With P = L Lᵀ, QR of [[H L, ν], [1, 0]] gives R, u and ρ in [[R, u], [0, ρ]]: RᵀR = 1 + (H L)ᵀ H L without
-    squaring the condition number, P⁺ = L (RᵀR)⁻¹ Lᵀ, K ν = L R⁻¹ u, and νᵀ S⁻¹ ν = ρ², the least-squares cost at
-    its minimum, where Woodbury's formula would subtract.
-    """
-
-    @in_full_precision
-    def correct(
-        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-    ) -> Correction:
-        n = len(p)
-        factor = cholesky(p)
-        rows = h @ factor
-        below = jnp.eye(n, n + 1, dtype=p.dtype)
-        stacked = jnp.concatenate([jnp.concatenate([rows, nu[:, None]], axis=1), below])
-        r = jnp.asarray(jnp.linalg.qr(stacked, mode="r"))
-        root = solve_triangular(r[:n, :n], factor.T, trans=1, lower=False)
-        return Correction(
-            step=r[:n, n] @ root,
-            covariance=positive(root.T @ root),
-            nis=r[n, n] ** 2,
-            log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
-            rows=rows,
-        )
-
-
-class Information(Form):
-    """The same from the Cholesky factor of 1 + (H L)ᵀ H L: a third cheaper, for float64.
-
-    Squares the condition number: what a sharp measurement says of a wide prior is right to ε (σ prior/σ after)².
-    """
-
-    @in_full_precision
-    def correct(
-        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-    ) -> Correction:
-        return _by_information(p, h, nu)
-
-
-@jax.custom_jvp
-def _by_information(
-    p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
-) -> Correction:
-    """`Information.correct`."""
-    n = len(p)
-    factor = cholesky(p)
-    rows = h @ factor
-    lower = jnp.linalg.cholesky(rows.T @ rows + jnp.eye(n, dtype=p.dtype))
-    right = jnp.concatenate([(rows.T @ nu)[:, None], factor.T], axis=1)
-    solved = solve_triangular(lower, right, lower=True)
-    u, root = solved[:, 0], solved[:, 1:]
-    return Correction(
-        step=u @ root,
-        covariance=positive(root.T @ root),
-        nis=jnp.maximum(nu @ nu - u @ u, 0.0),
-        log_det=2.0 * jnp.sum(jnp.log(jnp.diagonal(lower))),
-        rows=rows,
-    )
-
-
-@_by_information.defjvp
-def _along(primals: tuple, tangents: tuple) -> tuple[Correction, Correction]:
-    """With the derivative of `SquareRoot`: that of a Cholesky factor divides by its pivots once more, and where the
-    condition number squared has passed 1/ε it is noise, or NaN.
-    """
-    _, change = jax.jvp(SquareRoot().correct, primals, tangents)
-    return _by_information(*primals), change
-
-
-def default_form(dtype: jnp.dtype) -> Form:
-    """`Information` where float64 leaves digits to square the condition number, `SquareRoot` elsewhere.
-
-    >>> import jax.numpy as jnp
-    >>> from jax_inertia.maths.kalman import default_form
-    >>> default_form(jnp.dtype("float32"))
-    SquareRoot()
-    """
-    return Information() if jnp.finfo(dtype).bits >= 64 else SquareRoot()
-
-
 def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
     """Random walk: the mean stays, P⁻ = P + Q (Foster et al., eq. predict with F = 1).
 
@@ -192,7 +67,33 @@ def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
     return Belief(belief.mean, belief.covariance + q)
 
 
-@in_full_precision
+class Measurement(NamedTuple):
+    """One measurement z = h(x) + noise."""
+
+    z: Float[Array, " m"]
+    model: Callable[[Float[Array, " n"]], Float[Array, " m"]]
+    """h."""
+    jacobian: Callable[[Float[Array, " n"]], Float[Array, "m n"]] | None = None
+    """∂h/∂x; None: by forward-mode autodiff."""
+    mask: Bool[Array, " m"] | None = None
+    """Rows where it is False are left out, and all that are not finite."""
+
+    def used(self) -> Bool[Array, " m"]:
+        """The rows that are not left out."""
+        finite = jnp.isfinite(self.z)
+        return finite if self.mask is None else finite & self.mask
+
+    def left(self, x: Float[Array, " n"]) -> Float[Array, " m"]:
+        """z − h(x); what is left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled."""
+        used = self.used()
+        return jnp.where(used, jnp.where(used, self.z, 0.0) - self.model(x), 0.0)
+
+    def slope(self, x: Float[Array, " n"]) -> Float[Array, "m n"]:
+        """∂h/∂x, zero where left out."""
+        jacobian = jax.jacfwd(self.model) if self.jacobian is None else self.jacobian
+        return jnp.where(self.used()[:, None], jacobian(x), 0.0)
+
+
 def update(
     belief: Belief,
     measurement: Float[Array, " m"],
@@ -207,17 +108,7 @@ def update(
     form: Form | None = None,
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
 ) -> tuple[Belief, Innovation]:
-    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
-
-    `model` is h; its Jacobian comes from forward-mode autodiff unless `jacobian` gives it. Rows where `mask` is
-    False, or whose measurement is not finite, are left out. `project` is applied to every iterate. The belief
-    is returned unchanged where the gate rejects or the result would not be finite.
-
-    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
-    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
-    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
-    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
-    certainty to match, for ever. The innovation is normalised by the noise as given.
+    """One measurement update; see `Measurement` for what is measured, `update_by` for everything else.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.maths.kalman import Belief, update
@@ -227,54 +118,118 @@ def update(
     >>> after.mean.round(6), after.covariance.round(6)
     (Array([1.], dtype=float64), Array([[0.5]], dtype=float64))
     """
-    form = default_form(belief.mean.dtype) if form is None else form
-    jacobian = jax.jacfwd(model) if jacobian is None else jacobian
-    prior, p = belief.mean, belief.covariance
-    used = jnp.isfinite(measurement) if mask is None else jnp.isfinite(measurement) & mask
-    z = jnp.where(used, measurement, 0.0)
-    used = used.astype(prior.dtype)
+    return update_by(
+        belief,
+        lambda: Measurement(measurement, model, jacobian, mask),
+        noise,
+        gate=gate,
+        outliers=outliers,
+        iterations=iterations,
+        form=form,
+        project=project,
+    )
 
-    def linearise(x: Float[Array, " n"]) -> tuple[Array, Array, Array, Array]:
-        # A row left out may hold anything, NaN too, and 0 · NaN is NaN: it is replaced, not scaled.
-        h: Array = jnp.where(used[:, None] > 0, jacobian(x), 0.0)
-        left: Array = jnp.where(used > 0, z - model(x), 0.0)
+
+@in_full_precision
+def update_by(
+    belief: Belief,
+    measure: Callable[[], Measurement],
+    noise: Noise,
+    *,
+    rows: tuple[int, ...] | None = None,
+    gate: Gate | None = None,
+    outliers: Gate | None = None,
+    iterations: int = 1,
+    form: Form | None = None,
+    project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
+) -> tuple[Belief, Innovation]:
+    """One measurement update; iterations = 1 is the paper's extended Kalman filter.
+
+    `measure` computes the measurement, which goes into one kernel with its linearisation where the form is for that.
+    `rows`, ascending, are those that hang on the state at all (None: any may); the noise must be independent then, and
+    the others count in `nis` alone. `project` is applied to every iterate. The belief is returned unchanged where the
+    gate rejects or the result would not be finite.
+
+    `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
+    noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
+    So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
+    nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
+    certainty to match, for ever. The innovation is normalised by the noise as given.
+    """
+    form = default_form(belief.mean.dtype) if form is None else form
+    prior, p = belief.mean, belief.covariance
+    size = len(noise.variances())
+    hanging = tuple(range(size)) if rows is None else rows
+    rest = np.setdiff1d(np.arange(size), hanging)
+    measured = form.kept(measure)
+
+    def linearised(x: Float[Array, " n"]) -> _Rows:
+        one = measured()
+        used = one.used().astype(prior.dtype)
+        h, left = one.slope(x), one.left(x)
         nu = left - h @ (prior - x)
         white = noise.whiten(jnp.concatenate([h, nu[:, None], left[:, None]], axis=1), used)
-        return left, white[:, :-2], white[:, -2], white[:, -1]
+        own, others = take_rows(white, hanging), white[rest]
+        every = jnp.concatenate([own[:, -1], others[:, -1]])
+        return _Rows(own[:, :-2], own[:, -2], jnp.sum(others[:, -2] ** 2), every)
 
-    rows = jnp.sum(used)
-    residual, h_white, nu_white, left_white = linearise(prior)
-    first = form.correct(p, h_white, nu_white)
+    def seen_first() -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, ""], _Rows]:
+        used = measured().used().astype(prior.dtype)
+        return measured().left(prior), used, jnp.sum(used), linearised(prior)
+
+    residual, used, count, white = form.fused(seen_first)()
+    first = white.corrected(form, p)
     step, covariance = first.step, first.covariance
     weight = jnp.ones_like(first.nis)
     if outliers is not None:
-        weight = _weight(form, p, h_white, nu_white, first.nis, outliers.threshold(rows))
-        weighed = form.correct(p, weight * h_white, weight * nu_white)
+        weight = _weight(form, p, white, first.nis, outliers.threshold(count))
+        weighed = white.times(weight).corrected(form, p)
         step, covariance = weighed.step, weighed.covariance
-        left_white = weight * left_white
-    mean = project(prior + step)
+    mean = form.fused(lambda step: project(prior + step))(step)
     if iterations > 1:
 
-        def whitened(x: Float[Array, " n"]) -> Float[Array, " m"]:
-            return noise.whiten(jnp.where(used > 0, z - model(x), 0.0)[:, None], used)[:, 0]
+        def left(x: Float[Array, " n"]) -> Float[Array, " m"]:
+            return weight * noise.whiten(measured().left(x)[:, None], used)[:, 0]
 
-        def again(x: Float[Array, " n"]) -> tuple[Array, ...]:
-            return tuple(weight * part for part in linearise(x)[1:])
+        def again(x: Float[Array, " n"]) -> _Rows:
+            return linearised(x).times(weight)
 
-        first_step = (left_white, step, covariance)
-        trials = _Trials(belief, form, again, lambda x: weight * whitened(x), project)
-        mean, step, covariance = trials.run(first_step, iterations - 1)
+        trials = _Trials(belief, form, form.fused(again), form.fused(left), project)
+        mean, step, covariance = trials.run((weight * white.left, step, covariance), iterations - 1)
 
-    limit = jnp.inf if gate is None else gate.threshold(rows)
-    # The step too, since `project` may make a number of what is none.
-    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, covariance)]
+    limit = jnp.inf if gate is None else gate.threshold(count)
+    # The step too, since `project` may make a number of what is none. An entry of the covariance that is none leaves
+    # none on its row's diagonal.
+    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, jnp.diagonal(covariance))]
     accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
     out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, covariance, p))
     # The log-density of ν itself: whitening scaled it by √det R.
     log_det = first.log_det + noise.log_det(used)
-    likelihood = -0.5 * (first.nis + log_det + rows * jnp.log(2.0 * jnp.pi))
-    sigma = jnp.sqrt(jnp.sum(noise.colour(first.rows, used) ** 2, axis=1) + noise.variances())
-    return out, Innovation(residual, sigma, first.nis, rows, likelihood, accepted)
+    likelihood = -0.5 * (first.nis + log_det + count * jnp.log(2.0 * jnp.pi))
+    seen = noise.colour(spread_rows(first.rows, hanging, size), used)
+    sigma = jnp.sqrt(jnp.sum(seen**2, axis=1) + noise.variances())
+    return out, Innovation(residual, sigma, first.nis, count, likelihood, accepted)
+
+
+class _Rows(NamedTuple):
+    """A measurement linearised at a point, whitened."""
+
+    h: Float[Array, "k n"]
+    """Of the rows that hang on the state."""
+    nu: Float[Array, " k"]
+    rest: Float[Array, ""]
+    """|ν|² of the others."""
+    left: Float[Array, " m"]
+    """Residual z − h(x) of all, the others' last: a kernel is done with them before it comes to H."""
+
+    def times(self, factor: Float[Array, ""]) -> "_Rows":
+        """With less noise, by this factor."""
+        return _Rows(factor * self.h, factor * self.nu, factor**2 * self.rest, factor * self.left)
+
+    def corrected(self, form: Form, p: Float[Array, "n n"]) -> Correction:
+        """The correction of covariance `p` by all rows."""
+        seen = form.correct(p, self.h, self.nu)
+        return seen._replace(nis=seen.nis + self.rest)
 
 
 class _Trials(NamedTuple):
@@ -282,8 +237,7 @@ class _Trials(NamedTuple):
 
     prior: Belief
     form: Form
-    linearise: Callable[[Float[Array, " n"]], tuple[Array, ...]]
-    """Whitened (H, ν, residual z − h(x)) at a point."""
+    linearise: Callable[[Float[Array, " n"]], _Rows]
     left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
     """White z − h(x)."""
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]]
@@ -301,8 +255,8 @@ class _Trials(NamedTuple):
         def again(_, state):
             x, best, step, covariance, share = state
             trial = self.project(x + share * (prior + step - x))
-            h, nu, left = self.linearise(trial)
-            value, new = cost(trial, left), self.form.correct(p, h, nu)
+            rows = self.linearise(trial)
+            value, new = cost(trial, rows.left), rows.corrected(self.form, p)
             better = (value <= best) & jnp.all(jnp.isfinite(new.step))
             moved = (trial, value, new.step, new.covariance, jnp.ones_like(share))
             stayed = (x, best, step, covariance, 0.25 * share)
@@ -319,8 +273,7 @@ class _Trials(NamedTuple):
 def _weight(
     form: Form,
     p: Float[Array, "n n"],
-    h: Float[Array, "m n"],
-    nu: Float[Array, " m"],
+    rows: _Rows,
     nis: Float[Array, ""],
     limit: Float[Array, ""],
 ) -> Float[Array, ""]:
@@ -333,43 +286,10 @@ def _weight(
     # Zero where all rows are left out; and a threshold of no rows may be infinite.
     t = jnp.maximum(nis / limit, 1.0)
     for _ in range(2):
-        root = jax.lax.rsqrt(t)
-        seen = form.correct(p, root * h, root * nu)
-        left = root * (nu - h @ seen.step)
+        scaled = rows.times(jax.lax.rsqrt(t))
+        seen = scaled.corrected(form, p)
+        left = scaled.nu - scaled.h @ seen.step
         excess = jnp.maximum(seen.nis / limit - 1.0, 0.0)
-        most = jnp.maximum(left @ left, jnp.finfo(p.dtype).tiny)
+        most = jnp.maximum(left @ left + scaled.rest, jnp.finfo(p.dtype).tiny)
         t = t * (1.0 + excess * seen.nis / most)
     return jax.lax.rsqrt(t)
-
-
-def positive(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """p as it can be stored: symmetric to the last bit, and positive in spite of rounding and underflow.
-
-    A Gram matrix rounded entry by entry is indefinite by up to n ε of its diagonal, so that much is added there,
-    and so little that its own square would vanish.
-
-    >>> import jax.numpy as jnp
-    >>> from jax_inertia.maths.kalman import positive
-    >>> singular = jnp.ones((2, 2))  # what rounding leaves of it need not have a root
-    >>> bool(jnp.isfinite(jnp.linalg.cholesky(positive(singular))).all())
-    True
-    """
-    info = jnp.finfo(p.dtype)
-    margin = len(p) * info.eps * jnp.diagonal(p) + info.tiny**0.5
-    return 0.5 * (p + p.T) + jnp.diag(margin)
-
-
-def cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Cholesky factor after scaling the diagonal to one; a little is added there for a prior that is singular.
-
-    >>> import jax.numpy as jnp
-    >>> from jax_inertia.maths.kalman import cholesky
-    >>> cholesky(4.0 * jnp.eye(2))
-    Array([[2., 0.],
-           [0., 2.]], dtype=float64)
-    """
-    diagonal: Array = jnp.diagonal(p)
-    scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    unit = p / (scale[:, None] * scale[None, :])
-    jitter = 8.0 * jnp.finfo(p.dtype).eps
-    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(len(p), dtype=p.dtype))

@@ -132,6 +132,14 @@ class Topology:
             jump = jump[jump]
         return tuple(rounds)
 
+    @functools.cached_property
+    def one_by_one(self) -> tuple[np.ndarray, ...]:
+        """The same for the poses of one generation after the other: more rounds, but each node composes once."""
+        n = len(self.parent)
+        depth = self.ancestors.sum(axis=1).astype(int)
+        parent = np.where(np.array(self.parent) < 0, n, self.parent)
+        return tuple(np.where(depth == d, parent, n) for d in range(2, depth.max(initial=0) + 1))
+
 
 class Driven(NamedTuple):
     """A joint that follows another: `factor` · its position, plus `offset` [rad, m]."""

@@ -284,7 +284,7 @@ def make_exact_estimator(
     dtype = robot.pi.dtype
     if noise is None:
         noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
-    settings.require_noise(noise, robot, None, alone=False)
+    settings.require_noise(noise, robot)
     speed = settings.of_rows("sigma_v", sigma_v, robot)
     require("reopen_after", reopen_after, is_positive, "positive [s]")
     chart = LogCholeskyUUt()
