@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.replay.loop import ALL, Loop, Parameter
 
@@ -50,7 +50,12 @@ class Numbers(NamedTuple):
     @property
     def varies(self) -> bool:
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
-        return bool(np.any((self.load > 0) | (self.stiction > 0) | (self.slant != 0)))
+        return bool(np.any(self.varies_at))
+
+    @property
+    def varies_at(self) -> Bool[np.ndarray, " n"]:
+        """At which joints it does."""
+        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0)
 
     @property
     def at_joint(self) -> "Numbers":
@@ -61,15 +66,18 @@ class Numbers(NamedTuple):
     def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
         miss = commanded - q
-        miss = miss - np.clip(miss, -self.dead, self.dead)
+        if self.dead.any():
+            miss = miss - np.minimum(np.maximum(miss, -self.dead), self.dead)
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
-        return self.gain * (np.clip(asked, -self.limit, self.limit) - self.back * v)
+        within = np.minimum(np.maximum(asked, -self.limit), self.limit)
+        return self.gain * (within - self.back * v)
 
     def friction(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Dry friction's size at a torque, a position and a velocity."""
-        slow = np.exp(-((v / self.slow) ** 2))
-        there = self.dry + self.slant * (q - self.middle)
-        return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
+        size = self.dry + self.slant * (q - self.middle) + self.load * np.abs(torque)
+        if self.stiction.any():
+            size += self.stiction * np.exp(-((v / self.slow) ** 2))
+        return np.maximum(size, 0.0)
 
 
 OF_BODIES = "mass", "centres"

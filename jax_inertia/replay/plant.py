@@ -20,14 +20,13 @@ from jax_inertia.replay.spec_edits import (
     with_loop,
 )
 
-STEP = 2e-3
-"""The longest step [s]; a stiff loop on a light joint gets a shorter one."""
-_STEPS_PER_RADIAN, _STEPS_PER_DAMPING = 4.0, 6.0
-"""At least: steps in 1/ω of the stiffest loop, and in the time I/kd that damping takes.
-
-MuJoCo's implicit damping over a step h adds kd h to a joint's inertia.
-"""
+STEP, STEP_OF_PLAY = 4e-3, 2e-3
+"""The longest step [s], and where stops of play are met; a stiff loop on a light joint gets a shorter one."""
+_STEPS_PER_RADIAN = 4.0
+"""At least: steps in 1/ω of the stiffest loop, whose frequency then comes out right to (ω h)²/24 = 0.3 %."""
 _SHORTEST = 5e-4
+_TAKEN = 0.75
+"""Of the inertia that is there, what `Plant._lighter` takes away at most."""
 _ROTOR = 1e-4
 """Of a motor behind play, at least [kg m²]."""
 HOLD = np.array([0.9999, 0.9999, 0.001, 0.5, 2.0])
@@ -70,6 +69,12 @@ class Plant:
     """A model with position actuators at a log's joints, to be replayed with other numbers than its own.
 
     The spec is changed. `holds`: dry friction holds a joint at rest, which MuJoCo's own figures let creep.
+
+    Steps h are of second order. MuJoCo's implicit damping D solves (M + h D) (v' − v)/h = f − D v, which is the midpoint
+    rule with D h/2 too much inertia: models get so much less armature (`_lighter`). Positions are then those of
+    the leapfrog, and velocities half a step before them. Of a leg with friction in 4 s, against steps of 0.1 ms:
+
+        h = 1 ms: 0.59 mrad with D h, 0.04 mrad with D h/2; h = 4 ms: 2.4 and 0.21 mrad
     """
 
     def __init__(self, spec: MjSpec, names: Sequence[str], loop: Loop, *, holds: bool = False):
@@ -100,7 +105,6 @@ class Plant:
             lag,
             _middles(model, self.names),
         )
-        self.step = STEP
         self.retime(loop.kp)
         coupled = model.neq > 0 or not _without_contacts(model)
         trees = model.dof_treeid[m.dof]
@@ -109,13 +113,22 @@ class Plant:
 
     def retime(self, kp: Float[np.ndarray, " n"]) -> None:
         """Take steps as long as loops of these gains allow."""
-        inertia = self.inertia(np.zeros(len(kp)))
+        whole = self._inertia(np.zeros(len(kp)))
+        inertia = np.diagonal(whole)
         stiff = 1.0 / (_STEPS_PER_RADIAN * np.sqrt(np.max(kp / inertia)))
-        damped = 1.0 / (_STEPS_PER_DAMPING * np.max(self.loop.kd / inertia + 1e-9))
-        self.step = float(min(STEP, stiff, max(damped, _SHORTEST)))
-        for m in self._compiled.values():
+        damping = np.maximum(self.nominal.damping + self.loop.kd, np.sqrt(kp * inertia))
+        # The longest time for which M − time · D is no less than none, in any direction of the joints' space.
+        scale = 1.0 / np.sqrt(damping)
+        longest = max(float(np.linalg.eigvalsh(whole * np.outer(scale, scale))[0]), 0.0)
+        self.step = float(min(STEP, stiff, max(2.0 * _TAKEN * longest, _SHORTEST)))
+        self._room = longest * damping
+        for structure, m in self._compiled.items():
             for one in (m.model, *m.copies):
-                one.opt.timestep = self.step
+                one.opt.timestep = self.step_of(structure)
+
+    def step_of(self, structure: "Structure") -> float:
+        """Of a model with that structure [s]."""
+        return min(self.step, STEP_OF_PLAY) if structure.play else self.step
 
     def compiled(self, structure: Structure) -> Compiled:
         """The model of a structure, made once."""
@@ -131,7 +144,8 @@ class Plant:
             for name in self.names:
                 add_dead_band(spec, name)
         model = spec.compile()
-        model.opt.timestep = getattr(self, "step", STEP)
+        if hasattr(self, "step"):
+            model.opt.timestep = self.step_of(structure)
         joints = [model.joint(name).id for name in self.names]
         dead = None
         if structure.dead:
@@ -159,13 +173,16 @@ class Plant:
 
     def inertia(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Each joint's own inertia at a posture, rotor included [kg m²]."""
+        return np.diagonal(self._inertia(q)).copy()
+
+    def _inertia(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
         data, full = mujoco.MjData(self.model), np.zeros((self.model.nv,) * 2)
         data.qpos[self.qadr] = q
         mujoco.mj_forward(self.model, data)
         mujoco.mj_fullM(self.model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(
             self.model, data, full
         )
-        return np.diagonal(full)[self.dof].copy()
+        return full[np.ix_(self.dof, self.dof)]
 
     def numbers(
         self, table: Sequence[Parameter], theta: Float[np.ndarray, " P"], loop: Loop | None
@@ -191,7 +208,8 @@ class Plant:
         x = x.at_joint
         # Behind play there is nothing but the rotor.
         least = np.where(x.play > 0, _ROTOR, -np.inf)
-        model.dof_armature[m.dof] = np.maximum(x.armature, least)
+        armature = np.maximum(x.armature, least)
+        model.dof_armature[m.dof] = armature - self._lighter(x, armature, model.opt.timestep)
         model.dof_frictionloss[m.dof] = x.dry
         model.dof_damping[m.dof] = x.damping + x.back
         ratio, square = x.kp / self.loop.kp, m.gear**2
@@ -227,6 +245,12 @@ class Plant:
             getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
             put_load(model, model.body(body).id, added, x.centres.get(body))
+
+
+    def _lighter(self, x: Numbers, armature: np.ndarray, h: float) -> Float[np.ndarray, " n"]:
+        """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
+        own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
+        return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
 
 
 def put_load(

@@ -13,6 +13,10 @@ from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 
 
+VARYING = "load_friction", "stribeck_friction", "position_friction"
+"""Families of dry friction that changes along the motion."""
+
+
 class Candidate(NamedTuple):
     """One effect at one place."""
 

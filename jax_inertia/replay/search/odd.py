@@ -18,7 +18,7 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.by_law import AS_GOOD
-from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
+from jax_inertia.replay.search.candidates import VARYING, Candidate, candidates, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
 
 MOST = 6
@@ -256,6 +256,8 @@ def tried_errors(
     plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
 ) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
     """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
+    # What is stepped with friction set anew is stepped together.
+    tries = sorted(tries, key=lambda x: x[0].family in VARYING)
     rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
     for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
         mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
