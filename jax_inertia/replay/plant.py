@@ -241,6 +241,8 @@ class Plant:
         if len(m.play):
             half = 0.5 * x.play[list(structure.play)]
             model.jnt_range[m.play] = np.stack([-half, half], 1)
+            # Stops and friction are as soft as 1 / inertia of the motor alone, which the file may not have at all.
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         for field in _INERTIAL:
             getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
