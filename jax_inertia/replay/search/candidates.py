@@ -40,6 +40,7 @@ _STRENGTH = 0.2
 """Of a motor, prior deviation of its logarithm."""
 _DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
 _LOADS = (0.08, 0.2)
+_GIVE, _GIVES = 2e-3, (3e-4, 1e-3, 3e-3)
 _LIMITS = (0.9, 0.75, 0.6, 0.45)
 """Of the largest torque that is asked for."""
 _STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
@@ -74,6 +75,7 @@ def candidates(
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
+    out += [_one("presliding", ALL, 0.0, _GIVE, 0.0, 0.05, _GIVES)]
     return out + _masses(plant)
 
 
