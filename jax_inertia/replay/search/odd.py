@@ -29,6 +29,8 @@ _FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
 _AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """Fits from afresh: how many, and by what logarithms gains are raised."""
 _FROM_NOMINAL = 1
+_GIVES = 1e-3
+"""By what a joint gives before it slides, to start from [rad]."""
 _SETTLED = 2
 """Of the effects that pass, how many are fitted until they settle before one is chosen.
 
@@ -72,7 +74,16 @@ def add_odd(
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
-    best, out, possible, afresh = run.missed(found), [], [], True
+    out, possible, afresh = [], [], True
+    for c in [c for c in pool if c.family == "presliding"]:
+        # What every dry friction does comes first: all other numbers of a fit without it are a little off.
+        progress("fitting friction that gives before it slides")
+        theta = np.append(found.theta, _GIVES)
+        tried = _fitted_from(plant, found, c, theta, records, floor, fitting.ROUNDS)
+        if _judged(plant, found, [(c, tried)], run, run.missed(found))[0]:
+            found, pool = tried, [x for x in pool if x != c]
+            out.append(Odd(c, (len(found.table) - 1,), ()))
+    best = run.missed(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
@@ -314,11 +325,13 @@ def _afresh(
     return out
 
 
-def _fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
+def _fitted_from(
+    plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor, rounds: int = _ROUNDS
+) -> Fit:
     """A fit with a candidate, from numbers of its own; those of the candidate are last."""
     table = (*found.table, *c.parameters)
     free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
+    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=rounds)
 
 
 def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
