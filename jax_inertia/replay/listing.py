@@ -170,6 +170,9 @@ def _named(found: Fit, k: int, loop: Loop) -> tuple[str, Size, float]:
 
 def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     family, rows = odd.candidate.family, odd.rows
+    if family == "torque_speed" and found.theta[rows[1]] == found.table[rows[1]].nominal:
+        # A limit that does not fall.
+        family, rows = "torque_saturation", rows[:1]
     sizes = {PARAMETERS[found.table[k].family]: size_of(found, k, loop) for k in rows}
     if family == "torque_speed":
         sizes = _motor(sizes)

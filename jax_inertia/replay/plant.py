@@ -23,8 +23,11 @@ from jax_inertia.replay.spec_edits import (
     with_loop,
 )
 
-STEP, STEP_OF_PLAY = 4e-3, 2e-3
-"""The longest step [s], and where stops of play are met; a stiff loop on a light joint gets a shorter one."""
+STEP = 4e-3
+"""The longest step [s]; a stiff loop on a light joint gets a shorter one.
+
+One for all structures of a model: what another step does to a replay is not to count for or against play.
+"""
 _STEPS_PER_RADIAN = 4.0
 """At least: steps in 1/ω of the stiffest loop, whose frequency then comes out right to (ω h)²/24 = 0.3 %."""
 _SHORTEST = 5e-4
@@ -131,13 +134,9 @@ class Plant:
         longest = max(float(np.linalg.eigvalsh(whole * np.outer(scale, scale))[0]), 0.0)
         self.step = float(min(STEP, stiff, max(2.0 * _TAKEN * longest, _SHORTEST)))
         self._room, self._inertias = longest * damping, inertia
-        for structure, m in self._compiled.items():
+        for m in self._compiled.values():
             for one in (m.model, *m.copies):
-                one.opt.timestep = self.step_of(structure)
-
-    def step_of(self, structure: "Structure") -> float:
-        """Of a model with that structure [s]."""
-        return min(self.step, STEP_OF_PLAY) if structure.play else self.step
+                one.opt.timestep = self.step
 
     def compiled(self, structure: Structure) -> Compiled:
         """The model of a structure, made once."""
@@ -157,7 +156,7 @@ class Plant:
                 add_bristle(spec, name)
         model = spec.compile()
         if hasattr(self, "step"):
-            model.opt.timestep = self.step_of(structure)
+            model.opt.timestep = self.step
         joints = [model.joint(name).id for name in self.names]
         dead = None
         if structure.dead:

@@ -61,7 +61,7 @@ def replay(
 
 def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.ndarray:
     structure, varies = kind
-    m, h = plant.compiled(structure), plant.step_of(structure)
+    m, h = plant.compiled(structure), plant.step
     steps = int(np.ceil(record.time[-1] / h)) + 1
     models = plant.variants(structure, some)
     state = np.zeros((len(some), mujoco.mj_stateSize(m.model, _STATE)))

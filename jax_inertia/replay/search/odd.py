@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import ORDINARY
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
@@ -101,6 +102,7 @@ def add_odd(
             fits = _finalists(plant, found, here, records, floor)
             if afresh:
                 fits += _afresh(plant, found, here, excess, records, floor)
+                fits += _limits_afresh(plant, found, here, excess, records, floor)
                 fits += _from_nominal(plant, found, here, records, floor)
             passed, more = _judged(plant, found, fits, run, best)
             possible, afresh = [*possible, *more], False
@@ -321,6 +323,33 @@ def _afresh(
             tries.append(theta)
         weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
         theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
+        out.append((c, _fitted_from(plant, found, c, theta, records, floor)))
+    return out
+
+
+def _limits_afresh(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with a limit of the joint that errs most, its ordinary numbers starting at the nominal model's.
+
+    What a low limit does to a motion, a loop with half its kp and twice its damping does in part, and at those numbers
+    a limit is hardly reached.
+    """
+    worst, out = int(np.argmax(excess)), []
+    own = [k for k, p in enumerate(found.table) if p.joint == worst and p.family in ORDINARY]
+    for c in pool:
+        if c.family not in ("torque_saturation", "torque_speed") or c.place[0] != worst:
+            continue
+        thetas = np.array([np.append(found.theta, start) for start in c.starts])
+        thetas[:, own] = nominal(found)[own]
+        errors = fitting.errors(plant, (*found.table, *c.parameters), thetas, records)
+        weighed = np.sum((errors * found.weights.root) ** 2, axis=(1, 2))
+        theta = thetas[int(np.argmin(weighed))]
         out.append((c, _fitted_from(plant, found, c, theta, records, floor)))
     return out
 
