@@ -184,7 +184,13 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     ]  # fmt: skip
     nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
     return Effect(
-        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), family in _USUAL, tuple(ties)
+        family,
+        *place,
+        tuple(sizes.items()),
+        nominal,
+        min(share, 1.0),
+        family in _USUAL,
+        tuple(ties),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
+from jax_inertia.replay.inertia import bristle, mass_matrix, middles, put_load, without_contacts
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.spec_edits import (
@@ -31,8 +32,6 @@ One for all structures of a model: what another step does to a replay is not to 
 _STEPS_PER_RADIAN = 4.0
 """At least: steps in 1/ω of the stiffest loop, whose frequency then comes out right to (ω h)²/24 = 0.3 %."""
 _SHORTEST = 5e-4
-_FOLLOWED, _BRISTLE_DAMPING = 0.5, 0.2
-"""Of a bristle: (ω h)² at most, and twice its share of critical damping."""
 _TAKEN = 0.75
 """Of the inertia that is there, what `Plant._lighter` takes away at most."""
 _ROTOR = 1e-4
@@ -41,12 +40,9 @@ HOLD = np.array([0.9999, 0.9999, 0.001, 0.5, 2.0])
 """solimp of dry friction that holds a joint at rest.
 
 With MuJoCo's own (0.9) friction creeps under load f at R f / b, R = (1 − 0.9)/0.9 / M and b ≈ 100 / s: 0.3 N m on
-0.03 kg m² at 10 mrad/s, so that a joint which its friction stops short of a target gets there within seconds. On a real
-arm replays of slow motions erred by 41 mrad so, and by 16 mrad with this figure.
+0.03 kg m² at 10 mrad/s. On a real arm replays of slow motions erred by 41 mrad so, and by 16 mrad with this figure.
 """
 _INERTIAL = "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"
-_LEAST_SHARE = 0.05
-"""Of a body's mass, that is left of it."""
 _FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
@@ -82,9 +78,9 @@ class Plant:
 
     The spec is changed. `holds`: dry friction holds a joint at rest, which MuJoCo's own figures let creep.
 
-    Steps h are of second order. MuJoCo's implicit damping D solves (M + h D) (v' − v)/h = f − D v, which is the midpoint
-    rule with D h/2 too much inertia: models get so much less armature (`_lighter`). Positions are then those of
-    the leapfrog, and velocities half a step before them. Of a leg with friction in 4 s, against steps of 0.1 ms:
+    Steps h are of second order. MuJoCo's implicit damping D solves (M + h D) (v' − v)/h = f − D v, which is the
+    midpoint rule with D h/2 too much inertia: models get so much less armature (`_lighter`). Positions are then those
+    of the leapfrog, and velocities half a step before them. Of a leg with friction in 4 s, against steps of 0.1 ms:
 
         h = 1 ms: 0.59 mrad with D h, 0.04 mrad with D h/2; h = 4 ms: 2.4 and 0.21 mrad
     """
@@ -115,10 +111,10 @@ class Plant:
             m.gear * model.actuator_biasprm[m.act, 0],
             delay,
             lag,
-            _middles(model, self.names),
+            middles(model, self.names),
         )
         self.retime(loop.kp)
-        coupled = model.neq > 0 or not _without_contacts(model)
+        coupled = model.neq > 0 or not without_contacts(model)
         trees = model.dof_treeid[m.dof]
         self.trees = np.zeros_like(trees) if coupled else trees
         """Joints of separate trees on a fixed base do not feel each other."""
@@ -262,11 +258,14 @@ class Plant:
         for body, added in x.mass.items():
             put_load(model, model.body(body).id, added, x.centres.get(body))
 
-
     def dry_setter(
-        self, m: Compiled, models: Sequence[MjModel], some: Sequence[Numbers], joints: Int[np.ndarray, " j"]
+        self,
+        m: Compiled,
+        models: Sequence[MjModel],
+        some: Sequence[Numbers],
+        joints: Int[np.ndarray, " j"],
     ) -> Callable[[np.ndarray], None]:
-        """What sets dry friction (B, j) of some joints of B models [N m]; as stiff as a step can follow where it gives."""
+        """What sets dry friction (B, j) of some joints of B models [N m]."""
         if m.bristle is None:
             dofs, losses = m.dof[joints], [model.dof_frictionloss for model in models]
 
@@ -298,72 +297,3 @@ class Plant:
         """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
         own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
         return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
-
-
-def mass_matrix(
-    model: MjModel, q: Float[np.ndarray, " n"], at: Int[np.ndarray, " n"]
-) -> Float[np.ndarray, "v v"]:
-    """M at a posture, q where `at` says and the model's reference elsewhere."""
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    data.qpos[at] = q
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, full)
-    return full
-
-
-def joint_inertias(model: MjModel) -> Float[np.ndarray, " v"]:
-    """Each degree of freedom's own inertia at the model's reference posture [kg m²]."""
-    none = np.array([], int)
-    return np.diagonal(mass_matrix(model, np.zeros(0), none)).copy()
-
-
-def bristle(size: np.ndarray, give: np.ndarray, own: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of friction that gives by `give`; as stiff as steps h can follow.
-
-    `size` of the friction [N m], `own`: inertia of the joint [kg m²].
-    """
-    stiff = np.minimum(size / give, _FOLLOWED * own / h**2)
-    return stiff, _BRISTLE_DAMPING * np.sqrt(stiff * own)
-
-
-def put_load(
-    model: MjModel, body: int, added: float, offset: Float[np.ndarray, " 3"] | None
-) -> None:
-    """Add a load to a body of a model, which is changed: more of the same body, off its centre of mass by `offset`.
-
-    With m added at r (body's axes, m) from the centre c of a body of mass M and inertia I about c:
-
-        mass M + m,  centre c + m r / (M + m),  inertia (1 + m/M) I + M m / (M + m) (|r|² 1 − r rᵀ)
-    """
-    mass = float(model.body_mass[body])
-    share = max(1.0 + added / mass, _LEAST_SHARE)
-    model.body_mass[body] = mass * share
-    model.body_inertia[body] *= share
-    if offset is None or not np.any(offset):
-        return
-    more = mass * (share - 1.0)
-    axes = np.zeros(9)
-    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-    axes = axes.reshape(3, 3)
-    whole = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    whole += more / share * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    size, way = np.linalg.eigh(whole)
-    way[:, 0] *= np.sign(np.linalg.det(way))
-    mujoco.mju_mat2Quat(model.body_iquat[body], way.ravel())
-    model.body_inertia[body] = np.maximum(size, 1e-9)
-    model.body_ipos[body] += more / (mass * share) * offset
-    # Its own frame is its inertia's no longer.
-    model.body_sameframe[body] = 0
-
-
-def _middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:
-    """Middle of each joint's range, 0 where it has none."""
-    ranges = [
-        model.joint(n).range if model.jnt_limited[model.joint(n).id] else (0, 0) for n in names
-    ]
-    return np.mean(np.asarray(ranges, float), axis=1)
-
-
-def _without_contacts(model: MjModel) -> bool:
-    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    return bool(off) or not np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0))

@@ -105,7 +105,9 @@ def _at_once(plant: Plant, m: Compiled, models, some, state, control, h: float) 
     return path
 
 
-def _stepwise(plant: Plant, m: Compiled, models, some: Sequence[Numbers], state, control, h: float) -> np.ndarray:
+def _stepwise(
+    plant: Plant, m: Compiled, models, some: Sequence[Numbers], state, control, h: float
+) -> np.ndarray:
     """The same where dry friction goes by torque or velocity: it is set anew between short rollouts."""
     every = max(round(_FRICTION_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq

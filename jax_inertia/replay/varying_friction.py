@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.model.mujoco_types import MjData, MjModel
-from jax_inertia.replay.plant import bristle, joint_inertias
+from jax_inertia.replay.inertia import bristle, joint_inertias
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import FRICTION, LEAST_DRY
 
@@ -58,7 +58,9 @@ def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, Mj
 
     bends = [k for k, name in enumerate(commanded) if commanded[name].get("gives", 0.0) > 0]
     rows = [model.actuator(f"{list(commanded)[k]}{FRICTION}").id for k in bends]
-    gives = [commanded[name]["gives"] for name in commanded if commanded[name].get("gives", 0.0) > 0]
+    gives = [
+        commanded[name]["gives"] for name in commanded if commanded[name].get("gives", 0.0) > 0
+    ]
     own, h = joint_inertias(model)[dofs[bends]], model.opt.timestep
 
     def correct(model: MjModel, data: MjData) -> None:

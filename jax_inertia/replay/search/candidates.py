@@ -12,7 +12,6 @@ from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 
-
 VARYING = "load_friction", "stribeck_friction", "position_friction"
 """Families of dry friction that changes along the motion."""
 
@@ -124,9 +123,7 @@ def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) 
     stall = Parameter("torque_saturation", j, limit, sd, low, high + 1.0, "", centre)
     typical = 0.5 * top / fastest
     back = Parameter("torque_speed", j, 0.0, typical, 0.0, 20.0 * typical, "", typical)
-    starts = tuple(
-        (a, float(np.exp(a)) / (b * fastest)) for a in limits[:-1] for b in _FREE_SPEEDS
-    )
+    starts = tuple((a, float(np.exp(a)) / (b * fastest)) for a in limits[:-1] for b in _FREE_SPEEDS)
     return [*out, Candidate("torque_speed", (stall, back), starts)]
 
 
