@@ -51,7 +51,7 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
         if found.friction[j] != was.dry[j]:
             joint.frictionloss = found.friction[j]
         if (damping := x.damping[j] + x.back[j]) != was.damping[j]:
-            joint.damping = set_first(joint.damping, damping)
+            joint.damping = set_first(joint.damping, max(damping, 0.0))
         step = x.offset[j] / unit_of(spec, joint)
         joint.ref += step
         joint.springref += step

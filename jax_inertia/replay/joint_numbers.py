@@ -118,11 +118,13 @@ def decoded(
 ) -> Numbers:
     """The numbers of a vector, those that it does not hold as in `base`; `loop`: while the record was made.
 
-    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's.
+    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's. Where it
+    has a least value, torque tells kd, and what is below it is the hold of the loop, which acts on the motion alone.
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
     mass, centres, whole = {}, {}, base.damping + base.kd
+    least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -136,6 +138,7 @@ def decoded(
             new[p.family[:2]][at] *= np.exp(x)
         elif p.family == "viscous_friction":
             whole[p.joint] = x
+            least[p.joint] = min(p.low - base.kd[p.joint], 0.0) if p.low > 0 else 0.0
         elif p.family == "torque_saturation":
             new["limit"][at] = np.exp(x)
         elif p.family == "torque_gain":
@@ -145,6 +148,6 @@ def decoded(
         elif p.family in CENTRE:
             centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
     rest = whole - base.kd
-    new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
-    new["damping"] = np.maximum(rest, 0.0)
+    new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
+    new["damping"] = np.maximum(rest, least)
     return Numbers(**new, mass=mass, centres=centres)

@@ -200,13 +200,15 @@ def ordinary(
         # Critical damping is what a designer aims at.
         typical = max(viscous, 0.5 * float(np.sqrt(loop.kp[j] * inertia[j])))
         dry = max(friction[j], _DRY_SHARE * torque[j])
+        # And kp · hold from the damping, which a log with torque knows to be no kd.
+        least = max(loop.kd[j] - loop.kp[j] * _HOLD, 1e-9)
         held = min(_HOLD * loop.kd[j], _OWN * max(inertia[j] - armature[j], 0.0))
         out += [
             # A loop's own hold takes kd · hold from the inertia that it sees.
             Parameter(
                 "armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), -held, np.inf
             ),
-            Parameter("viscous_friction", j, viscous, typical, loop.kd[j] * torque_logged, np.inf),
+            Parameter("viscous_friction", j, viscous, typical, least * torque_logged, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
