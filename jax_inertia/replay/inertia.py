@@ -32,7 +32,7 @@ def joint_inertias(model: MjModel) -> Float[np.ndarray, " v"]:
 
 
 def bristle(
-    size: np.ndarray, give: np.ndarray, own: np.ndarray, h: float
+    size: np.ndarray | float, give: np.ndarray | float, own: np.ndarray | float, h: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness [N m/rad] and damping [N m s/rad] of friction that gives by `give`; as stiff as steps h can follow.
 

@@ -118,8 +118,8 @@ def decoded(
 ) -> Numbers:
     """The numbers of a vector, those that it does not hold as in `base`; `loop`: while the record was made.
 
-    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's. Where it
-    has a least value, torque tells kd, and what is below it is the hold of the loop, which acts on the motion alone.
+    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's. Where
+    it has a least value, torque tells kd, and what is below kd is the hold of the loop, which acts on the motion alone.
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
