@@ -6,8 +6,9 @@ import pytest
 
 from jax_inertia.model.load import body_pi
 from jax_inertia.replay import checks
+from jax_inertia.replay.inertia import put_load
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.plant import Plant, put_load
+from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Commanded, Record
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="upper"><joint name="a" axis="0 1 0" range="-1 3"/>

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.replay.loop import ALL, Loop, Parameter
 
@@ -37,6 +37,8 @@ class Numbers(NamedTuple):
     """By what dry friction grows with position [N m/rad]."""
     middle: Float[np.ndarray, " n"]
     """Of the joint's range, where dry friction is `dry`."""
+    give: Float[np.ndarray, " n"]
+    """By what a joint gives before it slides: dry friction is that of a bristle which bends so far [rad]; 0: rigid."""
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
@@ -50,7 +52,12 @@ class Numbers(NamedTuple):
     @property
     def varies(self) -> bool:
         """Whether dry friction changes along the motion, which no attribute of a model can say."""
-        return bool(np.any((self.load > 0) | (self.stiction > 0) | (self.slant != 0)))
+        return bool(np.any(self.varies_at))
+
+    @property
+    def varies_at(self) -> Bool[np.ndarray, " n"]:
+        """At which joints it does."""
+        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0)
 
     @property
     def at_joint(self) -> "Numbers":
@@ -61,15 +68,18 @@ class Numbers(NamedTuple):
     def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
         miss = commanded - q
-        miss = miss - np.clip(miss, -self.dead, self.dead)
+        if self.dead.any():
+            miss = miss - np.minimum(np.maximum(miss, -self.dead), self.dead)
         asked = self.kp * miss + self.bias - (self.kd - self.back) * v
-        return self.gain * (np.clip(asked, -self.limit, self.limit) - self.back * v)
+        within = np.minimum(np.maximum(asked, -self.limit), self.limit)
+        return self.gain * (within - self.back * v)
 
     def friction(self, torque: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Dry friction's size at a torque, a position and a velocity."""
-        slow = np.exp(-((v / self.slow) ** 2))
-        there = self.dry + self.slant * (q - self.middle)
-        return np.maximum(there + self.load * np.abs(torque) + self.stiction * slow, 0.0)
+        size = self.dry + self.slant * (q - self.middle) + self.load * np.abs(torque)
+        if self.stiction.any():
+            size += self.stiction * np.exp(-((v / self.slow) ** 2))
+        return np.maximum(size, 0.0)
 
 
 OF_BODIES = "mass", "centres"
@@ -81,7 +91,7 @@ _ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "de
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back", "position_friction": "slant",
+    "torque_speed": "back", "position_friction": "slant", "presliding": "give",
 }  # fmt: skip
 
 
@@ -99,7 +109,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none + 1.0, {}, {},
+        none + 0.1, none, middle, none, none, delay, lag, none + 1.0, {}, {},
     )  # fmt: skip
 
 
@@ -108,11 +118,13 @@ def decoded(
 ) -> Numbers:
     """The numbers of a vector, those that it does not hold as in `base`; `loop`: while the record was made.
 
-    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's.
+    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's. Where
+    it has a least value, torque tells kd, and what is below kd is the hold of the loop, which acts on the motion alone.
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
     mass, centres, whole = {}, {}, base.damping + base.kd
+    least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -126,6 +138,7 @@ def decoded(
             new[p.family[:2]][at] *= np.exp(x)
         elif p.family == "viscous_friction":
             whole[p.joint] = x
+            least[p.joint] = min(p.low - base.kd[p.joint], 0.0) if p.low > 0 else 0.0
         elif p.family == "torque_saturation":
             new["limit"][at] = np.exp(x)
         elif p.family == "torque_gain":
@@ -135,6 +148,6 @@ def decoded(
         elif p.family in CENTRE:
             centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
     rest = whole - base.kd
-    new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
-    new["damping"] = np.maximum(rest, 0.0)
+    new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
+    new["damping"] = np.maximum(rest, least)
     return Numbers(**new, mass=mass, centres=centres)

@@ -20,6 +20,8 @@ RETURNS = 0.45
 """An effect is listed whose return adds so much of the corrected replay's error (in squares: it errs a tenth more)."""
 _NEARLY, _SOME = 0.35, 0.8
 _TIED = 0.9
+_USUAL = ("presliding",)
+"""Effects of the search that every dry friction has."""
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
 """Families whose effect is what is added to the model's own number."""
 PARAMETERS = {
@@ -28,7 +30,7 @@ PARAMETERS = {
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
-    "payload_x": "x", "payload_y": "y", "payload_z": "z",
+    "presliding": "angle", "payload_x": "x", "payload_y": "y", "payload_z": "z",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
@@ -168,6 +170,9 @@ def _named(found: Fit, k: int, loop: Loop) -> tuple[str, Size, float]:
 
 def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     family, rows = odd.candidate.family, odd.rows
+    if family == "torque_speed" and found.theta[rows[1]] == found.table[rows[1]].nominal:
+        # A limit that does not fall.
+        family, rows = "torque_saturation", rows[:1]
     sizes = {PARAMETERS[found.table[k].family]: size_of(found, k, loop) for k in rows}
     if family == "torque_speed":
         sizes = _motor(sizes)
@@ -179,7 +184,13 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     ]  # fmt: skip
     nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
     return Effect(
-        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, tuple(ties)
+        family,
+        *place,
+        tuple(sizes.items()),
+        nominal,
+        min(share, 1.0),
+        family in _USUAL,
+        tuple(ties),
     )
 
 

@@ -32,6 +32,8 @@ class Loop(NamedTuple):
 def actuators_on(model: MjModel, joint: int) -> list[int]:
     """The actuators that act on one joint of a compiled model."""
     on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    # Friction of a bristle is an actuator without input.
+    on_joint &= model.actuator_biastype != int(mujoco.mjtBias.mjBIAS_DCMOTOR)
     return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
 
 
@@ -139,6 +141,7 @@ UNITS: Mapping[str, str] = {
     "stribeck_velocity": "rad/s",
     "torque_gain": "1",
     "position_friction": "N m/rad",
+    "presliding": "rad",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""
@@ -197,13 +200,15 @@ def ordinary(
         # Critical damping is what a designer aims at.
         typical = max(viscous, 0.5 * float(np.sqrt(loop.kp[j] * inertia[j])))
         dry = max(friction[j], _DRY_SHARE * torque[j])
+        # And kp · hold from the damping, which a log with torque knows to be no kd.
+        least = max(loop.kd[j] - loop.kp[j] * _HOLD, 1e-9)
         held = min(_HOLD * loop.kd[j], _OWN * max(inertia[j] - armature[j], 0.0))
         out += [
             # A loop's own hold takes kd · hold from the inertia that it sees.
             Parameter(
                 "armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), -held, np.inf
             ),
-            Parameter("viscous_friction", j, viscous, typical, loop.kd[j] * torque_logged, np.inf),
+            Parameter("viscous_friction", j, viscous, typical, least * torque_logged, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),

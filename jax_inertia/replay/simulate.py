@@ -74,7 +74,8 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
             key = np.concatenate([x.delay, x.lag]).tobytes()
         if key not in cache:
             cache = dict(list(cache.items())[-2:])
-            cache[key] = controls(record, h, steps, x.delay, x.lag, x.kp, x.kd)
+            # What acts on a step from h/2 before its position to h/2 after it.
+            cache[key] = controls(record, h, steps, x.delay + 0.5 * h, x.lag, x.kp, x.kd)
         control[b][:, m.act] = (cache[key] - x.offset) * m.gear
         if m.dead is not None:
             control[b][:, m.dead] = control[b][:, m.act]
@@ -82,7 +83,7 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
         data.qpos[m.qadr], data.qvel[m.dof] = record.q[0] - x.offset, record.start
         mujoco.mj_getState(models[b], data, state[b], _STATE)
     run = _stepwise if varies else _at_once
-    path = run(m, models, some, state, control, h)
+    path = run(plant, m, models, some, state, control, h)
     q = np.concatenate([state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
     # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
     lost = np.diff(path[:, :, 0], axis=1) <= 0
@@ -98,36 +99,43 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
 
 
-def _at_once(m: Compiled, models, some, state, control, h: float) -> np.ndarray:
+def _at_once(plant: Plant, m: Compiled, models, some, state, control, h: float) -> np.ndarray:
     data = [mujoco.MjData(m.model) for _ in range(min(_cores(), len(models)))]
     path, _ = rollout.rollout(models, data, state, control, persistent_pool=True)
     return path
 
 
-def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: float) -> np.ndarray:
+def _stepwise(
+    plant: Plant, m: Compiled, models, some: Sequence[Numbers], state, control, h: float
+) -> np.ndarray:
     """The same where dry friction goes by torque or velocity: it is set anew between short rollouts."""
     every = max(round(_FRICTION_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
     path = np.empty((len(models), steps, state.shape[1]))
+    joints = np.flatnonzero(np.any([x.varies_at for x in some], axis=0))
     fields = [k for k in Numbers._fields if k not in OF_BODIES]
-    of_joints = {k: np.stack([getattr(x, k) for x in some]) for k in fields}
+    of_joints = {k: np.stack([getattr(x, k)[joints] for x in some]) for k in fields}
     stacked = Numbers(**of_joints, mass={}, centres={})
-    # A thread is worth its wake-up for several models, each of a step or two.
-    threads = min(_cores() - 1, len(models) // _A_THREAD)
+    q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
+    set_dry = plant.dry_setter(m, models, some, joints)
+    # A thread is worth its wake-up for several models, each of a step or two; one alone only waits for another.
+    threads = min(_cores() // 2, len(models) // _A_THREAD)
+    threads = threads if threads > 1 else 0
     data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state
-    commanded = control[:, :, m.act] / m.gear
+    # Both sides without the encoders' offset.
+    commanded = np.ascontiguousarray((control[:, :, m.act] / m.gear)[:, :, joints].swapaxes(0, 1))
+    part = np.empty((len(models), every, state.shape[1]))
+    seen = np.empty((len(models), every, m.model.nsensordata))
     with rollout.Rollout(nthread=threads) as roll:
         for k in range(0, steps, every):
-            q, v = now[:, 1 + m.qadr], now[:, 1 + nq + m.dof]
-            # Both sides without the encoders' offset.
-            dry = stacked.friction(stacked.torque(commanded[:, k], q, v), q, v)
-            for model, own in zip(models, dry, strict=True):
-                model.dof_frictionloss[m.dof] = own
+            q, v = now[:, q_of], now[:, v_of]
+            dry = stacked.friction(stacked.torque(commanded[k], q, v), q, v)
+            set_dry(dry)
             some_control = np.ascontiguousarray(control[:, k : k + every])
-            part = np.empty((len(models), some_control.shape[1], state.shape[1]))
-            seen = np.empty((*part.shape[:2], m.model.nsensordata))
+            if (n := some_control.shape[1]) < every:
+                part, seen = (np.ascontiguousarray(x[:, :n]) for x in (part, seen))
             roll.rollout(
-                models, data, now, some_control, skip_checks=True, nstep=part.shape[1], state=part, sensordata=seen
+                models, data, now, some_control, skip_checks=True, nstep=n, state=part, sensordata=seen
             )  # fmt: skip
             path[:, k : k + every] = part
             now = np.ascontiguousarray(part[:, -1])

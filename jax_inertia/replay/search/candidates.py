@@ -12,6 +12,9 @@ from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 
+VARYING = "load_friction", "stribeck_friction", "position_friction"
+"""Families of dry friction that changes along the motion."""
+
 
 class Candidate(NamedTuple):
     """One effect at one place."""
@@ -36,10 +39,14 @@ _STRENGTH = 0.2
 """Of a motor, prior deviation of its logarithm."""
 _DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
 _LOADS = (0.08, 0.2)
-_LIMITS = (0.9, 0.75, 0.6, 0.45)
-"""Of the largest torque that is asked for."""
-_STALLS, _FREE_SPEEDS = (1.0, 0.75, 0.55), (1.0, 2.0)
-"""Of the largest torque and of the largest speed."""
+_GIVE, _GIVES = 2e-3, (3e-4, 1e-3, 3e-3)
+_LARGEST_LIMIT, _NEXT_LIMIT, _LEAST_LIMITS = 0.9, 0.8, 4
+"""Of the largest torque that is asked for, what the first limit has; each of the next; how many at least.
+
+A loop asks for many times what a strong limit lets it have: the others go down to what the motion takes.
+"""
+_FREE_SPEEDS = (1.0, 2.0)
+"""Of the largest speed."""
 _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
 _PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
@@ -70,6 +77,7 @@ def candidates(
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
+    out += [_one("presliding", ALL, 0.0, _GIVE, 0.0, 0.05, _GIVES)]
     return out + _masses(plant)
 
 
@@ -106,16 +114,16 @@ def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) 
     out = [_one("torque_bias", j, 0.0, bias, -np.inf, np.inf, (0.2 * bias,), scales=True)]
     limit = float(np.log(said)) if np.isfinite(said) else np.inf
     top = min(asked, said)
-    low, high = float(np.log(0.05 * top)), float(np.log(1.5 * top))
-    shares = [float(np.log(x * top)) for x in _LIMITS]
-    centre = float(np.log(0.7 * top))
-    out.append(_one("torque_saturation", j, limit, 0.5, low, high, shares, centre=centre))
-    stall = Parameter("torque_saturation", j, limit, 0.5, low, high + 1.0, "", centre)
+    lowest = min(torque, _LARGEST_LIMIT * _NEXT_LIMIT ** (_LEAST_LIMITS - 1) * top)
+    count = int(np.ceil(np.log(_LARGEST_LIMIT * top / lowest) / -np.log(_NEXT_LIMIT) - 1e-9)) + 1
+    limits = np.log(np.geomspace(_LARGEST_LIMIT * top, lowest, count)).tolist()
+    low, high = float(np.log(0.1 * lowest)), float(np.log(1.5 * top))
+    centre, sd = 0.5 * (limits[0] + limits[-1]), max(0.5, 0.5 * (limits[0] - limits[-1]))
+    out.append(_one("torque_saturation", j, limit, sd, low, high, limits, centre=centre))
+    stall = Parameter("torque_saturation", j, limit, sd, low, high + 1.0, "", centre)
     typical = 0.5 * top / fastest
     back = Parameter("torque_speed", j, 0.0, typical, 0.0, 20.0 * typical, "", typical)
-    starts = tuple(
-        (float(np.log(a * top)), a * top / (b * fastest)) for a in _STALLS for b in _FREE_SPEEDS
-    )
+    starts = tuple((a, float(np.exp(a)) / (b * fastest)) for a in limits[:-1] for b in _FREE_SPEEDS)
     return [*out, Candidate("torque_speed", (stall, back), starts)]
 
 

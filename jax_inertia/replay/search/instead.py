@@ -19,8 +19,9 @@ from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate
-from jax_inertia.replay.search.odd import AS_GOOD, tried_errors
+from jax_inertia.replay.search.tries import tried_errors
 
 Rows = tuple[int, ...]
 _MOST = 3
@@ -60,7 +61,8 @@ def in_place_of(
     options = [c for c in pool if c.scales]
     tries = [(c, c.starts[0]) for c in options]
     about = found._replace(error=errors[0])
-    more = [(e - errors[0]) / s[0] for _, s, e in tried_errors(plant, about, tries, records)]
+    changes = {c: (e - errors[0]) / s[0] for c, s, e in tried_errors(plant, about, tries, records)}
+    more = [changes[c] for c in options]
     table = (*found.table, *(c.parameters[0] for c in options))
     costs = _Costs(
         found, table, np.concatenate([columns, np.array(more).reshape(-1, *columns.shape[1:])])

@@ -4,7 +4,6 @@ Each is tried at a few sizes, the ordinary numbers following along the cost's pa
 fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,20 +14,19 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
-from jax_inertia.replay.search.parsimony import Parabola, Worth, nominal
+from jax_inertia.replay.search.parsimony import Parabola, Worth
+from jax_inertia.replay.search.tries import ROUNDS, fitted, fitted_from, price, scaled, tried_errors
 
 MOST = 6
-LOG_ODDS = float(np.log(20.0))
-"""Against any one odd effect: one robot in twenty has it."""
 _GAIN = 0.02
-_FINALISTS, _ROUNDS, _AT_ONCE = 4, 4, 32
-_AFRESH, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
-"""Fits from afresh: how many, and by what logarithms gains are raised."""
-_FROM_NOMINAL = 1
+_FINALISTS = 4
+_GIVES = 1e-3
+"""By what a joint gives before it slides, to start from [rad]."""
 _SETTLED = 2
 """Of the effects that pass, how many are fitted until they settle before one is chosen.
 
@@ -72,7 +70,16 @@ def add_odd(
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
-    best, out, possible, afresh = run.missed(found), [], [], True
+    out, possible, afresh = [], [], True
+    for c in [c for c in pool if c.family == "presliding"]:
+        # What every dry friction does comes first: all other numbers of a fit without it are a little off.
+        progress("fitting friction that gives before it slides")
+        theta = np.append(found.theta, _GIVES)
+        tried = fitted_from(plant, found, c, theta, records, floor, fitting.ROUNDS)
+        if _judged(plant, found, [(c, tried)], run, run.missed(found))[0]:
+            found, pool = tried, [x for x in pool if x != c]
+            out.append(Odd(c, (len(found.table) - 1,), ()))
+    best = run.missed(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
@@ -89,8 +96,9 @@ def add_odd(
         if not passed:
             fits = _finalists(plant, found, here, records, floor)
             if afresh:
-                fits += _afresh(plant, found, here, excess, records, floor)
-                fits += _from_nominal(plant, found, here, records, floor)
+                fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
+                fits += afresh_fits.limits(plant, found, here, excess, records, floor)
+                fits += afresh_fits.from_nominal(plant, found, here, records, floor)
             passed, more = _judged(plant, found, fits, run, best)
             possible, afresh = [*possible, *more], False
         if not passed:
@@ -141,7 +149,7 @@ def _judged(
 def _evidence(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
     """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-    return now.total - new.total - _price(found, c), new.kept
+    return now.total - new.total - price(found, c), new.kept
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
@@ -156,17 +164,9 @@ def _is_load_of(o: Odd, centre: Candidate) -> bool:
 def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
     """A fit, gone on with by Jacobians of its own."""
     return fitting.fit(
-        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * _ROUNDS,
+        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
         known=(tried.error, tried.columns),
     )  # fmt: skip
-
-
-def _price(found: Fit, c: Candidate) -> float:
-    """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
-    if c.family == "payload_centre":
-        # Every load is somewhere, and S counts the coordinates that it needs.
-        return 0.0
-    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
 def _finalists(
@@ -184,24 +184,17 @@ def _finalists(
     now = about.worth().total
     best: dict[tuple, tuple] = {}
     for c, start, error in tried_errors(plant, found, tries, records):
-        worth, share = _scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
         gain, key = now - worth.total, (c.family, c.place)
-        if gain > _price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
+        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
             best[key] = gain, c, tuple(share * np.array(start))
-    order = sorted(best.values(), key=lambda x: _price(found, x[1]) - x[0])[:_FINALISTS]
+    order = sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [
-        (c, _fitted(plant, found, c, start, records, floor))
+        (c, fitted(plant, found, c, start, records, floor))
         for gain, c, start in order
         if gain >= least
     ]
-
-
-def _scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
-    """(S, multiple of the start) where a candidate is best scaled."""
-    p, own = c.parameters[0], start[0]
-    ends = sorted((p.low / own, p.high / own))
-    return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
 
 
 def _by_law(
@@ -216,119 +209,5 @@ def _by_law(
     for near in by_law.starts(plant, found, pool, excess, records) if pool else ():
         fits = []
         for c, theta, _ in near:
-            fits.append((c, _fitted_from(plant, found, c, theta, records, floor)))
+            fits.append((c, fitted_from(plant, found, c, theta, records, floor)))
         yield fits
-
-
-def _from_nominal(
-    plant: Plant,
-    found: Fit,
-    pool: Sequence[Candidate],
-    records: Sequence[Record],
-    floor: np.ndarray,
-) -> list[tuple[Candidate, Fit]]:
-    """Fits that start at the nominal model with one effect and few ordinary numbers.
-
-    Where many ordinary numbers, each far off, pass for one effect, no small step leads from them to it: about them the
-    cost is no parabola as far as the nominal model. About that the effects are ranked, in units of the whole gap.
-    """
-    theta = np.where(found.free, nominal(found), found.theta)
-    start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
-    about = Parabola(start, plant.loop, start.samples)
-    bare = about.worth().total
-    tries = [(c, c.starts[0]) for c in pool if c.scales]
-    ranked = []
-    for c, size, error in tried_errors(plant, start, tries, records):
-        worth, share = _scaled(about, c, size, error)
-        ranked.append((bare - worth.total - _price(start, c), c, share * size[0], worth.off))
-    ranked.sort(key=lambda x: -x[0])
-    out = []
-    for gain, c, size, off in ranked[:_FROM_NOMINAL]:
-        if gain > 0:
-            new = theta.copy()
-            new[about.go] = nominal(found)[about.go] + off
-            new = np.append(new, size)
-            out.append((c, _fitted_from(plant, found, c, new, records, floor)))
-    return out
-
-
-def tried_errors(
-    plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
-) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
-    """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
-    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
-    for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
-        mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
-        more = [p for k in mine for p in tries[k][0].parameters]
-        theta = np.concatenate([found.theta, [p.nominal for p in more]])
-        thetas = np.repeat(theta[None], rows[mine].max() - first + 1, axis=0)
-        at = len(found.table)
-        for k in mine:
-            thetas[rows[k] - first, at : at + len(tries[k][1])] = tries[k][1]
-            at += len(tries[k][1])
-        changed = fitting.errors(plant, (*found.table, *more), thetas, records)
-        for k in mine:
-            c, start = tries[k]
-            touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
-            yield c, start, np.where(touched, changed[rows[k] - first], found.error)
-
-
-def _afresh(
-    plant: Plant,
-    found: Fit,
-    pool: Sequence[Candidate],
-    excess: Float[np.ndarray, " n"],
-    records: Sequence[Record],
-    floor: np.ndarray,
-) -> list[tuple[Candidate, Fit]]:
-    """Fits with a dead band that do not start at the numbers without one.
-
-    A soft loop with much friction passes for a stiff one with a dead band, and no small step leads from one to the
-    other: gain, friction and dead band are looked for together, at the joints whose replays, or torques, err most.
-    """
-    pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
-    pool = sorted(
-        (c for c in pool if excess[c.place[0]] > by_law.ROUGH), key=lambda c: -excess[c.place[0]]
-    )
-    where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
-    out = []
-    for c in pool[:_AFRESH]:
-        gain, dry, wet = (
-            where.get((f, c.place[0]), -1)
-            for f in ("kp_scale", "coulomb_friction", "viscous_friction")
-        )
-        if min(gain, dry, wet) < 0:
-            continue
-        table, tries = (*found.table, *c.parameters), []
-        for (width,), stiffer, rubs in itertools.product(c.starts, _STIFFER, (True, False)):
-            theta = np.append(found.theta, width)
-            theta[gain] += stiffer
-            if not rubs:
-                theta[[dry, wet]] = table[dry].nominal, table[wet].nominal
-            tries.append(theta)
-        weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
-        theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
-        out.append((c, _fitted_from(plant, found, c, theta, records, floor)))
-    return out
-
-
-def _fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
-    """A fit with a candidate, from numbers of its own; those of the candidate are last."""
-    table = (*found.table, *c.parameters)
-    free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS)
-
-
-def _fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
-    """A first fit with a candidate."""
-    table = (*found.table, *c.parameters)
-    theta = np.append(found.theta, start)
-    new = np.zeros(len(table), bool)
-    new[len(found.table) :] = True
-    error, columns = fitting.derivatives(plant, table, records, theta, new)
-    columns[: len(found.table)] = found.columns
-    free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(
-        plant, table, records, theta, free=free, floor=floor, rounds=_ROUNDS, known=(error, columns),
-        mended_only=True,
-    )  # fmt: skip

@@ -1,0 +1,86 @@
+"""Inertia and ranges of a model's joints, loads on its bodies, and friction that gives before it slides."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from jax_inertia.model.mujoco_types import MjModel
+
+_LEAST_SHARE = 0.05
+"""Of a body's mass, that is left of it."""
+_FOLLOWED, _BRISTLE_DAMPING = 0.5, 0.2
+"""Of a bristle: (ω h)² at most, and twice its share of critical damping."""
+
+
+def mass_matrix(
+    model: MjModel, q: Float[np.ndarray, " n"], at: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, "v v"]:
+    """M at a posture, q where `at` says and the model's reference elsewhere."""
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data.qpos[at] = q
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return full
+
+
+def joint_inertias(model: MjModel) -> Float[np.ndarray, " v"]:
+    """Each degree of freedom's own inertia at the model's reference posture [kg m²]."""
+    none = np.array([], int)
+    return np.diagonal(mass_matrix(model, np.zeros(0), none)).copy()
+
+
+def bristle(
+    size: np.ndarray | float, give: np.ndarray | float, own: np.ndarray | float, h: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of friction that gives by `give`; as stiff as steps h can follow.
+
+    `size` of the friction [N m], `own`: inertia of the joint [kg m²].
+    """
+    stiff = np.minimum(size / give, _FOLLOWED * own / h**2)
+    return stiff, _BRISTLE_DAMPING * np.sqrt(stiff * own)
+
+
+def put_load(
+    model: MjModel, body: int, added: float, offset: Float[np.ndarray, " 3"] | None
+) -> None:
+    """Add a load to a body of a model, which is changed: more of the same body, off its centre of mass by `offset`.
+
+    With m added at r (body's axes, m) from the centre c of a body of mass M and inertia I about c:
+
+        mass M + m,  centre c + m r / (M + m),  inertia (1 + m/M) I + M m / (M + m) (|r|² 1 − r rᵀ)
+    """
+    mass = float(model.body_mass[body])
+    share = max(1.0 + added / mass, _LEAST_SHARE)
+    model.body_mass[body] = mass * share
+    model.body_inertia[body] *= share
+    if offset is None or not np.any(offset):
+        return
+    more = mass * (share - 1.0)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    whole = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    whole += more / share * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    size, way = np.linalg.eigh(whole)
+    way[:, 0] *= np.sign(np.linalg.det(way))
+    mujoco.mju_mat2Quat(model.body_iquat[body], way.ravel())
+    model.body_inertia[body] = np.maximum(size, 1e-9)
+    model.body_ipos[body] += more / (mass * share) * offset
+    # Its own frame is its inertia's no longer.
+    model.body_sameframe[body] = 0
+
+
+def middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:
+    """Middle of each joint's range, 0 where it has none."""
+    ranges = [
+        model.joint(n).range if model.jnt_limited[model.joint(n).id] else (0, 0) for n in names
+    ]
+    return np.mean(np.asarray(ranges, float), axis=1)
+
+
+def without_contacts(model: MjModel) -> bool:
+    """Whether nothing of it can touch anything."""
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return bool(off) or not np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0))

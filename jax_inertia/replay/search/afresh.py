@@ -1,0 +1,119 @@
+"""Fits that start elsewhere than at the numbers without an effect: from the nominal model's, or a joint's anew."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.loop import ORDINARY
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import by_law
+from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.parsimony import Parabola, nominal
+from jax_inertia.replay.search.tries import fitted_from, price, scaled, tried_errors
+
+_JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
+"""How many joints are looked at, and by what logarithms gains are raised."""
+_FROM_NOMINAL = 1
+
+
+def from_nominal(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that start at the nominal model with one effect and few ordinary numbers.
+
+    Where many ordinary numbers, each far off, pass for one effect, no small step leads from them to it: about them the
+    cost is no parabola as far as the nominal model. About that the effects are ranked, in units of the whole gap.
+    """
+    theta = np.where(found.free, nominal(found), found.theta)
+    start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
+    about = Parabola(start, plant.loop, start.samples)
+    bare = about.worth().total
+    tries = [(c, c.starts[0]) for c in pool if c.scales]
+    ranked = []
+    for c, size, error in tried_errors(plant, start, tries, records):
+        worth, share = scaled(about, c, size, error)
+        ranked.append((bare - worth.total - price(start, c), c, share * size[0], worth.off))
+    ranked.sort(key=lambda x: -x[0])
+    out = []
+    for gain, c, size, off in ranked[:_FROM_NOMINAL]:
+        if gain > 0:
+            new = theta.copy()
+            new[about.go] = nominal(found)[about.go] + off
+            new = np.append(new, size)
+            out.append((c, fitted_from(plant, found, c, new, records, floor)))
+    return out
+
+
+def dead_bands(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with a dead band that do not start at the numbers without one.
+
+    A soft loop with much friction passes for a stiff one with a dead band, and no small step leads from one to the
+    other: gain, friction and dead band are looked for together, at the joints whose replays, or torques, err most.
+    """
+    pool = [c for c in pool if c.family == "dead_band" and c.place[0] >= 0]
+    pool = sorted(
+        (c for c in pool if excess[c.place[0]] > by_law.ROUGH), key=lambda c: -excess[c.place[0]]
+    )
+    where = {(p.family, p.joint): k for k, p in enumerate(found.table)}
+    out = []
+    for c in pool[:_JOINTS]:
+        gain, dry, wet = (
+            where.get((f, c.place[0]), -1)
+            for f in ("kp_scale", "coulomb_friction", "viscous_friction")
+        )
+        if min(gain, dry, wet) < 0:
+            continue
+        table, tries = (*found.table, *c.parameters), []
+        for (width,), stiffer, rubs in itertools.product(c.starts, _STIFFER, (True, False)):
+            theta = np.append(found.theta, width)
+            theta[gain] += stiffer
+            if not rubs:
+                theta[[dry, wet]] = table[dry].nominal, table[wet].nominal
+            tries.append(theta)
+        weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
+        theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
+        out.append((c, fitted_from(plant, found, c, theta, records, floor)))
+    return out
+
+
+def limits(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    excess: Float[np.ndarray, " n"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits with a limit of the joint that errs most, its ordinary numbers starting at the nominal model's.
+
+    What a low limit does to a motion, a loop with half its kp and twice its damping does in part, and at those numbers
+    a limit is hardly reached.
+    """
+    worst, out = int(np.argmax(excess)), []
+    own = [k for k, p in enumerate(found.table) if p.joint == worst and p.family in ORDINARY]
+    for c in pool:
+        if c.family not in ("torque_saturation", "torque_speed") or c.place[0] != worst:
+            continue
+        thetas = np.array([np.append(found.theta, start) for start in c.starts])
+        thetas[:, own] = nominal(found)[own]
+        errors = fitting.errors(plant, (*found.table, *c.parameters), thetas, records)
+        weighed = np.sum((errors * found.weights.root) ** 2, axis=(1, 2))
+        theta = thetas[int(np.argmin(weighed))]
+        out.append((c, fitted_from(plant, found, c, theta, records, floor)))
+    return out

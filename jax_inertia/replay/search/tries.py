@@ -1,0 +1,79 @@
+"""Candidates of the search tried at a size, and fitted: what the ways to start a fit have in common."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from jax_inertia.replay import fit as fitting
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.search.candidates import VARYING, Candidate
+from jax_inertia.replay.search.parsimony import Parabola, Worth
+
+LOG_ODDS = float(np.log(20.0))
+"""Against any one odd effect: one robot in twenty has it."""
+ROUNDS = 4
+"""Of a first fit."""
+_AT_ONCE = 32
+
+
+def price(found: Fit, c: Candidate) -> float:
+    """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
+    if c.family == "payload_centre":
+        # Every load is somewhere, and S counts the coordinates that it needs.
+        return 0.0
+    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
+
+
+def scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
+    """(S, multiple of the start) where a candidate is best scaled."""
+    p, own = c.parameters[0], start[0]
+    ends = sorted((p.low / own, p.high / own))
+    return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
+
+
+def tried_errors(
+    plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
+) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
+    """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
+    # What is stepped with friction set anew is stepped together.
+    tries = sorted(tries, key=lambda x: x[0].family in VARYING)
+    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
+    for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
+        mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
+        more = [p for k in mine for p in tries[k][0].parameters]
+        theta = np.concatenate([found.theta, [p.nominal for p in more]])
+        thetas = np.repeat(theta[None], rows[mine].max() - first + 1, axis=0)
+        at = len(found.table)
+        for k in mine:
+            thetas[rows[k] - first, at : at + len(tries[k][1])] = tries[k][1]
+            at += len(tries[k][1])
+        changed = fitting.errors(plant, (*found.table, *more), thetas, records)
+        for k in mine:
+            c, start = tries[k]
+            touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
+            yield c, start, np.where(touched, changed[rows[k] - first], found.error)
+
+
+def fitted_from(
+    plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor, rounds: int = ROUNDS
+) -> Fit:
+    """A fit with a candidate, from numbers of its own; those of the candidate are last."""
+    table = (*found.table, *c.parameters)
+    free = np.append(found.free, np.ones(len(c.parameters), bool))
+    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=rounds)
+
+
+def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
+    """A first fit with a candidate."""
+    table = (*found.table, *c.parameters)
+    theta = np.append(found.theta, start)
+    new = np.zeros(len(table), bool)
+    new[len(found.table) :] = True
+    error, columns = fitting.derivatives(plant, table, records, theta, new)
+    columns[: len(found.table)] = found.columns
+    free = np.append(found.free, np.ones(len(c.parameters), bool))
+    return fitting.fit(
+        plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS, known=(error, columns),
+        mended_only=True,
+    )  # fmt: skip
