@@ -237,15 +237,16 @@ def both(monkeypatch, request):
     """Which of the two ways was taken, without the minutes that they take."""
     taken = []
 
-    def one_effect(robot, log, **options):
-        taken.append(("one effect", log, options))
+    def one_effect(robot, logs, asked, max_effects):
+        options = {"exclude": asked.exclude, "max_effects": max_effects}
+        taken.append(("one effect", logs[0], options))
         return whole()
 
     def every_joint(robot, log, **options):
         taken.append(("every joint", log, options))
         return whole() if getattr(request, "param", True) else None
 
-    monkeypatch.setattr(either.single, "diagnose", one_effect)
+    monkeypatch.setattr(either, "single_effects", one_effect)
     monkeypatch.setattr(either.pipeline, "diagnose_as_bought", every_joint)
     return taken
 

@@ -219,31 +219,6 @@ def test_friction_gives_before_it_slides():
     assert KP[0] * q + gravity * np.sin(q) == pytest.approx(2.0 - 0.3, rel=0.02)
 
 
-def bristles(dry: float, angle: float):
-    """The loop of both joints with LuGre's friction, exact over the millisecond between two calls."""
-    z = np.zeros(2)
-
-    def law(miss, v):
-        end, rate = np.sign(v) * angle, np.abs(v) / angle
-        z[:] = end + (z - end) * np.exp(-1e-3 * rate)
-        return KP * miss - KD * v - dry * z / angle, 0.0
-
-    return law
-
-
-@pytest.mark.slow
-def test_friction_that_gives_is_found_and_replays_in_mujoco_alone():
-    log, other = (made(bristles(0.25, 1.5e-3), seed=k) for k in (0, 1))
-    found = pipeline.diagnose([log], two, test_log=other)
-    assert not odd_effects(found)
-    give = next(e for e in found.effects if e.family == "presliding")
-    assert give.ordinary
-    assert give.size.value == pytest.approx(1.5e-3, rel=0.2)
-    rigid = pipeline.diagnose([log], two, test_log=other, exclude=("odd",))
-    assert np.all(found.replayed.after < 0.5 * rigid.replayed.after)
-    assert np.all(in_mujoco_alone(found) < found.replayed.after + found.replayed.floor)
-
-
 def test_friction_that_slides_at_once_gives_by_nothing():
     log, other = (made(lambda miss, v: (KP * miss - KD * v, 0.2), seed=k) for k in (0, 1))
     found = pipeline.diagnose([log], two, test_log=other)

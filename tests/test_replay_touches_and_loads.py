@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from jax_inertia.model.joint_inertia import put_load
 from jax_inertia.model.load import body_pi
 from jax_inertia.replay import checks
-from jax_inertia.replay.inertia import put_load
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Commanded, Record

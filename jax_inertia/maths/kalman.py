@@ -155,6 +155,15 @@ def update_by(
     So no measurement moves the state by more than √γ of the prior's standard deviations, and a wild one by next to
     nothing: K ν falls as 1/|ν|. Without it, a torque that no body of the prior explains leaves one that does, with a
     certainty to match, for ever. The innovation is normalised by the noise as given.
+
+    >>> import jax.numpy as jnp
+    >>> from jax_inertia.maths.kalman import Belief, Measurement, update_by
+    >>> from jax_inertia.maths.noise import IndependentNoise
+    >>> before, noise = Belief(jnp.zeros(1), jnp.eye(1)), IndependentNoise(jnp.ones(2))
+    >>> both = lambda: Measurement(jnp.array([2.0, 9.0]), lambda x: jnp.array([x[0], 9.0]))
+    >>> after, seen = update_by(before, both, noise, rows=(0,))
+    >>> after.mean.round(6), after.covariance.round(6)
+    (Array([1.], dtype=float64), Array([[0.5]], dtype=float64))
     """
     form = default_form(belief.mean.dtype) if form is None else form
     prior, p = belief.mean, belief.covariance

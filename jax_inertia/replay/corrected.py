@@ -13,9 +13,9 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.model.joint_inertia import bristle, joint_inertias, put_load
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
-from jax_inertia.replay.inertia import bristle, joint_inertias, put_load
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
 from jax_inertia.replay.plant import HOLD
 from jax_inertia.replay.result import Diagnosis

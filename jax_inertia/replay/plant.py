@@ -8,8 +8,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_inertia.model.joint_inertia import (
+    bristle,
+    mass_matrix,
+    middles,
+    put_load,
+    without_contacts,
+)
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay.inertia import bristle, mass_matrix, middles, put_load, without_contacts
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.spec_edits import (

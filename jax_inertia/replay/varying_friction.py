@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from jax_inertia.model.joint_inertia import bristle, joint_inertias
 from jax_inertia.model.mujoco_types import MjData, MjModel
-from jax_inertia.replay.inertia import bristle, joint_inertias
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import FRICTION, LEAST_DRY
 

@@ -176,8 +176,18 @@ FURTHER = (0.0, 4e-4, 2e-3, 8e-3, 3e-2)
 GROWS_FROM = ((BENT, 0.0), (BENT, 5e-4))
 
 
+class _ByTheLog(dry_friction.LoadFriction):
+    """Its friction by torques as they are: friction and rotors of a calibrated model are in what it needs."""
+
+    calibrated = False
+
+    def load(self, context, place, shape):
+        torque = context.tau if shape[2] else context.inverse
+        return np.abs(torque[:, place.index])
+
+
 class LoadFriction(DryFriction):
-    effect = dry_friction.LoadFriction()
+    effect = _ByTheLog()
     simpler, of_few = ("coulomb_friction",), (0, -2)
 
     def grid(self, context, place):

@@ -39,7 +39,6 @@ _STRENGTH = 0.2
 """Of a motor, prior deviation of its logarithm."""
 _DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
 _LOADS = (0.08, 0.2)
-_GIVE, _GIVES = 2e-3, (3e-4, 1e-3, 3e-3)
 _LARGEST_LIMIT, _NEXT_LIMIT, _LEAST_LIMITS = 0.9, 0.8, 4
 """Of the largest torque that is asked for, what the first limit has; each of the next; how many at least.
 
@@ -77,7 +76,6 @@ def candidates(
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
-    out += [_one("presliding", ALL, 0.0, _GIVE, 0.0, 0.05, _GIVES)]
     return out + _masses(plant)
 
 

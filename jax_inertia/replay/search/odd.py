@@ -25,8 +25,6 @@ from jax_inertia.replay.search.tries import ROUNDS, fitted, fitted_from, price, 
 MOST = 6
 _GAIN = 0.02
 _FINALISTS = 4
-_GIVES = 1e-3
-"""By what a joint gives before it slides, to start from [rad]."""
 _SETTLED = 2
 """Of the effects that pass, how many are fitted until they settle before one is chosen.
 
@@ -71,14 +69,6 @@ def add_odd(
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
     out, possible, afresh = [], [], True
-    for c in [c for c in pool if c.family == "presliding"]:
-        # What every dry friction does comes first: all other numbers of a fit without it are a little off.
-        progress("fitting friction that gives before it slides")
-        theta = np.append(found.theta, _GIVES)
-        tried = fitted_from(plant, found, c, theta, records, floor, fitting.ROUNDS)
-        if _judged(plant, found, [(c, tried)], run, run.missed(found))[0]:
-            found, pool = tried, [x for x in pool if x != c]
-            out.append(Odd(c, (len(found.table) - 1,), ()))
     best = run.missed(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
