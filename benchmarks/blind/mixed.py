@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +88,9 @@ def plan(
     """
     rng = np.random.default_rng([seed, 0])
     shares = {s: x for s, x in SHARES.items() if not (robots and s == standing.STRATUM)}
-    quota = {s: share * count / sum(shares.values()) for s, share in shares.items()}
+    # Exactly rounded: from Python 3.12 on `sum` rounds otherwise, and ties of quotas would turn.
+    whole = math.fsum(shares.values())
+    quota = {s: share * count / whole for s, share in shares.items()}
     names: list[str] = []
     for _ in range(count):
         # The stratum that is furthest behind its share: a short set holds every one of them.
