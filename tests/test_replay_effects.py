@@ -10,7 +10,7 @@ from jax_inertia.replay import entry, fit, pipeline
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.listing import listed
-from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
+from jax_inertia.replay.loop import ORDINARY, Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
 from jax_inertia.replay.search.odd import Search
@@ -191,32 +191,6 @@ def in_mujoco_alone(found) -> np.ndarray:
         data.ctrl[:] = r.target[row][joints]
         mujoco.mj_step(model, data)
     return np.sqrt(np.mean(np.square(error), axis=0))
-
-
-def test_friction_gives_before_it_slides():
-    table = (
-        Parameter("coulomb_friction", 0, 0.0, 1.0, 0.0, 9.0),
-        Parameter("presliding", ALL, 0.0, 1e-3, 0.0, 0.1),
-    )
-    plant = Plant(two(), NAMES, LOOP, holds=True)
-    structure = Structure(bristle=True)
-    (model,) = plant.variants(structure, [plant.numbers(table, np.array([0.3, 2e-3]), LOOP)])
-    data, m = mujoco.MjData(model), plant.compiled(structure)
-    gravity = 0.8 * 9.81 * 0.15
-    for share in np.linspace(0.0, 1.0, 3000):
-        data.qfrc_applied[m.dof[0]] = 0.15 * share
-        mujoco.mj_step(model, data)
-    # Pushed slowly, a bristle's force is F (1 − exp(−q / angle)).
-    q = data.qpos[m.qadr[0]]
-    held = 0.3 * (1.0 - np.exp(-q / 2e-3))
-    assert q < 2e-3
-    assert held + KP[0] * q + gravity * np.sin(q) == pytest.approx(0.15, rel=0.02)
-    for share in np.linspace(0.0, 1.0, 6000):
-        data.qfrc_applied[m.dof[0]] = 2.0 * share
-        mujoco.mj_step(model, data)
-    # Once it slides it takes its size, whatever the stiffness.
-    q = data.qpos[m.qadr[0]]
-    assert KP[0] * q + gravity * np.sin(q) == pytest.approx(2.0 - 0.3, rel=0.02)
 
 
 def test_friction_that_slides_at_once_gives_by_nothing():

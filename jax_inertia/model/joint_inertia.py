@@ -1,4 +1,4 @@
-"""Inertia and ranges of a model's joints, loads on its bodies, and friction that gives before it slides."""
+"""Inertia and ranges of a compiled model's joints, and loads on its bodies."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,6 @@ from jax_inertia.model.mujoco_types import MjModel
 
 _LEAST_SHARE = 0.05
 """Of a body's mass, that is left of it."""
-_FOLLOWED, _BRISTLE_DAMPING = 0.5, 0.2
-"""Of a bristle: (ω h)² at most, and twice its share of critical damping."""
 
 
 def mass_matrix(
@@ -23,23 +21,6 @@ def mass_matrix(
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
     return full
-
-
-def joint_inertias(model: MjModel) -> Float[np.ndarray, " v"]:
-    """Each degree of freedom's own inertia at the model's reference posture [kg m²]."""
-    none = np.array([], int)
-    return np.diagonal(mass_matrix(model, np.zeros(0), none)).copy()
-
-
-def bristle(
-    size: np.ndarray | float, give: np.ndarray | float, own: np.ndarray | float, h: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of friction that gives by `give`; as stiff as steps h can follow.
-
-    `size` of the friction [N m], `own`: inertia of the joint [kg m²].
-    """
-    stiff = np.minimum(size / give, _FOLLOWED * own / h**2)
-    return stiff, _BRISTLE_DAMPING * np.sqrt(stiff * own)
 
 
 def put_load(

@@ -13,7 +13,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.model.joint_inertia import bristle, joint_inertias, put_load
+from jax_inertia.model.joint_inertia import put_load
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
@@ -21,11 +21,8 @@ from jax_inertia.replay.plant import HOLD
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import (
     DEAD,
-    FRICTION,
-    LEAST_DRY,
     PLAY,
     actuator_of,
-    add_bristle,
     add_dead_band,
     add_play,
     set_limit,
@@ -72,32 +69,11 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
         model = spec.compile()
         put_load(model, model.body(body).id, added, x.centres.get(body))
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
-    _add_bristles(spec, found)
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
         spec.delete(key)
     spec.compile()
     return _remarks(found)
-
-
-def _add_bristles(spec: MjSpec, found: Diagnosis) -> None:
-    """Friction that gives before it slides, at every joint of the log, in place of `frictionloss`."""
-    x = found.numbers.at_joint
-    if not (x.give > 0).any():
-        return
-    model = spec.compile()
-    inertia = joint_inertias(model)
-    for j, name in enumerate(found.names):
-        size = max(float(found.friction[j]), LEAST_DRY)
-        own = inertia[model.joint(name).dofadr[0]]
-        stiff, damping = bristle(size, x.give[j], own, model.opt.timestep)
-        add_bristle(spec, name, size, float(stiff), float(damping))
-        joint = spec.joint(name)
-        if np.isfinite(x.limit[j]) and not x.dead[j] > 0:
-            # A limit of all actuators of a joint would hold for its friction too.
-            actuator = actuator_of(spec, name)
-            set_limit(actuator, x.limit[j] / abs(float(actuator.gear[0])))
-            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def _remarks(found: Diagnosis) -> tuple[str, ...]:
@@ -125,11 +101,6 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
     if (x.play > 0).any():
         out.append(
             f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
-        )
-    if (x.give > 0).any():
-        out.append(
-            f"dry friction is an actuator without input (NAME{FRICTION}): it gives before it slides, and frictionloss "
-            "is 0; MJX and other simulators may not have it"
         )
     if x.varies:
         of = (x.load > 0) | (x.stiction > 0) | (x.slant != 0)

@@ -37,8 +37,6 @@ class Numbers(NamedTuple):
     """By what dry friction grows with position [N m/rad]."""
     middle: Float[np.ndarray, " n"]
     """Of the joint's range, where dry friction is `dry`."""
-    give: Float[np.ndarray, " n"]
-    """By what a joint gives before it slides: dry friction is that of a bristle which bends so far [rad]; 0: rigid."""
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
@@ -91,7 +89,7 @@ _ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "de
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back", "position_friction": "slant", "presliding": "give",
+    "torque_speed": "back", "position_friction": "slant",
 }  # fmt: skip
 
 
@@ -109,7 +107,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, none, delay, lag, none + 1.0, {}, {},
+        none + 0.1, none, middle, none, delay, lag, none + 1.0, {}, {},
     )  # fmt: skip
 
 

@@ -20,8 +20,6 @@ RETURNS = 0.45
 """An effect is listed whose return adds so much of the corrected replay's error (in squares: it errs a tenth more)."""
 _NEARLY, _SOME = 0.35, 0.8
 _TIED = 0.9
-_USUAL = ("presliding",)
-"""Effects of the search that every dry friction has."""
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
 """Families whose effect is what is added to the model's own number."""
 PARAMETERS = {
@@ -30,7 +28,7 @@ PARAMETERS = {
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
-    "presliding": "angle", "payload_x": "x", "payload_y": "y", "payload_z": "z",
+    "payload_x": "x", "payload_y": "y", "payload_z": "z",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
@@ -189,7 +187,7 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
         tuple(sizes.items()),
         nominal,
         min(share, 1.0),
-        family in _USUAL,
+        False,
         tuple(ties),
     )
 

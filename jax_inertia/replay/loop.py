@@ -32,8 +32,6 @@ class Loop(NamedTuple):
 def actuators_on(model: MjModel, joint: int) -> list[int]:
     """The actuators that act on one joint of a compiled model."""
     on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    # Friction of a bristle is an actuator without input.
-    on_joint &= model.actuator_biastype != int(mujoco.mjtBias.mjBIAS_DCMOTOR)
     return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
 
 
@@ -141,7 +139,6 @@ UNITS: Mapping[str, str] = {
     "stribeck_velocity": "rad/s",
     "torque_gain": "1",
     "position_friction": "N m/rad",
-    "presliding": "rad",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""

@@ -1,7 +1,7 @@
 """A model with position loops at a log's joints, compiled, and set to any numbers of a fit."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.model.joint_inertia import (
-    bristle,
     mass_matrix,
     middles,
     put_load,
@@ -20,11 +19,8 @@ from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.spec_edits import (
     DEAD,
-    FRICTION,
-    LEAST_DRY,
     PLAY,
     actuator_of,
-    add_bristle,
     add_dead_band,
     add_play,
     with_loop,
@@ -53,12 +49,11 @@ _FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
 class Structure(NamedTuple):
-    """What a compiled model has beyond joints and loops: dead bands, bristles (everywhere or nowhere), play."""
+    """What a compiled model has beyond joints and loops: dead bands (everywhere or nowhere), play."""
 
     dead: bool = False
     play: tuple[int, ...] = ()
     """Joints that have it."""
-    bristle: bool = False
 
 
 class Compiled(NamedTuple):
@@ -73,8 +68,6 @@ class Compiled(NamedTuple):
     """Actuators of dead bands."""
     play: Int[np.ndarray, " p"]
     """Joints of play, in the structure's order."""
-    bristle: Int[np.ndarray, " n"] | None
-    """Actuators of dry friction that gives before it slides."""
     copies: list[MjModel]
     """To be set to one variant each."""
 
@@ -135,7 +128,7 @@ class Plant:
         scale = 1.0 / np.sqrt(damping)
         longest = max(float(np.linalg.eigvalsh(whole * np.outer(scale, scale))[0]), 0.0)
         self.step = float(min(STEP, stiff, max(2.0 * _TAKEN * longest, _SHORTEST)))
-        self._room, self._inertias = longest * damping, inertia
+        self._room = longest * damping
         for m in self._compiled.values():
             for one in (m.model, *m.copies):
                 one.opt.timestep = self.step
@@ -153,9 +146,6 @@ class Plant:
         if structure.dead:
             for name in self.names:
                 add_dead_band(spec, name)
-        if structure.bristle:
-            for name in self.names:
-                add_bristle(spec, name)
         model = spec.compile()
         if hasattr(self, "step"):
             model.opt.timestep = self.step
@@ -168,18 +158,9 @@ class Plant:
         dof = model.jnt_dofadr[joints]
         if self.holds:
             model.dof_solimp[dof] = HOLD
-        bristle = None
-        if structure.bristle:
-            bristle = np.array([model.actuator(f"{name}{FRICTION}").id for name in self.names])
-            # A limit of all actuators of a joint is that of its motor, and not of its friction.
-            there = np.isfinite(self.loop.limit)
-            model.jnt_actfrclimited[joints] = 0
-            model.actuator_forcelimited[act] = there
-            reach = np.where(there, self.loop.limit, 0.0) / np.abs(model.actuator_gear[act, 0])
-            model.actuator_forcerange[act] = np.stack([-reach, reach], 1)
         play = np.array([model.joint(f"{self.names[j]}{PLAY}").id for j in structure.play], int)
         return Compiled(
-            model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play, bristle, []
+            model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play, []
         )  # fmt: skip
 
     def tree_of(self, p: Parameter) -> int | None:
@@ -209,7 +190,7 @@ class Plant:
     def structure(self, numbers: Numbers) -> Structure:
         """What a model must have to hold the numbers."""
         play = tuple(np.flatnonzero(numbers.play > 0).tolist())
-        return Structure(bool(np.any(numbers.dead > 0)), play, bool(np.any(numbers.give > 0)))
+        return Structure(bool(np.any(numbers.dead > 0)), play)
 
     def variants(self, structure: Structure, some: Sequence[Numbers]) -> list[MjModel]:
         """Models with the numbers; valid until the next call for the structure."""
@@ -226,7 +207,7 @@ class Plant:
         least = np.where(x.play > 0, _ROTOR, -np.inf)
         armature = np.maximum(x.armature, least)
         model.dof_armature[m.dof] = armature - self._lighter(x, armature, model.opt.timestep)
-        self.dry_setter(m, [model], [x], np.arange(len(self.names)))(x.dry[None])
+        model.dof_frictionloss[m.dof] = x.dry
         model.dof_damping[m.dof] = x.damping + x.back
         ratio, square = x.kp / self.loop.kp, m.gear**2
         model.actuator_gainprm[m.act, 0] = m.model.actuator_gainprm[m.act, 0] * ratio
@@ -263,41 +244,6 @@ class Plant:
             getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
             put_load(model, model.body(body).id, added, x.centres.get(body))
-
-    def dry_setter(
-        self,
-        m: Compiled,
-        models: Sequence[MjModel],
-        some: Sequence[Numbers],
-        joints: Int[np.ndarray, " j"],
-    ) -> Callable[[np.ndarray], None]:
-        """What sets dry friction (B, j) of some joints of B models [N m]."""
-        if m.bristle is None:
-            dofs, losses = m.dof[joints], [model.dof_frictionloss for model in models]
-
-            def rigid(dry: np.ndarray) -> None:
-                for loss, own in zip(losses, dry, strict=True):
-                    loss[dofs] = own
-
-            return rigid
-        rows = m.bristle[joints]
-        give = np.array([np.maximum(x.give[joints], 1e-9) for x in some])
-        own = np.maximum(np.array([self._own(x)[joints] for x in some]), _ROTOR)
-        fields = [(model.actuator_biasprm, model.actuator_dynprm) for model in models]
-
-        def bends(dry: np.ndarray) -> None:
-            size = np.maximum(dry, LEAST_DRY)
-            stiff, damped = bristle(size, give, own, models[0].opt.timestep)
-            for (bias, dyn), f, s, d in zip(fields, size, stiff, damped, strict=True):
-                bias[rows, 3] = bias[rows, 4] = f
-                dyn[rows, 5], dyn[rows, 6] = s, d
-
-        return bends
-
-    def _own(self, x: Numbers) -> Float[np.ndarray, " n"]:
-        """Inertia of each joint, or of the motor where there is play."""
-        whole = self._inertias + x.armature - self.nominal.armature
-        return np.where(x.play > 0, x.armature, whole)
 
     def _lighter(self, x: Numbers, armature: np.ndarray, h: float) -> Float[np.ndarray, " n"]:
         """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""

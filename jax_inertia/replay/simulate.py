@@ -83,7 +83,7 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
         data.qpos[m.qadr], data.qvel[m.dof] = record.q[0] - x.offset, record.start
         mujoco.mj_getState(models[b], data, state[b], _STATE)
     run = _stepwise if varies else _at_once
-    path = run(plant, m, models, some, state, control, h)
+    path = run(m, models, some, state, control, h)
     q = np.concatenate([state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
     # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
     lost = np.diff(path[:, :, 0], axis=1) <= 0
@@ -99,15 +99,13 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
 
 
-def _at_once(plant: Plant, m: Compiled, models, some, state, control, h: float) -> np.ndarray:
+def _at_once(m: Compiled, models, some, state, control, h: float) -> np.ndarray:
     data = [mujoco.MjData(m.model) for _ in range(min(_cores(), len(models)))]
     path, _ = rollout.rollout(models, data, state, control, persistent_pool=True)
     return path
 
 
-def _stepwise(
-    plant: Plant, m: Compiled, models, some: Sequence[Numbers], state, control, h: float
-) -> np.ndarray:
+def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: float) -> np.ndarray:
     """The same where dry friction goes by torque or velocity: it is set anew between short rollouts."""
     every = max(round(_FRICTION_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
@@ -117,7 +115,7 @@ def _stepwise(
     of_joints = {k: np.stack([getattr(x, k)[joints] for x in some]) for k in fields}
     stacked = Numbers(**of_joints, mass={}, centres={})
     q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
-    set_dry = plant.dry_setter(m, models, some, joints)
+    losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
     # A thread is worth its wake-up for several models, each of a step or two; one alone only waits for another.
     threads = min(_cores() // 2, len(models) // _A_THREAD)
     threads = threads if threads > 1 else 0
@@ -130,7 +128,8 @@ def _stepwise(
         for k in range(0, steps, every):
             q, v = now[:, q_of], now[:, v_of]
             dry = stacked.friction(stacked.torque(commanded[k], q, v), q, v)
-            set_dry(dry)
+            for loss, own in zip(losses, dry, strict=True):
+                loss[dofs] = own
             some_control = np.ascontiguousarray(control[:, k : k + every])
             if (n := some_control.shape[1]) < every:
                 part, seen = (np.ascontiguousarray(x[:, :n]) for x in (part, seen))

@@ -8,13 +8,9 @@ import numpy as np
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.loop import Loop
 
-DEAD, PLAY, FRICTION = "_dead_band", "_play", "_friction"
+DEAD, PLAY = "_dead_band", "_play"
 """What names of added actuators and joints end in."""
 _LIGHT = 1e-6
-_NO_INPUT = 16
-"""mjINPUT_NONE of MuJoCo's `ctrlspec`."""
-LEAST_DRY = 1e-9
-"""Of a bristle, whose force is a quotient [N m]."""
 # Of the ends of play: stiff, and inelastic, at the steps of a replay.
 _STOP = np.array([0.004, 1.0]), np.array([0.99, 0.999, 1e-4, 0.5, 2.0])
 
@@ -61,7 +57,7 @@ def actuator_of(spec: MjSpec, joint: str):
         for a in spec.actuators
         if a.trntype == mujoco.mjtTrn.mjTRN_JOINT
         and a.target == joint
-        and not a.name.endswith((DEAD, FRICTION))
+        and not a.name.endswith(DEAD)
     ]
     return on_joint[-1]
 
@@ -85,28 +81,6 @@ def add_dead_band(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
     new.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     reach = kp * width * abs(gear)
     new.forcerange = np.array([-reach, reach])
-
-
-def add_bristle(
-    spec: MjSpec, joint: str, dry: float = 0.0, stiff: float = 1.0, damping: float = 0.0
-) -> None:
-    """An actuator without input whose force is LuGre's friction, in place of a joint's `frictionloss`.
-
-    σ0 z + σ1 dz/dt with dz/dt = q̇ − σ0 |q̇| z / dry, stiffness σ0 = `stiff` [N m/rad] and σ1 = `damping` [N m s/rad]: a
-    joint gives by up to dry / σ0 before it slides.
-    """
-    dry = max(dry, LEAST_DRY)
-    new = spec.add_actuator(name=f"{joint}{FRICTION}", target=joint)
-    new.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    # No current flows: of the motor nothing but its friction is left.
-    lugre = [stiff, damping, dry, dry, 0.1]
-    new.set_to_dcmotor(
-        motorconst=[_LIGHT, _LIGHT],
-        resistance=1.0,
-        lugre=lugre,
-        ctrlspec=_NO_INPUT,
-    )
-    spec.joint(joint).frictionloss = 0.0
 
 
 def add_play(spec: MjSpec, joint: str, width: float = 1e-3) -> None:

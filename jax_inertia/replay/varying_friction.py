@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from jax_inertia.model.joint_inertia import bristle, joint_inertias
 from jax_inertia.model.mujoco_types import MjData, MjModel
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.spec_edits import FRICTION, LEAST_DRY
 
 
 def law(found: Diagnosis) -> dict[str, dict[str, float]]:
@@ -33,7 +31,6 @@ def law(found: Diagnosis) -> dict[str, dict[str, float]]:
             "load": float(x.load[j]),
             "stiction": float(x.stiction[j]),
             "stribeck_velocity": float(x.slow[j]),
-            "gives": float(x.give[j]),
         }
         for j, name in enumerate(found.names)
         if x.load[j] > 0 or x.stiction[j] > 0 or x.slant[j] != 0
@@ -41,10 +38,7 @@ def law(found: Diagnosis) -> dict[str, dict[str, float]]:
 
 
 def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, MjData], None]:
-    """What sets dry friction as the report's friction_law says; ValueError for a joint that is not there.
-
-    It is `dof_frictionloss`, or the force of the actuator NAME_friction where a joint gives before it slides.
-    """
+    """What sets `dof_frictionloss` as the report's friction_law says; ValueError for a joint that is not there."""
     commanded = report["friction_law"]
     known = {model.joint(j).name: j for j in range(model.njnt)}
     if lacking := [name for name in commanded if name not in known]:
@@ -56,26 +50,10 @@ def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, Mj
         [[x[k] for k in keys] for x in commanded.values()]
     ).T
 
-    bends = [k for k, name in enumerate(commanded) if commanded[name].get("gives", 0.0) > 0]
-    rows = [model.actuator(f"{list(commanded)[k]}{FRICTION}").id for k in bends]
-    gives = [
-        commanded[name]["gives"] for name in commanded if commanded[name].get("gives", 0.0) > 0
-    ]
-    own, h = joint_inertias(model)[dofs[bends]], model.opt.timestep
-
     def correct(model: MjModel, data: MjData) -> None:
         rest = np.exp(-((data.qvel[dofs] / slow) ** 2))
-        torque = data.qfrc_actuator[dofs].copy()
-        torque[bends] -= data.actuator_force[rows]
+        torque = np.abs(data.qfrc_actuator[dofs])
         there = dry + slope * (data.qpos[at] - middle)
-        size = np.maximum(there + load * np.abs(torque) + stiction * rest, 0.0)
-        model.dof_frictionloss[dofs] = size
-        if not bends:
-            return
-        size = np.maximum(size[bends], LEAST_DRY)
-        model.dof_frictionloss[dofs[bends]] = 0.0
-        model.actuator_biasprm[rows, 3] = model.actuator_biasprm[rows, 4] = size
-        stiff, damping = bristle(size, np.array(gives), own, h)
-        model.actuator_dynprm[rows, 5], model.actuator_dynprm[rows, 6] = stiff, damping
+        model.dof_frictionloss[dofs] = np.maximum(there + load * torque + stiction * rest, 0.0)
 
     return correct

@@ -86,9 +86,7 @@ def dead_bands(
             if not rubs:
                 theta[[dry, wet]] = table[dry].nominal, table[wet].nominal
             tries.append(theta)
-        weighed = fitting.errors(plant, table, np.array(tries), records) * found.weights.root
-        theta = tries[int(np.argmin(np.sum(weighed**2, axis=(1, 2))))]
-        out.append((c, fitted_from(plant, found, c, theta, records, floor)))
+        out.append((c, _fitted_from_best(plant, found, c, np.array(tries), records, floor)))
     return out
 
 
@@ -112,8 +110,19 @@ def limits(
             continue
         thetas = np.array([np.append(found.theta, start) for start in c.starts])
         thetas[:, own] = nominal(found)[own]
-        errors = fitting.errors(plant, (*found.table, *c.parameters), thetas, records)
-        weighed = np.sum((errors * found.weights.root) ** 2, axis=(1, 2))
-        theta = thetas[int(np.argmin(weighed))]
-        out.append((c, fitted_from(plant, found, c, theta, records, floor)))
+        out.append((c, _fitted_from_best(plant, found, c, thetas, records, floor)))
     return out
+
+
+def _fitted_from_best(
+    plant: Plant,
+    found: Fit,
+    c: Candidate,
+    thetas: Float[np.ndarray, "B P"],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> Fit:
+    """The fit from whichever numbers replay best, weighed as `found` is."""
+    errors = fitting.errors(plant, (*found.table, *c.parameters), thetas, records)
+    costs = np.sum((errors * found.weights.root) ** 2, axis=(1, 2))
+    return fitted_from(plant, found, c, thetas[int(np.argmin(costs))], records, floor)

@@ -55,13 +55,11 @@ def tried_errors(
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
 
 
-def fitted_from(
-    plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor, rounds: int = ROUNDS
-) -> Fit:
+def fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
     """A fit with a candidate, from numbers of its own; those of the candidate are last."""
     table = (*found.table, *c.parameters)
     free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=rounds)
+    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS)
 
 
 def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
