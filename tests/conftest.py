@@ -15,6 +15,8 @@ FLAGS = ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split
 # A flag that XLA does not know aborts the process, and jax 0.12's has no choice of emitters.
 if version("jaxlib").startswith("0.9."):
     FLAGS.append("--xla_cpu_use_fusion_emitters=false")
+if "PYTEST_XDIST_WORKER" in os.environ:
+    FLAGS.append("--xla_cpu_multi_thread_eigen=false")
 os.environ["XLA_FLAGS"] = " ".join([*FLAGS, os.environ.get("XLA_FLAGS", "")])
 
 import annotations  # noqa: E402
