@@ -22,7 +22,6 @@ from jax_inertia.diagnosis.effects.registry import NAMES as BY_TORQUE
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.rollout import Rollouts, rollouts
 from jax_inertia.gap import either
-from jax_inertia.gap.either import Asked, searched, usable
 from jax_inertia.gap.finding import Diagnosis, effects_of, known_of
 from jax_inertia.gap.html import Page, page
 from jax_inertia.gap.report import to_report
@@ -114,7 +113,7 @@ def read(
             if one.tau is None and (not logs or logs[0].tau is None):
                 findings = entry.usable(one, robot)
             else:
-                one, drives, findings = usable(one, robot, drives, path.name)
+                one, drives, findings = either.usable(one, robot, drives, path.name)
         except LogError as error:
             raise LogError(f"{path}: {error}") from None
         logs.append(one)
@@ -172,8 +171,8 @@ def by_torque(
     stage: Callable[[str], None],
 ) -> Callable[..., None]:
     """Diagnose torque → motion, and write everything into a folder; what prints it."""
-    asked = Asked(exclude, (), inputs.uncertainty, stage)
-    found = searched(inputs.robot, (inputs.log, inputs.test_log), asked, max_effects)
+    asked = either.Asked(exclude, (), inputs.uncertainty, stage)
+    found = either.searched(inputs.robot, (inputs.log, inputs.test_log), asked, max_effects)
     if isinstance(found, Diagnosis):
         result = corrected_by(inputs, found, stage)
         stage("writing")
@@ -189,7 +188,7 @@ def single_effects(
     inputs: Inputs, exclude: Sequence[str], max_effects: int, stage: Callable[[str], None]
 ) -> Result:
     """What a calibrated model lacks, and what becomes of it."""
-    asked = Asked(exclude, (), inputs.uncertainty, stage)
+    asked = either.Asked(exclude, (), inputs.uncertainty, stage)
     logs = inputs.log, inputs.test_log
     return corrected_by(
         inputs, either.single_effects(inputs.robot, logs, asked, max_effects), stage
