@@ -94,13 +94,17 @@ class Ordinary(Effect):
             w[self.coupling.joint] += self.coupling.ratio * v[self.coupling.other]
         return w
 
-    def _torque(self, q: np.ndarray, w: np.ndarray) -> np.ndarray:
-        law = self.odd
-        g = law.level(w, self.drive)
+    def _level(self, q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Steady dry friction of each motor at its speed [N m], kept with that."""
+        g = self.odd.level(w, self.drive)
         if self.wave is not None:
             j, depth, frequency, phase = self.wave
             g[j] *= 1.0 + depth * np.sin(frequency * q[j] + phase)
         self.w, self.g = w, g
+        return g
+
+    def _torque(self, q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        law, g = self.odd, self._level(q, w)
         size = np.abs(w)
         rate = w - size * self.sigma0 / g * self.z
         damping = self.sigma1 * np.exp(-((w / 0.02) ** 2))

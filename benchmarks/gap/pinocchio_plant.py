@@ -109,12 +109,7 @@ class Slips(Ordinary):
         self.z0 = self.z = np.zeros((4, len(self.bias)))
 
     def _torque(self, q, w):
-        law = self.odd
-        g = law.level(w, self.drive)
-        if self.wave is not None:
-            j, depth, frequency, phase = self.wave
-            g[j] *= 1.0 + depth * np.sin(frequency * q[j] + phase)
-        self.w, self.g = w, g
+        law, g = self.odd, self._level(q, w)
         held = (self.SHARES * (1.0 - np.maximum(self.z * np.sign(w), 0.0) / self.most)).sum(0)
         size = np.abs(w)
         dry = g * (self.SHARES * self.z / self.most).sum(0)
