@@ -130,7 +130,7 @@ def _gpu(gpu: dict | None) -> str:
         share = row.get("roofline_share")
         rows.append(
             [
-                name,
+                name + (f" (commit {row['commit']})" if "commit" in row else ""),
                 f"{row['per_s']:.3g}",
                 f"{row['compile_s']:.0f}",
                 f"{row['bytes_needed_per_step']:.0f}",
@@ -150,9 +150,8 @@ def _gpu(gpu: dict | None) -> str:
     return (
         f"{about['device']}, commit {about['commit']}, jax {about['jax']}, MuJoCo {about['mujoco']}.\n\n"
         f"{results.table(head, rows)}\n\nOperations are XLA's count, which leaves out the kernels' own: some 14 000 "
-        "scalar ones for the measurement and its slope, 25 000 for the update (Cholesky, 13 rows of 20 states, L Lᵀ). "
-        "In float32 the information form loses the load on states as wild "
-        f"as these.{cost}{several()}"
+        "scalar ones for the measurement and its slope, 25 000 for the update (Cholesky, 13 rows of 20 states, L Lᵀ)."
+        f"{cost}{several()}"
     )
 
 
