@@ -284,11 +284,17 @@ class ReportTorque:
 
     def gains(self) -> np.ndarray:
         out = np.ones(len(self.joints))
+        whole = {n: t["torque_gain"]["value"] for n, t in self._terms() if "torque_gain" in t}
+        if whole:
+            return np.array([whole.get(name, 1.0) for name in self.joints])
         for e in self.odd:
             if e["family"] == "torque_gain":
                 everywhere = e["location"]["kind"] == "global"
                 out[slice(None) if everywhere else self._joint(e)] *= number(e, "gain")
         return out
+
+    def _terms(self):
+        return self.report.get("joints", {}).items()
 
     def error(self, log: dict[str, np.ndarray], held: bool = True) -> dict:
         """The measure of `torque_error`, in units of the logged torque."""

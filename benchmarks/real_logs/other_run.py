@@ -165,30 +165,8 @@ def tool(python: str, model: Path, log: Path, other: Path, out: Path) -> dict:
 
 
 def measured(model: Path, out: Path, other: dict, held: bool) -> dict:
-    """The measure of a report, computed again; `with_gains`: with the motors' gains that its notes alone state."""
+    """The measure of a report, computed again from its files."""
     report = json.loads((out / "report.json").read_text())
-    result = _measured(model, out, report, other, held)
-    if gains := noted_gains(report):
-        report["effects"] += gains
-        result["with_gains"] = _measured(model, out, report, other, held)["measured"]
-    return result
-
-
-def noted_gains(report: dict) -> list[dict]:
-    """Gains of motors that a report has in its notes, as effects."""
-    found = [re.match(r"the motor of (\S+) gives ([\d.]+)", note) for note in report["notes"]]
-    return [
-        {
-            "family": "torque_gain",
-            "location": {"kind": "joint", "name": m[1]},
-            "parameters": {"gain": {"value": float(m[2]), "unit": "1"}},
-        }
-        for m in found
-        if m
-    ]
-
-
-def _measured(model: Path, out: Path, report: dict, other: dict, held: bool) -> dict:
     try:
         told = ReportTorque(model, report, out / "corrected.xml")
         error = told.error(other, held)

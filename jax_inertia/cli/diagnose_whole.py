@@ -62,8 +62,9 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
     sure = f"{plain(str(found.verdict))} (confidence {chance(found.confidence)})"
     console.print(f"[bold]{sure}[/bold]")
     console.print(escape(found.headline), highlight=False)
+    geared = ", motor's gain" if found.gains else ""
     table = Table(
-        title="every joint with 95 % interval: viscous and dry friction, rotor inertia, offset",
+        title=f"every joint with 95 % interval: viscous and dry friction, rotor inertia, offset{geared}",
         title_justify="left",
     )
     for name in (
@@ -72,11 +73,15 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
         "dry friction",
         "rotor inertia",
         "offset",
+        *(["gain"] if found.gains else []),
         "error before → after",
     ):
         table.add_column(name)
     for joint, own in found.joints.items():
         cells = [plus_minus(p.value, p.low, p.high) for p in own.values()]
+        if found.gains:
+            p = found.gains.get(joint)
+            cells.append("1" if p is None else plus_minus(p.value, p.low, p.high))
         before, after = found.checked.per_joint[joint]
         table.add_row(escape(joint), *cells, f"{before:.2g} → {after:.2g}")
     console.print(table)

@@ -9,6 +9,7 @@ from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
+from jax_inertia.diagnosis.motor_gains import after_gain
 from jax_inertia.diagnosis.search.ordinary import FRICTION
 from jax_inertia.diagnosis.search.selection import Selection
 
@@ -90,6 +91,7 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
 
     Parts of the log and the equation's own error are in the covariance. Dry and viscous friction are the level and the
     slope that come nearest to the joint's whole law, its mild forms included: what a model of two numbers should hold.
+    A joint's own numbers are those after its motor's gain.
     """
     now = selection.posterior
     numbers = np.zeros((h.count, len(now.mean)))
@@ -101,7 +103,7 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
         if forms is not None:
             part = now.slices[now.chosen.index(forms)]
             numbers[:, part] = _nearest(selection, h, forms) * forms.scale
-    mean = numbers @ now.mean
+    mean, numbers = after_gain(selection, h, numbers)
     covariance = numbers @ (now.covariance + selection.spread) @ numbers.T
     return mean, covariance + _systematic(selection, h)
 

@@ -108,6 +108,8 @@ class Diagnosis:
     found: tuple[Found, ...]
     joints: dict[str, dict[str, Interval]]
     """By joint and family: the joint's whole number, the model's own included; found or not."""
+    gains: dict[str, Interval]
+    """Of each joint whose motor's gain is found or uncertain: torque at the joint over the logged one."""
     presliding: dict[str, float]
     """Displacement over which each joint's dry friction turns round [rad]."""
     as_bought: float

@@ -13,8 +13,9 @@ from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import intervals, joint_numbers, reported
+from jax_inertia.diagnosis.intervals import joint_numbers, reported
 from jax_inertia.diagnosis.listing import as_listed, effects, share
+from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
 from jax_inertia.diagnosis.search.evidence import Posterior
@@ -71,13 +72,14 @@ def summarised(
     chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))
     energy = evidence.gap**2 * evidence.count
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
-    joints = joint_numbers(told)
+    joints, gains = joint_numbers(told), motor_gains(told)
     return Diagnosis(
         verdict=judged,
         confidence=sure,
         headline=headline(judged, found, shrinks, remainder, _lacking(residual, found)),
         found=found,
         joints=joints,
+        gains=gains,
         presliding={
             h.place.name: float(h.shape[0]) for h in now.chosen if h.family == "coulomb_friction"
         },
@@ -90,7 +92,7 @@ def summarised(
         per_joint_rms=dict(zip(names, gap.tolist(), strict=True)),
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(told),
-        notes=(*_flags(told, joints), *_gains(told, settings), *_left_out(dropped)),
+        notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
     )
@@ -187,13 +189,15 @@ def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tupl
     return tuple(out)
 
 
-def _gains(selection: Selection, settings: Settings) -> Iterator[str]:
+def _gains(
+    selection: Selection, gains: dict[str, Interval], settings: Settings
+) -> Iterator[str]:
     """Torque constants that are distinct from what the log's torques were computed with."""
     for h in selection.posterior.chosen:
         if isinstance(h.effect, GainTolerance):
             mean, covariance = reported(selection, h)
             if abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]):
-                gain = intervals(selection, h, mean, covariance)["gain"]
+                gain = gains[h.place.name]
                 yield (
                     f"the motor of {h.place.name} gives {gain.value:.3g} [{gain.low:.3g}, {gain.high:.3g}] times the "
                     "torque that its current was taken for"

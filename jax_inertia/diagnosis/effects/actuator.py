@@ -35,6 +35,7 @@ class TorqueGain(Effect):
     """At one joint, or at all of them (supply voltage, torque constant of one drive type)."""
 
     name, equation, form_error = "torque_gain", "τ = g τ_logged", 0.02
+    before_gain = True
     source = "a torque constant, a current sensor's scale; Gautier and Briot, J. Dyn. Syst. Meas. Control 136(5), 2014"
     units, advice = {"gain": "1"}, advice.KNOWN_WEIGHT
     prior = "1 − 1/g: 0.15; g from 0.5 to 1.5"
@@ -96,7 +97,7 @@ SOFT = 0.1
 
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
-    sized_by_shape = True
+    sized_by_shape, before_gain = True, True
     source = "a drive's current limit"
     units, advice = {"limit": "N m"}, advice.SMALL_AND_LARGE
     prior = "a limit between 0.05 and 0.99 of the largest torque asked for"
@@ -144,7 +145,7 @@ class TorqueSpeed(Effect):
     units, advice = {"limit": "N m", "no_load_speed": "rad/s"}, advice.SMALL_AND_LARGE
     prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 30 % of the log"
     mjcf = "none: step law"
-    form_error, sized_by_shape = 0.05, True
+    form_error, sized_by_shape, before_gain = 0.05, True, True
 
     def shapes(self, context, place):
         tau, v = context.tau[:, place.index], context.v[:, place.index]
@@ -194,7 +195,7 @@ class Late(Effect):
     """A torque that comes later, at one joint or at all of them."""
 
     kind, secant, form_error, law = "global", True, 0.03, "timing"
-    advice = advice.FAST_SWEEP
+    advice, before_gain = advice.FAST_SWEEP, True
 
     def places(self, context):
         return everywhere_and_at_joints(context)

@@ -177,6 +177,8 @@ class Effect(abc.ABC):
     """Whether it is all there or not at all, θ = 1 give or take `scale`: its size is in the nonlinear numbers."""
     calibrated: ClassVar[bool] = False
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
+    before_gain: ClassVar[bool] = False
+    """Whether it is of the logged torque itself, so that its numbers do not change with the motor's gain."""
     law: ClassVar[str] = ""
     """What it is one law of, where a place has but one: a torque is late by one law."""
 

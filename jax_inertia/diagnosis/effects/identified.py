@@ -5,6 +5,10 @@ from collections.abc import Mapping
 from typing import Any
 
 
+GAIN = "torque_gain"
+"""The family whose whole number stands in a report's joints, beyond what is listed."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Identified:
     """A family at a place with its parameters, in the units of the contract."""
@@ -29,9 +33,15 @@ class Identified:
 
 
 def effects_in(report: Mapping[str, Any]) -> tuple[Identified, ...]:
-    """The effects of a report.json as parsed; raises ValueError where it is none."""
+    """The effects of a report.json as parsed, each joint's whole gain with them; ValueError where it is none."""
     try:
-        return tuple(
+        gains = {
+            joint: own[GAIN]["value"]
+            for joint, own in report.get("joints", {}).items()
+            if GAIN in own
+        }
+        whole = (Identified(GAIN, "joint", j, {"gain": float(g)}) for j, g in gains.items())
+        listed = (
             Identified(
                 e["family"],
                 e["location"]["kind"],
@@ -40,7 +50,9 @@ def effects_in(report: Mapping[str, Any]) -> tuple[Identified, ...]:
                 e["location"].get("other", ""),
             )
             for e in report["effects"]
+            if not gains or e["family"] != GAIN
         )
+        return (*whole, *listed)
     except (KeyError, TypeError) as error:
         raise ValueError(
             f"no report of a diagnosis: {error!r}; give a parsed report.json"

@@ -34,6 +34,7 @@ def to_report(
         "joints": {
             name: {family: _number(p) for family, p in own.items()}
             | {"coulomb_friction": _dry(own["coulomb_friction"], found.presliding.get(name))}
+            | ({"torque_gain": _number(found.gains[name])} if name in found.gains else {})
             for name, own in found.joints.items()
         },
         "shrink": {

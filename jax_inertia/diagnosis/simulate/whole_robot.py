@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.effects.identified import GAIN, Identified
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS, known
 from jax_inertia.diagnosis.result import Diagnosis, Found
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
@@ -25,8 +25,12 @@ def correction(
     if found.inertials:
         set_inertials(spec, {name: np.array(pi) for name, pi in found.inertials.items()})
     compile_spec(spec)
-    odd = (_identified(f) for f in found.odd)
-    done = corrected(spec, (*_ordinary(robot, found), *odd), extra)
+    # Whole gains, joint by joint, in the place of those that are listed.
+    odd = (_identified(f) for f in found.odd if f.family != GAIN or not found.gains)
+    gains = (
+        Identified(GAIN, "joint", joint, {"gain": p.value}) for joint, p in found.gains.items()
+    )
+    done = corrected(spec, (*_ordinary(robot, found), *gains, *odd), extra)
     notes = tuple(
         f"{f.family.replace('_', ' ')} at {f.name} is in report.json and not in this model"
         for f in done.outside
