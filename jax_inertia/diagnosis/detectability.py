@@ -71,6 +71,7 @@ def _faintest(selection: Selection, group: list[Hypothesis]) -> Parameter | None
     for h in group:
         s = float(information(selection.evidence, selection.posterior, h)[0])
         gain = 0.5 * s * float(h.prior_mean[0]) ** 2 - 0.5 * np.log1p(s) if s > 0 else -np.inf
+        gain -= selection.evidence.unsaid(h)
         if h.odds < gain < least:
             best, least = h, gain
     if best is None:

@@ -2,12 +2,21 @@
 
 import dataclasses
 import functools
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Parameter, Place, Shape
 from jax_inertia.diagnosis.residual import Residual
+
+
+class Cut(NamedTuple):
+    """The part of each slow row in which a logged torque does not reach the joint."""
+
+    share: Float[np.ndarray, " R"]
+    room: Float[np.ndarray, " R"]
+    """Over how much it may lie there [N m]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,6 +40,8 @@ class Hypothesis:
     ordinary physics; where it lacks that, each joint has that effect of its own."""
     assumed: bool = False
     """Whether it is an ordinary effect that every hypothesis has."""
+    cut: Cut | None = None
+    """Where on its row it leaves the logged torque open."""
 
     @property
     def count(self) -> int:
@@ -124,7 +135,8 @@ def hypothesis(
     laws = effect if level is None else level, effect
     scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
     scale = np.concatenate(scales)
-    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed)
+    cut = _cut(residual, effect, place, shape)
+    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut)
 
 
 def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
@@ -135,7 +147,17 @@ def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
     """The same hypothesis on another log, with the first one's prior."""
     columns, row = _columns(residual, h.effect, h.place, h.shape, h.level)
-    return dataclasses.replace(h, columns=columns, row=row)
+    cut = _cut(residual, h.effect, h.place, h.shape)
+    return dataclasses.replace(h, columns=columns, row=row, cut=cut)
+
+
+def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut | None:
+    room = effect.room(residual.context_of(effect), place, shape)
+    if room is None:
+        return None
+    share, mean = residual.prepared.finish(np.stack([room > 0, room], axis=1).astype(float)).T
+    share = np.clip(share, 0.0, 1.0)
+    return Cut(share, np.maximum(mean, 0.0) / np.maximum(share, 1e-9))
 
 
 def _columns(

@@ -91,6 +91,12 @@ class GainTolerance(TorqueGain):
     name, named, marginal, form_error = "gain_tolerance", False, True, 0.0
 
 
+def beyond(tau: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
+    """From the limit to the largest torque asked for, where more is asked for than that; else 0 (T,) [N m]."""
+    top = np.percentile(np.abs(tau), 99.8)
+    return np.where(np.abs(tau) > limit, np.maximum(top - limit, 0.0), 0.0)
+
+
 SOFT = 0.1
 """How far what a drive leaves out is from a sharp cut, relative: limits bend, and a grid's limit is not the drive's."""
 
@@ -115,6 +121,9 @@ class TorqueSaturation(Effect):
     def columns(self, context, place, shape):
         tau = context.tau[:, place.index]
         return of_row(np.clip(tau, -shape[0], shape[0]) - tau, place)
+
+    def room(self, context, place, shape):
+        return beyond(context.tau[:, place.index], shape[0])
 
     def scale(self, context, place, shape):
         return np.array([SOFT])
@@ -171,6 +180,10 @@ class TorqueSpeed(Effect):
         part = v / no_load_speed
         low, high = xp.minimum(-1.0 - part, 0.0), xp.maximum(1.0 - part, 0.0)
         return xp.clip(tau, limit * low, limit * high)
+
+    def room(self, context, place, shape):
+        tau, v = context.tau[:, place.index], context.v[:, place.index]
+        return beyond(tau, np.abs(self.clipped(np, tau, v, *shape)))
 
     def scale(self, context, place, shape):
         return np.array([SOFT])

@@ -186,7 +186,24 @@ class Evidence:
         if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
             base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
             self._last = now, self.noise, base
-        return bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
+        gains = bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
+        return gains - np.array([self.unsaid(h) for h in bank.candidates])
+
+    def unsaid(self, h: Hypothesis) -> float:
+        """What a hypothesis owes for torques that it leaves open, nats: all that is logged has to be likely.
+
+            Σ share max(ln (room / σ) + ½ ln (e / 2π), 0)
+
+        A row that is cut off at L weighs as if its torque were known to σ, by a Gaussian of e = needed − L. It is only
+        known to be beyond L: p(τ) = Φ(e / σ) / room (Tobin, Econometrica 26(1), 1958). Of e that is as large as the
+        noise, ln of the one is −ln σ − ½ ln 2πe on average, of the other −1 − ln room.
+        """
+        if h.cut is None or h.row is None:
+            return 0.0
+        known = np.sqrt(2.0 * np.pi / np.e * self.noise.variance[:, h.row])
+        each = np.log(np.maximum(h.cut.room / known, 1.0))
+        rows = self.weight[:, h.row] / self.noise.repeated[h.row]
+        return float(np.sum(rows * h.cut.share * each))
 
     def relearned_gain(self, now: Posterior, after: Posterior) -> float:
         """Change of log evidence from one set of hypotheses to another, variances learned with either, nats.
@@ -198,7 +215,8 @@ class Evidence:
         for _ in range(2):
             beside.learn(after, memory=False)
             after = beside.posterior(after.chosen)
-        return after.log_evidence - alone.posterior(now.chosen).log_evidence
+        owed = sum(map(beside.unsaid, after.chosen)) - sum(map(alone.unsaid, now.chosen))
+        return after.log_evidence - alone.posterior(now.chosen).log_evidence - owed
 
     def loss(self, now: Posterior, h: Hypothesis) -> float:
         """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.
@@ -222,7 +240,9 @@ class Evidence:
     def worths(self, now: Posterior) -> Float[np.ndarray, " k"]:
         """Log evidence that each of the chosen brings, prior odds apart, nats (Savage–Dickey)."""
         every = zip(now.chosen, now.slices, strict=True)
-        return np.array([worth(h, now.mean[p], now.covariance[p, p]) for h, p in every])
+        return np.array(
+            [worth(h, now.mean[p], now.covariance[p, p]) - self.unsaid(h) for h, p in every]
+        )
 
 
 def worth(
