@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from jax_inertia.diagnosis.checks import Check, _Run
 from jax_inertia.diagnosis.detectability import information, smallest
@@ -13,7 +13,7 @@ from jax_inertia.diagnosis.effects.actuator import TorqueSaturation
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
-from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.hypothesis import Cut, Hypothesis
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.search.discrepancy import LENGTHS, SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
@@ -63,6 +63,24 @@ def problem():
     )
     evidence.noise = dataclasses.replace(evidence.noise, slow=slow)
     return evidence, chosen
+
+
+def test_a_torque_that_is_cut_off_counts_as_a_censored_one(problem):
+    """Mean of ln N(e; 0, σ) − ln (Φ(e / σ) / room) over e, in rows that are cut off; none where there is no room."""
+    evidence, (h, *_) = problem
+    share, room = np.linspace(0.0, 1.0, ROWS), np.full(ROWS, 5.0)
+    room[-10:] = 1e-3
+    cut = dataclasses.replace(h, row=0, cut=Cut(share, room))
+    z = np.linspace(-8.0, 8.0, 4001)
+    deviation = np.sqrt(evidence.noise.variance[0, 0])
+    owed = norm.logpdf(z) - np.log(deviation) - norm.logcdf(z) + np.log(5.0)
+    mean = np.sum(norm.pdf(z) * owed) * (z[1] - z[0])
+    rows = share[:-10].sum() / evidence.noise.repeated[0]
+    assert evidence.unsaid(cut) == pytest.approx(rows * mean, rel=1e-4)
+    now = evidence.nothing()
+    plain, with_cut = (evidence.gains(now, (x,))[0] for x in (dataclasses.replace(h, row=0), cut))
+    assert plain - with_cut == pytest.approx(evidence.unsaid(cut))
+    assert evidence.unsaid(h) == 0.0
 
 
 def test_adding_changes_the_log_marginal_likelihood_by_the_gain(problem):

@@ -18,12 +18,14 @@ from diagnosis_robot import (
     ordinary,
 )
 
+from jax_inertia.diagnosis.effects.identified import effects_in
 from jax_inertia.diagnosis.effects.registry import EFFECTS
 from jax_inertia.diagnosis.pipeline import diagnose
 from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import load_model
 
@@ -253,6 +255,91 @@ def test_a_mass_is_as_uncertain_as_the_gains_of_motors_whose_currents_were_logge
     sensor, current = mass("sensor"), mass("current")
     assert current.low < 0.8 < current.high
     assert current.high - current.low > 1.3 * (sensor.high - sensor.low)
+
+
+GAINS = np.array([1.15, 0.88, 1.25])
+"""Torque at each joint over what its current was taken for."""
+
+
+@pytest.fixture(scope="module")
+def by_current(robot):
+    """Of a robot whose torques are currents times constants that are off."""
+    logs = []
+    for seed, (t, q, v, a) in MOTIONS.items():
+        log = log_of(t, q, (NEEDED[seed] + ordinary(v, a)) / GAINS, seed)
+        logs.append(dataclasses.replace(log, tau_kind="current"))
+    return diagnose(robot, logs[0], test_log=logs[1])
+
+
+def left_by(report, gains: bool) -> float:
+    """Torque error at the joints of the other motion [N m, rms] by MuJoCo C and the numbers of a report.json alone."""
+    _, q, v, a = MOTIONS[1]
+    own = report["joints"].values()
+    viscous, dry, rotor, bias = (
+        np.array([j[name]["value"] for j in own])
+        for name in ("viscous_friction", "coulomb_friction", "armature", "torque_bias")
+    )
+    needs = NEEDED[1] + viscous * v + dry * np.tanh(v / 0.002) + rotor * a - bias
+    logged = (NEEDED[1] + ordinary(v, a)) / GAINS
+    gain = np.array([j["torque_gain"]["value"] for j in own]) if gains else 1.0
+    return float(np.sqrt(np.mean((gain * logged - needs) ** 2)))
+
+
+def test_a_report_s_numbers_alone_give_the_torque_of_motors_whose_gains_are_off(by_current):
+    report = json.loads(json.dumps(to_report(by_current), allow_nan=False))
+    for k, own in enumerate(report["joints"].values()):
+        gain = own["torque_gain"]
+        assert gain["unit"] == "1"
+        assert gain["ci95"][0] < GAINS[k] < gain["ci95"][1]
+        # What rubs at the joint does so after the motor's gain.
+        assert own["coulomb_friction"]["value"] == pytest.approx(COULOMB[k], rel=0.05)
+        assert own["viscous_friction"]["value"] == pytest.approx(VISCOUS[k], rel=0.05)
+    assert left_by(report, gains=True) < 0.15 * left_by(report, gains=False)
+
+
+def test_a_corrected_model_has_each_motor_s_gain(robot, by_current):
+    spec = mujoco.MjSpec.from_string(NOMINAL)
+    motor = spec.add_actuator(name="drive", target="elbow", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.gainprm[0] = 2.0
+    done = correction(spec, robot, by_current)
+    gain = by_current.gains["elbow"].value
+    assert done.spec.compile().actuator_gainprm[0, 0] == pytest.approx(2.0 * gain)
+    texts = [text.data for text in done.spec.texts]
+    assert any(f"torque_gain at joint wrist: gain = {by_current.gains['wrist'].value:.6g}" in x for x in texts)
+    # The step law gets from the report what the model's attributes do not hold.
+    from_report = [e for e in effects_in(to_report(by_current)) if e.family == "torque_gain"]
+    assert [e.values["gain"] for e in from_report] == [p.value for p in by_current.gains.values()]
+    assert {e.name for e in done.by_callback if e.family == "torque_gain"} == set(by_current.gains)
+
+
+def test_a_measured_torque_has_no_gain_in_its_report(plain):
+    assert plain.gains == {}
+    assert all("torque_gain" not in own for own in to_report(plain)["joints"].values())
+
+
+def uneven(seed):
+    """A wrist whose torque is all friction, which is uneven as gears are; nothing limits it."""
+    t, q, v, a = MOTIONS[seed]
+    model = mujoco.MjModel.from_xml_string(NOMINAL.replace('mass="0.6"', 'mass="0.01"'))
+    rough = 1.0 + 0.3 * np.sin(11.0 * q[:, 2]) + 0.2 * np.sin(29.0 * q[:, 2] + 1.0)
+    tau = needed(model, q, v, a) + ordinary(v, a)
+    tau[:, 2] += COULOMB[2] * (rough - 1.0) * np.tanh(v[:, 2] / 0.002)
+    return log_of(t, q, tau, seed)
+
+
+def test_torque_that_is_all_friction_is_no_limited_motor_s():
+    robot = load_model(mujoco.MjModel.from_xml_string(NOMINAL.replace('mass="0.6"', 'mass="0.01"')))
+    diagnosis = diagnose(robot, uneven(0), test_log=uneven(1))
+    assert not [f for f in diagnosis.odd if f.family in ("torque_saturation", "torque_speed")]
+    assert diagnosis.joints["wrist"]["coulomb_friction"].value == pytest.approx(0.25, rel=0.2)
+
+
+def test_a_limit_that_is_there_is_found(robot):
+    log, other = (at_its_voltage(seed, 3.0, np.inf) for seed in (0, 1))
+    diagnosis = diagnose(robot, log, test_log=other)
+    (first,) = [f for f in diagnosis.odd if f.place.name == "elbow"]
+    assert first.family == "torque_saturation"
+    assert first.parameters["limit"].value == pytest.approx(3.0, rel=0.03)
 
 
 def test_a_report_is_json_of_the_contract(plain):

@@ -18,7 +18,7 @@ spec.loader.exec_module(page)
 ROW = {
     "name": "a", "title": "robot a", "unit": "N m", "nominal": {"rms": 2.0}, "least_squares": {"rms": 0.5},
     "published": None,
-    "tool": {"stated": {"after": 0.4}, "measured": {"rms": 0.7}, "with_gains": {"rms": 0.45}, "verdict": "partly",
+    "tool": {"stated": {"after": 0.4}, "measured": {"rms": 0.7}, "verdict": "partly",
              "effects": ["armature at x", "payload at hand"], "seconds": 9.0},
 }  # fmt: skip
 LOOP = {
@@ -30,7 +30,7 @@ LOOP = {
 
 def test_where_the_tool_is_behind_is_said():
     text = page.page({"commit": "abc", "torque": [ROW], "positions": {"go2": LOOP}})
-    assert "| robot a | 2 | 0.5 | – | 0.4 | 0.7 (0.45) | partly | payload at hand | 9 |" in text
+    assert "| robot a | 2 | 0.5 | – | 0.4 | 0.7 | partly | payload at hand | 9 |" in text
     assert "- robot a: as handed over (0.7) behind least squares" in text
     assert "as it states" not in text.split("**Behind a baseline**")[1].split("##")[0]
     assert "| Go2 in the air | steps | 25.50 | 7.62 | 8.25 | 1.08 | 1 of 2 |" in text

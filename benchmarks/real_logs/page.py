@@ -36,8 +36,8 @@ Rms error [N m] over all joints in motion, 10 Hz. *As given*: the nominal model.
 offset of every joint and every mass, all at once, 40 lines of NumPy. *Published*: the figures of who measured the
 robot, with the same bodies. *Tool, as it states*: `diagnose`'s own forecast of that run, with all that helps it to
 predict, a slow discrepancy and gains of motors among them. *Tool, as handed over*: report.json and corrected.xml
-evaluated by a program that shares no code with it; what neither holds as a number is lost. In brackets: with the
-motors' gains that the report has in its notes alone.
+evaluated by a program that shares no code with it, each joint's gain (`joints.*.torque_gain`) included; what neither
+holds as a number is lost.
 """
 POSITIONS = """## Closed-loop replays of motions that no fit saw
 
@@ -67,7 +67,6 @@ def torque_rows(rows: list[dict]) -> tuple[list[str], list[str]]:
         tool = r.get("tool", {})
         stated, again = (tool.get("stated") or {}).get("after"), tool.get("measured")
         handed = again["rms"] if again else None
-        geared = (tool.get("with_gains") or {}).get("rms")
         others = {k: r[k]["rms"] for k in ("least_squares", "published") if r[k]}
         title = r["title"] + (" (raw unit)" if r["unit"] == "raw" else "")
         odd = [e for e in tool.get("effects", []) if not e.startswith(ORDINARY)]
@@ -75,7 +74,7 @@ def torque_rows(rows: list[dict]) -> tuple[list[str], list[str]]:
             title,
             *(_number(r[k] and r[k]["rms"]) for k in ("nominal", "least_squares", "published")),
             _number(stated),
-            _number(handed) + (f" ({_number(geared)})" if geared else ""),
+            _number(handed),
             tool.get("verdict") or tool.get("failed", "–")[:60],
             ", ".join(odd) or "none",
             _number(tool.get("seconds")),
