@@ -273,7 +273,7 @@ def by_current(robot):
 
 def left_by(report, gains: bool) -> float:
     """Torque error at the joints of the other motion [N m, rms] by MuJoCo C and the numbers of a report.json alone."""
-    _, q, v, a = MOTIONS[1]
+    _, _, v, a = MOTIONS[1]
     own = report["joints"].values()
     viscous, dry, rotor, bias = (
         np.array([j[name]["value"] for j in own])
@@ -305,7 +305,10 @@ def test_a_corrected_model_has_each_motor_s_gain(robot, by_current):
     gain = by_current.gains["elbow"].value
     assert done.spec.compile().actuator_gainprm[0, 0] == pytest.approx(2.0 * gain)
     texts = [text.data for text in done.spec.texts]
-    assert any(f"torque_gain at joint wrist: gain = {by_current.gains['wrist'].value:.6g}" in x for x in texts)
+    assert any(
+        f"torque_gain at joint wrist: gain = {by_current.gains['wrist'].value:.6g}" in x
+        for x in texts
+    )
     # The step law gets from the report what the model's attributes do not hold.
     from_report = [e for e in effects_in(to_report(by_current)) if e.family == "torque_gain"]
     assert [e.values["gain"] for e in from_report] == [p.value for p in by_current.gains.values()]

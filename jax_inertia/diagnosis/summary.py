@@ -189,9 +189,7 @@ def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tupl
     return tuple(out)
 
 
-def _gains(
-    selection: Selection, gains: dict[str, Interval], settings: Settings
-) -> Iterator[str]:
+def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings) -> Iterator[str]:
     """Torque constants that are distinct from what the log's torques were computed with."""
     for h in selection.posterior.chosen:
         if isinstance(h.effect, GainTolerance):

@@ -222,9 +222,7 @@ class Effect(abc.ABC):
         """`numbers`, in newtons and metres of a joint that slides."""
         return slid(self.numbers(context, place, shape, theta), context, place)
 
-    def room(
-        self, context: Context, place: Place, shape: Shape
-    ) -> Float[np.ndarray, " T"] | None:
+    def room(self, context: Context, place: Place, shape: Shape) -> Float[np.ndarray, " T"] | None:
         """Where a row's logged torque does not reach the joint, over how much it may lie [N m]; 0 where it does.
 
         There the effect says nothing of that torque: it may be anything. None of effects that leave nothing open.

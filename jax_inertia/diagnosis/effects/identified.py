@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-
 GAIN = "torque_gain"
 """The family whose whole number stands in a report's joints, beyond what is listed."""
 
