@@ -108,8 +108,6 @@ class Diagnosis:
     found: tuple[Found, ...]
     joints: dict[str, dict[str, Interval]]
     """By joint and family: the joint's whole number, the model's own included; found or not."""
-    gains: dict[str, Interval]
-    """Of each joint whose motor's gain is found or uncertain: torque at the joint over the logged one."""
     presliding: dict[str, float]
     """Displacement over which each joint's dry friction turns round [rad]."""
     as_bought: float
@@ -127,6 +125,8 @@ class Diagnosis:
     trace: Trace
     units: dict[str, str]
     """Of each row's torque: N m, or N of a slide."""
+    gains: dict[str, Interval] = dataclasses.field(default_factory=dict)
+    """Of each joint whose motor's gain is found or uncertain: torque at the joint over the logged one."""
     undetectable_below: tuple[tuple[str, Place, Parameter], ...] = ()
     """Family, place and smallest size of odd effects that this log would have shown."""
     speed: dict[str, float] = dataclasses.field(default_factory=dict)

@@ -68,7 +68,6 @@ def summarised(
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
-    gap = evidence.gap
     chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))
     energy = evidence.gap**2 * evidence.count
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
@@ -89,7 +88,7 @@ def summarised(
         remainder=remainder,
         chi2=chi / max(float(residual.weight.sum()), 1.0),
         noise_floor=1.0,
-        per_joint_rms=dict(zip(names, gap.tolist(), strict=True)),
+        per_joint_rms=dict(zip(names, evidence.gap.tolist(), strict=True)),
         share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
         inertials=_inertials(told),
         notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
