@@ -11,22 +11,19 @@ from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
-from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import joint_numbers, reported
+from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects, share
 from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
+from jax_inertia.diagnosis.search.physical_bodies import bodies_of, with_physical_bodies
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
 from jax_inertia.maths.inertial_parameters import is_physical
-
-SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
-"""Of a body's error, the largest first, that may be taken out."""
 
 
 def summarised(
@@ -49,7 +46,7 @@ def summarised(
     likely, doubtful = effects(selection, shares, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
     judge = heldout if other is None else other
-    causes = _causes(selection, generic, judge)
+    causes = _causes(selection, generic, judge, settings)
     by_cause = judge.check(ordinary, causes)
     # Shapes are there to predict: where the causes do it better, they are not.
     best = min(everything, causes, key=judge.error)
@@ -98,12 +95,37 @@ def summarised(
 
 
 def _causes(
-    selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun
+    selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun, settings: Settings
 ) -> Posterior:
     """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing."""
-    now = selection.posterior
+    now, residual = selection.posterior, selection.residual
     causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
-    return carried_over(bounded(selection.residual, selection.evidence, causes), judge)
+    causes = carried_over(bounded(residual, selection.evidence, causes), judge)
+    causes = _at_stated_gains(causes, judge, settings)
+    # Bodies last: without a friction that drives, they may be others.
+    causes = with_physical_bodies(residual, bounded(residual, selection.evidence, causes))
+    return bounded(residual, selection.evidence, causes)
+
+
+def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settings) -> Posterior:
+    """With motors' gains at one, as the log has them, where they are not distinct from it and predict no better.
+
+    How uncertain they are stays in every interval.
+    """
+    gains = [
+        now.slices[now.chosen.index(h)]
+        for h in now.chosen
+        if isinstance(h.effect, GainTolerance) and not _distinct(now, h, settings)
+    ]
+    at = [k for part in gains for k in range(part.start, part.stop)]
+    stated = now.given(at, np.zeros(len(at)))
+    return stated if judge.error(stated) <= (1.0 + settings.gate) * judge.error(now) else now
+
+
+def _distinct(now: Posterior, h: Hypothesis, settings: Settings) -> bool:
+    """Whether a gain is another than the one that the log's torques were computed with."""
+    mean, covariance = now.of(h)
+    return bool(abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]))
 
 
 def _odds_of_another(
@@ -134,22 +156,10 @@ def _at(h: Hypothesis) -> str:
 
 
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
-    """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
-    now, residual = selection.posterior, selection.residual
-    base = next((h for h in now.chosen if h.family == "tolerances"), None)
-    if base is None:
-        return {}
-    numbers = now.of(base)[0]
-    out, at = {}, 0
-    for change, name, pi in inertial_changes(residual.context, base.shape):
-        size = change.shape[1]
-        # The tolerances' torque is what the model needs too much: the body is lighter by it.
-        error = change @ numbers[at : at + size]
-        at += size
-        share = next((t for t in SHARES if bool(is_physical(jnp.asarray(pi - t * error)))), 0.0)
-        if share:
-            out[name] = tuple(float(x) for x in pi - share * error)
-    return out
+    """Bodies without the errors that the log says they have; one that cannot exist stays as it is given."""
+    bodies, rows = bodies_of(selection.residual, selection.posterior)
+    exist = np.asarray(is_physical(jnp.asarray(bodies)))
+    return {name: tuple(bodies[k].tolist()) for name, k in rows.items() if exist[k]}
 
 
 def _lacking(residual, found: tuple[Found, ...]) -> str:
@@ -191,14 +201,12 @@ def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tupl
 def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings) -> Iterator[str]:
     """Torque constants that are distinct from what the log's torques were computed with."""
     for h in selection.posterior.chosen:
-        if isinstance(h.effect, GainTolerance):
-            mean, covariance = reported(selection, h)
-            if abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]):
-                gain = gains[h.place.name]
-                yield (
-                    f"the motor of {h.place.name} gives {gain.value:.3g} [{gain.low:.3g}, {gain.high:.3g}] times the "
-                    "torque that its current was taken for"
-                )
+        if isinstance(h.effect, GainTolerance) and _distinct(selection.posterior, h, settings):
+            gain = gains[h.place.name]
+            yield (
+                f"the motor of {h.place.name} gives {gain.value:.3g} [{gain.low:.3g}, {gain.high:.3g}] times the "
+                "torque that its current was taken for"
+            )
 
 
 def _remainder(check: Check, names: tuple[str, ...], generic: list[Hypothesis]) -> Remainder:

@@ -51,6 +51,21 @@ class Posterior:
         """Torque of one hypothesis at its posterior mean [N m]."""
         return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
 
+    def given(self, at: Sequence[int], values: Float[np.ndarray, " a"]) -> "Posterior":
+        """The same with its mean at its likeliest where some numbers have these values, in units of their scales.
+
+        θ̄ + C[:, a] C[a, a]⁻¹ (v − θ̄[a]), the conditional mean of a Gaussian; how uncertain all are is left as it is.
+        """
+        if not len(at):
+            return self
+        own = self.covariance[np.ix_(at, at)]
+        mean = self.mean + self.covariance[:, at] @ np.linalg.solve(own, values - self.mean[at])
+        mean[at] = values
+        fitted = np.zeros_like(self.fitted)
+        for h, part in zip(self.chosen, self.slices, strict=True):
+            fitted += h.torque(mean[part], fitted.shape)
+        return dataclasses.replace(self, mean=mean, fitted=fitted)
+
     def without(self, gone: Hypothesis) -> "Posterior":
         """The posterior had one not been chosen, the noise being the same: that given that its numbers are zero."""
         b = self.slices[self.chosen.index(gone)]
