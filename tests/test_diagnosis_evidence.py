@@ -113,6 +113,24 @@ def test_without_one_is_what_a_fit_without_it_finds(problem):
             )
 
 
+def test_the_mean_given_some_numbers_is_the_best_fit_with_them_held(problem):
+    evidence, chosen = problem
+    now = evidence.posterior(chosen)
+    held, values = np.array([0, 3]), np.array([0.7, -1.1])
+    got = now.given(held, values)
+    # By the normal equations of all other numbers, at the same noise.
+    precision = np.linalg.inv(now.covariance)
+    free = np.setdiff1d(np.arange(len(now.mean)), held)
+    pull = precision @ now.mean - precision[:, held] @ values
+    np.testing.assert_allclose(got.mean[held], values)
+    np.testing.assert_allclose(
+        got.mean[free], np.linalg.solve(precision[np.ix_(free, free)], pull[free]), rtol=1e-8
+    )
+    fitted = sum(got.torque(h) for h in chosen)
+    np.testing.assert_allclose(got.fitted, fitted)
+    assert now.given(np.zeros(0, int), np.zeros(0)) is now
+
+
 def test_parts_that_agree_as_the_log_does_bring_the_worth(problem):
     evidence, chosen = problem
     now = evidence.posterior(chosen)

@@ -11,6 +11,7 @@ from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
+from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects, share
@@ -19,11 +20,13 @@ from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
-from jax_inertia.diagnosis.search.physical_bodies import bodies_of, with_physical_bodies
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict
 from jax_inertia.maths.inertial_parameters import is_physical
+
+SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
+"""Of a body's error, the largest first, that may be taken out."""
 
 
 def summarised(
@@ -102,8 +105,6 @@ def _causes(
     causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     causes = carried_over(bounded(residual, selection.evidence, causes), judge)
     causes = _at_stated_gains(causes, judge, settings)
-    # Bodies last: without a friction that drives, they may be others.
-    causes = with_physical_bodies(residual, bounded(residual, selection.evidence, causes))
     return bounded(residual, selection.evidence, causes)
 
 
@@ -117,7 +118,7 @@ def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settin
         for h in now.chosen
         if isinstance(h.effect, GainTolerance) and not _distinct(now, h, settings)
     ]
-    at = [k for part in gains for k in range(part.start, part.stop)]
+    at = np.array([k for part in gains for k in range(part.start, part.stop)], int)
     stated = now.given(at, np.zeros(len(at)))
     return stated if judge.error(stated) <= (1.0 + settings.gate) * judge.error(now) else now
 
@@ -156,10 +157,22 @@ def _at(h: Hypothesis) -> str:
 
 
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
-    """Bodies without the errors that the log says they have; one that cannot exist stays as it is given."""
-    bodies, rows = bodies_of(selection.residual, selection.posterior)
-    exist = np.asarray(is_physical(jnp.asarray(bodies)))
-    return {name: tuple(bodies[k].tolist()) for name, k in rows.items() if exist[k]}
+    """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
+    now, residual = selection.posterior, selection.residual
+    base = next((h for h in now.chosen if h.family == "tolerances"), None)
+    if base is None:
+        return {}
+    numbers = now.of(base)[0]
+    out, at = {}, 0
+    for change, name, pi in inertial_changes(residual.context, base.shape):
+        size = change.shape[1]
+        # The tolerances' torque is what the model needs too much: the body is lighter by it.
+        error = change @ numbers[at : at + size]
+        at += size
+        share = next((t for t in SHARES if bool(is_physical(jnp.asarray(pi - t * error)))), 0.0)
+        if share:
+            out[name] = tuple(float(x) for x in pi - share * error)
+    return out
 
 
 def _lacking(residual, found: tuple[Found, ...]) -> str:

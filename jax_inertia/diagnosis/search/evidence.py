@@ -17,7 +17,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
@@ -51,7 +51,7 @@ class Posterior:
         """Torque of one hypothesis at its posterior mean [N m]."""
         return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
 
-    def given(self, at: Sequence[int], values: Float[np.ndarray, " a"]) -> "Posterior":
+    def given(self, at: Int[np.ndarray, " a"], values: Float[np.ndarray, " a"]) -> "Posterior":
         """The same with its mean at its likeliest where some numbers have these values, in units of their scales.
 
         θ̄ + C[:, a] C[a, a]⁻¹ (v − θ̄[a]), the conditional mean of a Gaussian; how uncertain all are is left as it is.
