@@ -40,10 +40,10 @@ class Unseen:
         return np.array([self.squares(np.mean(e**2, axis=0)) for e in errors])
 
     def shown(self, found: Fit, effects: Sequence[tuple[int, ...]]) -> frozenset[tuple[int, ...]]:
-        """Those effects, by their rows in the table, without which some joint replays otherwise by what sensors resolve.
+        """Those effects, by their rows in the table, without which the replay differs by what sensors resolve.
 
-        That is, rms over the runs, a step of its encoder (√12 of its deviation) or, where logged, what its torque errs
-        by though nothing is wrong. An effect below both is a guess about what remains, and no cause.
+        That is, rms over the runs, at some joint a step of its encoder (√12 of its deviation) or, where logged, what
+        its torque errs by though nothing is wrong. An effect below both is a guess about what remains, and no cause.
         """
         thetas = np.repeat(found.theta[None], len(effects) + 1, axis=0)
         for b, rows in enumerate(effects):
