@@ -144,6 +144,8 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
+    shown = Unseen(plant, held).shown(found, tuple(shares))
+    shares = {rows: s for rows, s in shares.items() if rows in shown}
     large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
         :_LARGEST
     ]

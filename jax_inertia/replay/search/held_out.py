@@ -39,6 +39,23 @@ class Unseen:
         errors = fitting.errors(self._plant, table, thetas, self._records)
         return np.array([self.squares(np.mean(e**2, axis=0)) for e in errors])
 
+    def shown(self, found: Fit, effects: Sequence[tuple[int, ...]]) -> frozenset[tuple[int, ...]]:
+        """Those effects, by their rows in the table, without which the replay differs by what sensors resolve.
+
+        That is, rms over the runs, at some joint a step of its encoder (√12 of its deviation) or, where logged, what
+        its torque errs by though nothing is wrong. An effect below both is a guess about what remains, and no cause.
+        """
+        thetas = np.repeat(found.theta[None], len(effects) + 1, axis=0)
+        for b, rows in enumerate(effects):
+            thetas[b + 1, list(rows)] = [found.table[k].nominal for k in rows]
+        errors = fitting.errors(self._plant, found.table, thetas, self._records)
+        apart = np.sqrt(np.mean((errors[1:] - errors[:1]) ** 2, axis=1))
+        least = np.sqrt(12.0) * np.max([checks.encoder_noise(r.q) for r in self._records], axis=0)
+        if self._floor is not None:
+            least = np.concatenate([least, self._floor])
+        seen = np.any(apart >= least, axis=1)
+        return frozenset(rows for rows, yes in zip(effects, seen, strict=True) if yes)
+
     def squares(self, square: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
         """Of the mean square of each output."""
         n = len(self._plant.names)
