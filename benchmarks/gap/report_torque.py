@@ -88,7 +88,7 @@ class ReportTorque:
 
     def _ordinary(self) -> None:
         target = dict(zip(NAMES, (self.viscous, self.dry, self.rotor, self.bias), strict=True))
-        for name, terms in self.report.get("joints", {}).items():
+        for name, terms in self._terms():
             for family, array in target.items():
                 value = terms.get(family, {}).get("value")
                 if value is not None:

@@ -118,7 +118,9 @@ def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settin
         for h in now.chosen
         if isinstance(h.effect, GainTolerance) and not _distinct(now, h, settings)
     ]
-    at = np.array([k for part in gains for k in range(part.start, part.stop)], int)
+    if not gains:
+        return now
+    at = np.concatenate([np.arange(part.start, part.stop) for part in gains])
     stated = now.given(at, np.zeros(len(at)))
     return stated if judge.error(stated) <= (1.0 + settings.gate) * judge.error(now) else now
 

@@ -61,9 +61,7 @@ class Posterior:
         own = self.covariance[np.ix_(at, at)]
         mean = self.mean + self.covariance[:, at] @ np.linalg.solve(own, values - self.mean[at])
         mean[at] = values
-        fitted = np.zeros_like(self.fitted)
-        for h, part in zip(self.chosen, self.slices, strict=True):
-            fitted += h.torque(mean[part], fitted.shape)
+        fitted = _torque(self.chosen, self.slices, mean, self.fitted.shape)
         return dataclasses.replace(self, mean=mean, fitted=fitted)
 
     def without(self, gone: Hypothesis) -> "Posterior":
@@ -74,13 +72,29 @@ class Posterior:
         mean = self.mean[kept] - gain @ self.mean[b]
         covariance = self.covariance[np.ix_(kept, kept)] - gain @ self.covariance[b, kept]
         chosen = tuple(h for h in self.chosen if h is not gone)
-        fitted, slices, at = np.zeros_like(self.fitted), [], 0
-        for h in chosen:
-            slices.append(slice(at, at + h.count))
-            at += h.count
-            fitted += h.torque(mean[slices[-1]], fitted.shape)
+        slices = _slices(chosen)
+        fitted = _torque(chosen, slices, mean, self.fitted.shape)
         left = self.log_evidence - worth(gone, self.mean[b], self.covariance[b, b])
-        return Posterior(chosen, tuple(slices), mean, covariance, fitted, left)
+        return Posterior(chosen, slices, mean, covariance, fitted, left)
+
+
+def _slices(chosen: Sequence[Hypothesis]) -> tuple[slice, ...]:
+    """Where each hypothesis' numbers stand among all."""
+    ends = np.cumsum([h.count for h in chosen])
+    return tuple(slice(int(e) - h.count, int(e)) for e, h in zip(ends, chosen, strict=True))
+
+
+def _torque(
+    chosen: Sequence[Hypothesis],
+    slices: Sequence[slice],
+    mean: Float[np.ndarray, " p"],
+    shape: tuple[int, int],
+) -> Float[np.ndarray, "R n"]:
+    """Torque of several hypotheses together [N m]."""
+    out = np.zeros(shape)
+    for h, part in zip(chosen, slices, strict=True):
+        out += h.torque(mean[part], shape)
+    return out
 
 
 def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
@@ -157,11 +171,8 @@ class Evidence:
         along = columns.T @ y + prior
         mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
-        ends = np.cumsum([h.count for h in chosen])
-        slices = tuple(slice(e - h.count, e) for e, h in zip(ends, chosen, strict=True))
-        fitted = np.zeros_like(self.y)
-        for h, part in zip(chosen, slices, strict=True):
-            fitted += h.torque(mean[part], self.y.shape)
+        slices = _slices(chosen)
+        fitted = _torque(chosen, slices, mean, self.y.shape)
         logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
         logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
         log_evidence = -0.5 * (logdet + float(y @ y + prior @ prior - along @ mean))
