@@ -80,7 +80,10 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
     """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
-    now = selection.evidence.posterior((*now.chosen, *_uncertain_gains(selection.residual, now)))
+    # A calibrated model's friction and weights were told by these torques: its gains are calibrated with it.
+    if selection.state is CalibrationState.AS_BOUGHT:
+        gains = _uncertain_gains(selection.residual, now)
+        now = selection.evidence.posterior((*now.chosen, *gains))
     evidence = selection.evidence.remembering(now)
     return dataclasses.replace(
         selection, evidence=evidence, posterior=evidence.posterior(now.chosen)

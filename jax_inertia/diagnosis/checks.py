@@ -113,7 +113,7 @@ class OtherRun(_Run):
     """Another log of the same robot, predicted from the first."""
 
     def __init__(self, residual: Residual, evidence: Evidence):
-        self.residual, self.evidence, self._columns = residual, evidence, {}
+        self.residual, self.evidence = residual, evidence
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
@@ -153,14 +153,8 @@ class OtherRun(_Run):
         for h, part in zip(now.chosen, now.slices, strict=True):
             if h.family in PASSING:
                 continue
-            out += self._here(h).torque(now.mean[part], out.shape)
+            out += elsewhere(h, self.residual).torque(now.mean[part], out.shape)
         return out
-
-    def _here(self, h: Hypothesis) -> Hypothesis:
-        if id(h) not in self._columns:
-            # The hypothesis is kept too, so that its id stays its own.
-            self._columns[id(h)] = (h, elsewhere(h, self.residual))
-        return self._columns[id(h)][1]
 
 
 class HeldOut(_Run):

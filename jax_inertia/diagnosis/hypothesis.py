@@ -88,7 +88,7 @@ class Hypothesis:
     @functools.cached_property
     def prior_mean(self) -> Float[np.ndarray, " k"]:
         """Prior mean of each number per standard deviation: zero, or of θ = 1 where an effect is all there or not."""
-        return (1.0 if self.effect.sized_by_shape else 0.0) / self.scale
+        return (1.0 if self.effect.misses else 0.0) / self.scale
 
     def possible(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers."""
@@ -145,9 +145,12 @@ def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
 
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
-    """The same hypothesis on another log, with the first one's prior."""
-    columns, row = _columns(residual, h.effect, h.place, h.shape, h.level)
-    cut = _cut(residual, h.effect, h.place, h.shape)
+    """The same hypothesis on another log, with the first one's prior; made once for each log."""
+    key = h.effect, h.place, h.shape, h.level
+    if key not in residual.known:
+        columns, row = _columns(residual, *key)
+        residual.known[key] = columns, row, _cut(residual, h.effect, h.place, h.shape)
+    columns, row, cut = residual.known[key]
     return dataclasses.replace(h, columns=columns, row=row, cut=cut)
 
 

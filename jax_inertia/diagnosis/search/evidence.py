@@ -140,7 +140,7 @@ class Evidence:
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
-        return _scaled(chosen, np.sqrt(self.precision))
+        return scaled(chosen, np.sqrt(self.precision))
 
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
@@ -163,7 +163,7 @@ class Evidence:
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
         """Given the present noise."""
         root = np.sqrt(self.precision)
-        columns = _scaled(chosen, root)
+        columns = scaled(chosen, root)
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
         y = (root * self.y).ravel()
@@ -210,7 +210,7 @@ class Evidence:
         root = np.sqrt(self.precision)
         # Asked of one posterior many times over, where numbers between a grid's points are searched.
         if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
-            base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+            base = scaled(now.chosen, root).reshape(*self.y.shape, -1)
             self._last = now, self.noise, base
         gains = bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
         return gains - np.array([self.unsaid(h) for h in bank.candidates])
@@ -284,9 +284,10 @@ def prior_mean(chosen: Sequence[Hypothesis]) -> Float[np.ndarray, " p"]:
     return np.concatenate([h.prior_mean for h in chosen]) if chosen else np.zeros(0)
 
 
-def _scaled(
+def scaled(
     chosen: tuple[Hypothesis, ...], root: Float[np.ndarray, "R n"]
 ) -> Float[np.ndarray, "Rn p"]:
+    """Columns of several hypotheses on all rows, times `root`, per prior standard deviation."""
     out = np.zeros((*root.shape, sum(h.count for h in chosen)))
     at = 0
     for h in chosen:
