@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -171,3 +172,27 @@ def _columns(
         before = level.columns(residual.context_of(level), place, shape).values
         columns = Columns(np.concatenate([before, columns.values], axis=-1), columns.row)
     return residual.rows_of(columns)
+
+
+def excluded(residual: Residual, h: Hypothesis, chosen: Iterable[Hypothesis]) -> bool:
+    """Whether it is chosen already, or another law of what its place has but one of."""
+    for c in chosen:
+        if c.family == h.family and one_place(residual, c, h):
+            apart = c.effect.apart(residual.context, c.place, c.shape, h.shape)
+            if not (c.effect.many and apart):
+                return True
+        if h.fills and c.fills == h.fills and c.place == h.place:
+            return True
+        if not h.effect.law:
+            continue
+        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
+        if c.effect.law == h.effect.law and together:
+            return True
+    return False
+
+
+def one_place(residual: Residual, a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two places are one: bodies that are fixed to each other are."""
+    if a.place.kind == b.place.kind == "body":
+        return residual.robot.topology.welded(a.place.index, b.place.index)
+    return a.place == b.place

@@ -95,13 +95,13 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
     """
     now = selection.posterior
     numbers = np.zeros((h.count, len(now.mean)))
-    numbers[:, now.slices[now.chosen.index(h)]] = np.diag(h.scale)
+    numbers[:, now.part(h)] = np.diag(h.scale)
     if h.family in FRICTION:
         forms = next(
             (c for c in now.chosen if c.family == "friction_forms" and c.place == h.place), None
         )
         if forms is not None:
-            part = now.slices[now.chosen.index(forms)]
+            part = now.part(forms)
             numbers[:, part] = _nearest(selection, h, forms) * forms.scale
     mean, numbers = after_gain(selection, h, numbers)
     covariance = numbers @ (now.covariance + selection.spread) @ numbers.T

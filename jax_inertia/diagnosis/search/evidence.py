@@ -42,14 +42,18 @@ class Posterior:
     log_evidence: float = np.nan
     """ln p(y), every number marginalised, of as many rows as are independent; up to a constant of the log [nats]."""
 
+    def part(self, h: Hypothesis) -> slice:
+        """Where one hypothesis' numbers stand among all."""
+        return self.slices[self.chosen.index(h)]
+
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
-        part = self.slices[self.chosen.index(h)]
+        part = self.part(h)
         return self.mean[part] * h.scale, self.covariance[part, part] * np.outer(h.scale, h.scale)
 
     def torque(self, h: Hypothesis) -> Float[np.ndarray, "R n"]:
         """Torque of one hypothesis at its posterior mean [N m]."""
-        return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
+        return h.torque(self.mean[self.part(h)], self.fitted.shape)
 
     def given(self, at: Int[np.ndarray, " a"], values: Float[np.ndarray, " a"]) -> "Posterior":
         """The same with its mean at its likeliest where some numbers have these values, in units of their scales.
@@ -66,7 +70,7 @@ class Posterior:
 
     def without(self, gone: Hypothesis) -> "Posterior":
         """The posterior had one not been chosen, the noise being the same: that given that its numbers are zero."""
-        b = self.slices[self.chosen.index(gone)]
+        b = self.part(gone)
         kept = np.delete(np.arange(len(self.mean)), b)
         gain = np.linalg.solve(self.covariance[b, b], self.covariance[b, kept]).T
         mean = self.mean[kept] - gain @ self.mean[b]
@@ -253,7 +257,7 @@ class Evidence:
         under which it is likeliest (`SlowNoise`); z, C: its numbers' mean and covariance per prior standard deviation
         (Laplace). (`worths` asks the same of the noise that is there with it.)
         """
-        rest, part = now.without(h), now.slices[now.chosen.index(h)]
+        rest, part = now.without(h), now.part(h)
         with_it, without = (self.y - p.fitted for p in (now, rest))
         gained = sum(
             SlowNoise(w).likelihood_at_best(a) - SlowNoise(w).likelihood_at_best(b)

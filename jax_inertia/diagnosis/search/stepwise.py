@@ -7,7 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Shape
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place, reshaped
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
@@ -167,7 +167,7 @@ def _best(
     gains = evidence.gains(now, bank) - np.array([h.odds for h in bank.candidates])
     for k in np.argsort(-gains):
         h = bank.candidates[k]
-        if np.isfinite(gains[k]) and id(h) not in barred and not _excluded(residual, h, now.chosen):
+        if np.isfinite(gains[k]) and id(h) not in barred and not excluded(residual, h, now.chosen):
             yield h, float(gains[k])
 
 
@@ -198,7 +198,7 @@ def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis]
     A friction that differs by direction is a friction and a constant torque, say.
     """
     for a, b in itertools.combinations([h for h in now.chosen if h.is_odd], 2):
-        if not _one_place(residual, a, b):
+        if not one_place(residual, a, b):
             continue
         rest = now.without(a)
         first, second = (
@@ -239,30 +239,6 @@ def _exchanged(
     return None
 
 
-def _excluded(residual, h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
-    """Whether it is chosen already, or another law of what its place has but one of."""
-    for c in chosen:
-        if c.family == h.family and _one_place(residual, c, h):
-            apart = c.effect.apart(residual.context, c.place, c.shape, h.shape)
-            if not (c.effect.many and apart):
-                return True
-        if h.fills and c.fills == h.fills and c.place == h.place:
-            return True
-        if not h.effect.law:
-            continue
-        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
-        if c.effect.law == h.effect.law and together:
-            return True
-    return False
-
-
-def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two places are one: bodies that are fixed to each other are."""
-    if a.place.kind == b.place.kind == "body":
-        return residual.robot.topology.welded(a.place.index, b.place.index)
-    return a.place == b.place
-
-
 MOST_MOVES = 4
 """Steps of one length that lead up: as far as the grid's next point."""
 FAINT, MOST_FAINT = 8.0, 5
@@ -273,10 +249,27 @@ HALVINGS = 6
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    best = _at_best(residual, evidence, now, h, bank.candidates)
-    after = relinearised(residual, evidence, now, best)
+    best = [
+        _at_best(residual, evidence, now, c, bank.candidates)
+        for c in (h, *_other_laws(evidence, now, h, bank))
+    ]
+    worths = evidence.gains(now, best) - np.array([c.odds for c in best])
+    after = relinearised(residual, evidence, now, best[int(np.argmax(worths))])
     added = after.chosen[-1]
     return after if added.possible(residual, after.of(added)[0]) else None
+
+
+def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
+    """Of each other family of which its place has but one with it, the best candidate: they compete at their best."""
+    alike = [
+        c
+        for c in bank.candidates
+        if h.effect.law and c.effect.law == h.effect.law and c.place == h.place
+    ]
+    best = {h.family: h}
+    for k in np.argsort(evidence.gains(now, alike))[::-1] if alike else ():
+        best.setdefault(alike[k].family, alike[k])
+    return [c for c in best.values() if c is not h]
 
 
 def _settled(residual, evidence, now: Posterior) -> Posterior:
