@@ -89,7 +89,7 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
     """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
-    # A calibrated model's friction and weights were told by these torques: its gains are calibrated with it.
+    # A calibrated model's friction and weights were identified by these torques: its gains are calibrated with it.
     if selection.state is CalibrationState.AS_BOUGHT:
         gains = _uncertain_gains(selection.residual, now)
         now = selection.evidence.posterior((*now.chosen, *gains))

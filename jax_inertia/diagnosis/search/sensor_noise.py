@@ -7,7 +7,7 @@ what noise adds to AᵀW (y − X m̂), m̂ = C XᵀW y the numbers of what is c
     E ΔAᵀ W Δr − AᵀW X C E ΔXᵀ W Δr,    r = y − X m̂
 
 (corrected score of errors in variables: Nakamura, Biometrika 77(1), 1990). The second term is the noise that the chosen
-take: what a rotor inertia's tolerance explains of it, a rotor inertia beside it does not.
+take: what a rotor inertia's tolerance explains of it, another rotor inertia there does not.
 """
 
 import numpy as np
