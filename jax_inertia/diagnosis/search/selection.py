@@ -44,20 +44,26 @@ class Selection:
 
     @functools.cached_property
     def spread(self) -> Float[np.ndarray, "p p"]:
-        """Covariance of the numbers over fits with a tenth of the log left out in turn, scaled units.
+        """Covariance of the numbers over fits with a tenth of the log left out in turn, scaled units."""
+        return self.jackknife(np.zeros((*self.residual.y.shape, 0)))
+
+    def jackknife(self, further: Float[np.ndarray, "R n k"]) -> Float[np.ndarray, "p+k p+k"]:
+        """The same of the numbers and of those of `further` columns, whose prior standard deviation is one.
 
         The delete-a-group jackknife (Kott 2001): what the equations miss goes together over time.
         """
         evidence, chosen = self.evidence, self.posterior.chosen
+        root = np.sqrt(evidence.precision)
         group = np.arange(len(self.residual.y)) * GROUPS // len(self.residual.y)
         columns = evidence.design(chosen).reshape(*self.residual.y.shape, -1)
-        y = np.sqrt(evidence.precision) * evidence.y
+        columns = np.concatenate([columns, root[..., None] * further], axis=-1)
+        y, count = root * evidence.y, columns.shape[-1]
         parts = [
-            (columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel())
-            for g in range(GROUPS)
+            (columns[group == g].reshape(-1, count), y[group == g].ravel()) for g in range(GROUPS)
         ]
         grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
-        gram, whole = np.eye(columns.shape[-1]) + sum(grams), prior_mean(chosen) + sum(along)
+        gram, whole = np.eye(count) + sum(grams), sum(along)
+        whole[: count - further.shape[-1]] += prior_mean(chosen)
         fits = [
             linalg.solve(gram - g, whole - a, assume_a="pos")
             for g, a in zip(grams, along, strict=True)
