@@ -168,7 +168,5 @@ def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):
         for effect, shape in ((StatedNumbers(), (0.05,)), (Armature(), ()))
     )
     parts, nothing = (slice(0, 3), slice(3, 4)), np.zeros_like(residual.y)
-    now = Posterior(
-        (tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing
-    )
+    now = Posterior((tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing)
     assert strain(now) == pytest.approx(5.0)

@@ -62,7 +62,8 @@ class Selection:
             (columns[group == g].reshape(-1, count), y[group == g].ravel()) for g in range(GROUPS)
         ]
         grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
-        gram, whole = np.eye(count) + sum(grams), sum(along)
+        gram = np.eye(count) + np.sum(grams, axis=0)
+        whole = np.sum(along, axis=0)
         whole[: count - further.shape[-1]] += prior_mean(chosen)
         fits = [
             linalg.solve(gram - g, whole - a, assume_a="pos")

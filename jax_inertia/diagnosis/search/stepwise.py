@@ -69,7 +69,9 @@ def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
     return {(h.key, h.shape) for h in chosen}
 
 
-def _refined(residual, evidence: Evidence, now: Posterior, every: Sequence[Hypothesis]) -> Posterior:
+def _refined(
+    residual, evidence: Evidence, now: Posterior, every: Sequence[Hypothesis]
+) -> Posterior:
     """Nonlinear numbers of each odd effect between its grid's points, all else marginalised."""
     for h in now.chosen:
         if h.is_odd:
