@@ -47,7 +47,7 @@ def log_marginal(evidence, chosen):
         wide[:, slice(None) if h.row is None else h.row] = h.columns
         flat = wide.reshape(-1, h.count) * h.scale
         covariance = covariance + flat @ flat.T
-        if h.effect.sized_by_shape:
+        if h.effect.misses:
             mean = mean + wide.reshape(-1, h.count) @ np.ones(h.count)
     return multivariate_normal(mean, covariance).logpdf(evidence.y.ravel())
 

@@ -46,17 +46,26 @@ def evidence_of_causes(
 ) -> list[float]:
     """Log evidence that each of some that are chosen is a cause, prior odds apart, nats.
 
-    The less of what the log brings by its parts (`by_parts`) and of what numbers bring to rows that they were not
-    fitted to, of all judges (`_Run.support`). The latter is not asked where a model is calibrated: a discrepancy as
-    large as an effect is no part of such a model. Nor of what happens once.
+    The less of what the log brings by its parts (`by_parts`) and of what numbers bring to what they were not fitted
+    to: rows of all judges (`_Run.support`), and the nominal model, whose numbers are measured too (`strain`): one far
+    beyond its tolerance may predict as well as a load does. The latter is not asked where a model is calibrated: a
+    discrepancy as large as an effect is no part of such a model. Nor of what happens once.
     """
     parts = by_parts(selection, asked)
     if selection.state is CalibrationState.CALIBRATED:
         return parts
     lasting = [h for h in asked if h.family not in PASSING]
-    every = np.sum([judge.support(selection.posterior, lasting) for judge in judges], axis=0)
+    now = selection.posterior
+    every = np.sum([judge.support(now, lasting) for judge in judges], axis=0)
+    every = every + [strain(now.without(h)) - strain(now) for h in lasting]
     supports = dict(zip(map(id, lasting), every.tolist(), strict=True))
     return [min(p, supports.get(id(h), np.inf)) for h, p in zip(asked, parts, strict=True)]
+
+
+def strain(now: Posterior) -> float:
+    """½ Σ z² of what the model may be off by, z in tolerances: minus the log likelihood of its own numbers, nats."""
+    off = [now.mean[now.part(h)] for h in now.chosen if h.effect.marginal]
+    return float(0.5 * np.sum(np.concatenate(off) ** 2)) if off else 0.0
 
 
 def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
@@ -80,7 +89,10 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
 
 def remembering(selection: Selection, now: Posterior) -> Selection:
     """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
-    now = selection.evidence.posterior((*now.chosen, *_uncertain_gains(selection.residual, now)))
+    # A calibrated model's friction and weights were identified by these torques: its gains are calibrated with it.
+    if selection.state is CalibrationState.AS_BOUGHT:
+        gains = _uncertain_gains(selection.residual, now)
+        now = selection.evidence.posterior((*now.chosen, *gains))
     evidence = selection.evidence.remembering(now)
     return dataclasses.replace(
         selection, evidence=evidence, posterior=evidence.posterior(now.chosen)

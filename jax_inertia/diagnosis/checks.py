@@ -11,7 +11,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance, scaled
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
@@ -92,6 +92,21 @@ class _Run(abc.ABC):
             out.append(float(np.sum(weight.sum(axis=0) / repeated * np.log(before / after))))
         return out
 
+    def expected(self, now: Posterior) -> Float[np.ndarray, " n"]:
+        """Rms of each row that a right set of effects leaves [N m].
+
+        Noise of this run's sensors, errors of the effects' own equations, and what is not known of all numbers,
+        diag(A C Aᵀ): what the first run hardly shows, this one may show well.
+        """
+        lasting = tuple(h for h in now.chosen if h.family not in PASSING)
+        there = tuple(elsewhere(h, self.residual) for h in lasting)
+        columns = scaled(there, np.ones_like(self.residual.y))
+        at = np.concatenate([np.arange(p.start, p.stop) for p in map(now.part, lasting)])
+        unknown = np.sum((columns @ now.covariance[np.ix_(at, at)]) * columns, axis=1)
+        by_form = rows(np.sqrt(form_variance(now)), self.evidence.weight)
+        by_numbers = rows(np.sqrt(unknown.reshape(self.residual.y.shape)), self.residual.weight)
+        return np.sqrt(self.residual.sensors**2 + by_form**2 + by_numbers**2)
+
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""
         y, weight = self.residual.y, self.residual.weight
@@ -105,7 +120,7 @@ class _Run(abc.ABC):
             rows(y, weight),
             rows(left, weight),
             left,
-            expected(self.residual, self.evidence, whole),
+            self.expected(whole),
         )
 
 
@@ -113,7 +128,7 @@ class OtherRun(_Run):
     """Another log of the same robot, predicted from the first."""
 
     def __init__(self, residual: Residual, evidence: Evidence):
-        self.residual, self.evidence, self._columns = residual, evidence, {}
+        self.residual, self.evidence = residual, evidence
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
@@ -153,14 +168,8 @@ class OtherRun(_Run):
         for h, part in zip(now.chosen, now.slices, strict=True):
             if h.family in PASSING:
                 continue
-            out += self._here(h).torque(now.mean[part], out.shape)
+            out += elsewhere(h, self.residual).torque(now.mean[part], out.shape)
         return out
-
-    def _here(self, h: Hypothesis) -> Hypothesis:
-        if id(h) not in self._columns:
-            # The hypothesis is kept too, so that its id stays its own.
-            self._columns[id(h)] = (h, elsewhere(h, self.residual))
-        return self._columns[id(h)][1]
 
 
 class HeldOut(_Run):
@@ -187,11 +196,6 @@ class HeldOut(_Run):
     def _left(self, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
         fitted = np.array([fit.fitted for fit in fits])[self.fold, np.arange(len(self.fold))]
         return self.residual.y - fitted
-
-
-def expected(residual: Residual, evidence: Evidence, now: Posterior) -> Float[np.ndarray, " n"]:
-    """Rms of each row that noise of this run's sensors and errors of the chosen effects' equations leave [N m]."""
-    return np.hypot(residual.sensors, rows(np.sqrt(form_variance(now)), evidence.weight))
 
 
 def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:

@@ -37,7 +37,7 @@ MOST_AXES = 3
 
 
 def _smallest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:
-    if group[0].effect.sized_by_shape:
+    if group[0].effect.misses:
         return _faintest(selection, group)
     h = group[len(group) // 2]
     found = list(_along_axes(selection, h))

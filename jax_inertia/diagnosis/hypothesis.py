@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -88,7 +89,7 @@ class Hypothesis:
     @functools.cached_property
     def prior_mean(self) -> Float[np.ndarray, " k"]:
         """Prior mean of each number per standard deviation: zero, or of θ = 1 where an effect is all there or not."""
-        return (1.0 if self.effect.sized_by_shape else 0.0) / self.scale
+        return (1.0 if self.effect.misses else 0.0) / self.scale
 
     def possible(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers."""
@@ -145,9 +146,12 @@ def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
 
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
-    """The same hypothesis on another log, with the first one's prior."""
-    columns, row = _columns(residual, h.effect, h.place, h.shape, h.level)
-    cut = _cut(residual, h.effect, h.place, h.shape)
+    """The same hypothesis on another log, with the first one's prior; made once for each log."""
+    key = h.effect, h.place, h.shape, h.level
+    if key not in residual.known:
+        columns, row = _columns(residual, *key)
+        residual.known[key] = columns, row, _cut(residual, h.effect, h.place, h.shape)
+    columns, row, cut = residual.known[key]
     return dataclasses.replace(h, columns=columns, row=row, cut=cut)
 
 
@@ -168,3 +172,27 @@ def _columns(
         before = level.columns(residual.context_of(level), place, shape).values
         columns = Columns(np.concatenate([before, columns.values], axis=-1), columns.row)
     return residual.rows_of(columns)
+
+
+def excluded(residual: Residual, h: Hypothesis, chosen: Iterable[Hypothesis]) -> bool:
+    """Whether it is chosen already, or another law of what its place has but one of."""
+    for c in chosen:
+        if c.family == h.family and one_place(residual, c, h):
+            apart = c.effect.apart(residual.context, c.place, c.shape, h.shape)
+            if not (c.effect.many and apart):
+                return True
+        if h.fills and c.fills == h.fills and c.place == h.place:
+            return True
+        if not h.effect.law:
+            continue
+        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
+        if c.effect.law == h.effect.law and together:
+            return True
+    return False
+
+
+def one_place(residual: Residual, a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two places are one: bodies that are fixed to each other are."""
+    if a.place.kind == b.place.kind == "body":
+        return residual.robot.topology.welded(a.place.index, b.place.index)
+    return a.place == b.place

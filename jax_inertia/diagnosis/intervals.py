@@ -63,27 +63,68 @@ FIRST = 1.0 / 64.0
 def nonlinear_spread(selection: Selection, h: Hypothesis) -> Iterator[tuple[int, float]]:
     """Each nonlinear number that is searched between the grid's points, and its standard deviation, in its unit.
 
-    A parabola through the evidence at the number and as far to both sides as it takes to fall (Laplace 1774), all else
-    marginalised; no more than twice the grid's spacing.
+    How far the evidence lets it go, and how far parts of the log disagree, as of linear numbers: its column's slope is
+    one more column (`Selection.jackknife`). Of what is there whole or not at all, also how far the number would have to
+    move to make θ one: by as much the size that it says is off.
     """
     if not h.is_odd or h.effect.secant or h not in selection.posterior.chosen:
         return
+    now, steps = selection.posterior, h.effect.steps(selection.residual.context, h.place, h.shape)
+    moves = [k for k, step in enumerate(steps) if step]
+    if not moves:
+        return
+    own = [_by_evidence(selection, h, k, steps[k]) for k in moves]
+    slopes = [_slope(selection, h, k, by) * steps[k] for k, by in zip(moves, own, strict=True)]
+    spread = selection.jackknife(np.stack(slopes, axis=-1))
+    parts = np.sqrt(np.diag(spread))[len(now.mean) :]
+    for k, by, part, slope in zip(moves, own, parts, slopes, strict=True):
+        off = min(float(np.hypot(part, _off_size(selection, h, slope))), 2.0)
+        yield k, float(np.hypot(by, off * steps[k]))
+
+
+def _slope(selection: Selection, h: Hypothesis, k: int, by: float) -> np.ndarray:
+    """Change of the torque with a nonlinear number (R, n)."""
+    low, high = min(0.0, *_sides(h, k, by)), max(0.0, *_sides(h, k, by))
+    residual, now = selection.residual, selection.posterior
+    at_low, at_high = (
+        reshaped(h, residual, moved(h, k, x).shape).torque(now.mean[now.part(h)], now.fitted.shape)
+        for x in (low, high)
+    )
+    return (at_high - at_low) / (high - low)
+
+
+def _off_size(selection: Selection, h: Hypothesis, slope: np.ndarray) -> float:
+    """By how many steps a number would have to move to change the torque by what θ is off one, relative to it."""
+    if not h.effect.misses:
+        return 0.0
+    (theta,), ((variance,),) = selection.posterior.of(h)
+    precision = selection.evidence.precision
+    whole, a_step = (
+        float(np.sqrt(np.sum(precision * e**2))) for e in (selection.posterior.torque(h), slope)
+    )
+    return float(np.hypot(theta - 1.0, np.sqrt(variance))) * whole / max(a_step, 1e-300)
+
+
+def _sides(h: Hypothesis, k: int, by: float) -> list[float]:
+    """Moves of a nonlinear number to both sides of it that do not change its sign."""
+    return [x for x in (by, -by) if (h.shape[k] + x) * h.shape[k] >= 0]
+
+
+def _by_evidence(selection: Selection, h: Hypothesis, k: int, step: float) -> float:
+    """Standard deviation of the `k`-th nonlinear number by a parabola through the evidence, all else marginalised.
+
+    At the number and as far to both sides as it takes to fall (Laplace 1774); no more than twice the grid's spacing.
+    """
     residual, evidence = selection.residual, selection.evidence
     rest = selection.posterior.without(h)
-    top = float(evidence.gains(rest, (h,))[0])
-    for k, step in enumerate(h.effect.steps(residual.context, h.place, h.shape)):
-        if not step:
-            continue
-        by = FIRST * step
-        while True:
-            sides = [x for x in (by, -by) if (h.shape[k] + x) * h.shape[k] > 0]
-            trials = tuple(reshaped(h, residual, moved(h, k, x).shape) for x in sides)
-            gains = evidence.gains(rest, trials)
-            fall = top - float(np.mean(np.where(np.isfinite(gains), gains, -np.inf)))
-            if fall >= FALL or by >= 2.0 * step:
-                break
-            by *= 2.0
-        yield k, by * float(np.sqrt(FALL / max(fall, FALL)))
+    top, by = float(evidence.gains(rest, (h,))[0]), FIRST * step
+    while True:
+        trials = tuple(reshaped(h, residual, moved(h, k, x).shape) for x in _sides(h, k, by))
+        gains = evidence.gains(rest, trials)
+        fall = top - float(np.mean(np.where(np.isfinite(gains), gains, -np.inf)))
+        if fall >= FALL or by >= 2.0 * step:
+            return by * float(np.sqrt(FALL / max(fall, FALL)))
+        by *= 2.0
 
 
 def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -95,13 +136,13 @@ def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarra
     """
     now = selection.posterior
     numbers = np.zeros((h.count, len(now.mean)))
-    numbers[:, now.slices[now.chosen.index(h)]] = np.diag(h.scale)
+    numbers[:, now.part(h)] = np.diag(h.scale)
     if h.family in FRICTION:
         forms = next(
             (c for c in now.chosen if c.family == "friction_forms" and c.place == h.place), None
         )
         if forms is not None:
-            part = now.slices[now.chosen.index(forms)]
+            part = now.part(forms)
             numbers[:, part] = _nearest(selection, h, forms) * forms.scale
     mean, numbers = after_gain(selection, h, numbers)
     covariance = numbers @ (now.covariance + selection.spread) @ numbers.T

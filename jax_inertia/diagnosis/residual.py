@@ -69,11 +69,13 @@ class Residual:
         self.ordinary: Ordinary | None = None
         """What the calibrated model has beyond the nominal one."""
         self._replicas: tuple[Residual, ...] | None = None
+        self.known: dict[tuple, tuple] = {}
+        """Columns of another log's hypotheses on this one (`hypothesis.elsewhere`)."""
 
     def calibrated(self, ordinary: Ordinary) -> "Residual":
         """The same rows, of a model that has each joint's friction and rotor inertia."""
         out = copy.copy(self)
-        out.ordinary, out._replicas = ordinary, None
+        out.ordinary, out._replicas, out.known = ordinary, None, {}
         c, robot = self.context, self.robot
         dry = ordinary.coulomb * c.side
         prepared = dataclasses.replace(
@@ -143,6 +145,7 @@ class Residual:
 
     def _again(self, prepared: Prepared) -> "Residual":
         out = copy.copy(self)
+        out.known = {}
         out.prepared, out.context = prepared, self.context.echo(prepared)
         out.beside, out.y = out.context, prepared.finish_torque(prepared.missing)
         return out if self.ordinary is None else out.calibrated(self.ordinary)

@@ -114,7 +114,7 @@ def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settin
     How uncertain they are stays in every interval.
     """
     gains = [
-        now.slices[now.chosen.index(h)]
+        now.part(h)
         for h in now.chosen
         if isinstance(h.effect, GainTolerance) and not _distinct(now, h, settings)
     ]

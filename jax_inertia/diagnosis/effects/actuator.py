@@ -103,7 +103,7 @@ SOFT = 0.1
 
 class TorqueSaturation(Effect):
     name, equation, form_error = "torque_saturation", "τ = clip(τ_logged, ±L)", 0.03
-    sized_by_shape, before_gain = True, True
+    misses, before_gain = SOFT, True
     source = "a drive's current limit"
     units, advice = {"limit": "N m"}, advice.SMALL_AND_LARGE
     prior = "a limit between 0.05 and 0.99 of the largest torque asked for"
@@ -154,7 +154,7 @@ class TorqueSpeed(Effect):
     units, advice = {"limit": "N m", "no_load_speed": "rad/s"}, advice.SMALL_AND_LARGE
     prior = "v₀ from 1.1 to 3 times the joint's peak speed; L cuts 0.5 to 30 % of the log"
     mjcf = "none: step law"
-    form_error, sized_by_shape, before_gain = 0.05, True, True
+    form_error, misses, before_gain = 0.05, SOFT, True
 
     def shapes(self, context, place):
         tau, v = context.tau[:, place.index], context.v[:, place.index]

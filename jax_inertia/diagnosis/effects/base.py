@@ -173,8 +173,9 @@ class Effect(abc.ABC):
     """Relative error of its equation on real robots, one standard deviation."""
     secant: ClassVar[bool] = False
     """Whether the shape is the value of θ about which the columns are the secant: e(θ) = A(θ) θ exactly."""
-    sized_by_shape: ClassVar[bool] = False
-    """Whether it is all there or not at all, θ = 1 give or take `scale`: its size is in the nonlinear numbers."""
+    misses: ClassVar[float] = 0.0
+    """Of what is all there or not at all, its size in the nonlinear numbers: how far it is from its equation, relative.
+    θ is one, give or take this. Zero where θ is the size."""
     calibrated: ClassVar[bool] = False
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
     before_gain: ClassVar[bool] = False
@@ -201,6 +202,17 @@ class Effect(abc.ABC):
     def steps(self, context: Context, place: Place, shape: Shape) -> Shape:
         """First step of a search between the grid's points, for each nonlinear number; 0 where it stays."""
         return ()
+
+    def within(self, shape: Shape) -> bool:
+        """Whether a search between the grid's points may go there."""
+        return True
+
+    many: ClassVar[bool] = False
+    """Whether a place may have it more than once, where `apart` says so."""
+
+    def apart(self, context: Context, place: Place, one: Shape, other: Shape) -> bool:
+        """Whether a log tells one from another at the same place."""
+        return True
 
     @abc.abstractmethod
     def columns(self, context: Context, place: Place, shape: Shape) -> Columns:
@@ -234,7 +246,9 @@ class Effect(abc.ABC):
         return -np.inf
 
     def possible(self, context: Context, place: Place, theta: Float[np.ndarray, " k"]) -> bool:
-        """Whether a robot can have these numbers."""
+        """Whether a robot can have these numbers: of what is there whole or not at all, θ one as far as it is known."""
+        if self.misses:
+            return bool(abs(theta[0] - 1.0) <= 3.0 * self.misses)
         return bool(theta[0] >= self.lower(context, place) - 1e-12)
 
     def possible_with(

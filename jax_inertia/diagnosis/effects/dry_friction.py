@@ -136,6 +136,9 @@ class StribeckFriction(DryFriction):
     def steps(self, context, place, shape):
         return (0.0, 0.0, 0.3 * shape[2], 0.0)
 
+    def within(self, shape):
+        return STRIBECK_SPEEDS[0] <= shape[2] <= STRIBECK_SPEEDS[-1]
+
     def columns(self, context, place, shape):
         z = self.direction(context, place, shape)
         slow = np.exp(-(np.abs(context.v[:, place.index] / shape[2]) ** shape[3]))

@@ -133,7 +133,7 @@ class TwoMass(Effect):
     says whether the joint's own friction, as the model has it, is the motor's or the link's.
     """
 
-    calibrated, sized_by_shape, advice = True, True, advice.TORQUE_REVERSALS
+    calibrated, misses, advice = True, MISSES, advice.TORQUE_REVERSALS
     law = "coupling"
 
     @abc.abstractmethod

@@ -8,6 +8,10 @@ from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Applied, Bound, Columns, Effect, Moment, Parameter
 
 
+SHORTEST = 0.1
+"""Of a push [s]: a period of the band in which it is looked for."""
+
+
 def usual_force(context) -> float:
     """Standard deviation of a force on a robot [N]: 10 N, more on one of over 40 kg."""
     weight = 9.81 * float(context.pi[:, 0].sum())
@@ -108,7 +112,17 @@ class Push(_Force):
         return []
 
     def steps(self, context, place, shape):
-        return (0.1, 0.1, 0.0, 0.0)
+        return (0.1, 0.1, 0.1, 0.3)
+
+    many = True
+
+    def apart(self, context, place, one, other):
+        # What overlaps in time is one push of another form.
+        return one[1] <= other[0] or other[1] <= one[0]
+
+    def within(self, shape):
+        start, end, flank, skew = shape
+        return end - start >= SHORTEST and 0.05 <= flank <= 0.5 and abs(skew) <= 1.0
 
     def columns(self, context, place, shape):
         window = push_window(np, context.time, *shape)

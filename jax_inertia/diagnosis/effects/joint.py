@@ -206,6 +206,13 @@ class Cogging(_AlongTheJoint):
     def steps(self, context, place, shape):
         return (0.2,)
 
+    many = True
+
+    def apart(self, context, place, one, other):
+        # Waves that are a whole one apart over the joint's path, as a Fourier series' are.
+        span = float(np.ptp(context.joint_position[:, place.index]))
+        return abs(one[0] - other[0]) * span >= 2 * np.pi
+
     def columns(self, context, place, shape):
         q = context.joint_position[:, place.index]
         return of_row(np.stack([np.sin(shape[0] * q), np.cos(shape[0] * q)], 1), place)

@@ -42,14 +42,18 @@ class Posterior:
     log_evidence: float = np.nan
     """ln p(y), every number marginalised, of as many rows as are independent; up to a constant of the log [nats]."""
 
+    def part(self, h: Hypothesis) -> slice:
+        """Where one hypothesis' numbers stand among all."""
+        return self.slices[self.chosen.index(h)]
+
     def of(self, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """(mean (k,), covariance (k, k)) of one hypothesis in its own units."""
-        part = self.slices[self.chosen.index(h)]
+        part = self.part(h)
         return self.mean[part] * h.scale, self.covariance[part, part] * np.outer(h.scale, h.scale)
 
     def torque(self, h: Hypothesis) -> Float[np.ndarray, "R n"]:
         """Torque of one hypothesis at its posterior mean [N m]."""
-        return h.torque(self.mean[self.slices[self.chosen.index(h)]], self.fitted.shape)
+        return h.torque(self.mean[self.part(h)], self.fitted.shape)
 
     def given(self, at: Int[np.ndarray, " a"], values: Float[np.ndarray, " a"]) -> "Posterior":
         """The same with its mean at its likeliest where some numbers have these values, in units of their scales.
@@ -66,7 +70,7 @@ class Posterior:
 
     def without(self, gone: Hypothesis) -> "Posterior":
         """The posterior had one not been chosen, the noise being the same: that given that its numbers are zero."""
-        b = self.slices[self.chosen.index(gone)]
+        b = self.part(gone)
         kept = np.delete(np.arange(len(self.mean)), b)
         gain = np.linalg.solve(self.covariance[b, b], self.covariance[b, kept]).T
         mean = self.mean[kept] - gain @ self.mean[b]
@@ -140,7 +144,7 @@ class Evidence:
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
-        return _scaled(chosen, np.sqrt(self.precision))
+        return scaled(chosen, np.sqrt(self.precision))
 
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
@@ -163,7 +167,7 @@ class Evidence:
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
         """Given the present noise."""
         root = np.sqrt(self.precision)
-        columns = _scaled(chosen, root)
+        columns = scaled(chosen, root)
         gram = columns.T @ columns + np.eye(columns.shape[1])
         factor = linalg.cho_factor(gram, lower=True)
         y = (root * self.y).ravel()
@@ -210,7 +214,7 @@ class Evidence:
         root = np.sqrt(self.precision)
         # Asked of one posterior many times over, where numbers between a grid's points are searched.
         if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
-            base = _scaled(now.chosen, root).reshape(*self.y.shape, -1)
+            base = scaled(now.chosen, root).reshape(*self.y.shape, -1)
             self._last = now, self.noise, base
         gains = bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
         return gains - np.array([self.unsaid(h) for h in bank.candidates])
@@ -253,7 +257,7 @@ class Evidence:
         under which it is likeliest (`SlowNoise`); z, C: its numbers' mean and covariance per prior standard deviation
         (Laplace). (`worths` asks the same of the noise that is there with it.)
         """
-        rest, part = now.without(h), now.slices[now.chosen.index(h)]
+        rest, part = now.without(h), now.part(h)
         with_it, without = (self.y - p.fitted for p in (now, rest))
         gained = sum(
             SlowNoise(w).likelihood_at_best(a) - SlowNoise(w).likelihood_at_best(b)
@@ -284,9 +288,10 @@ def prior_mean(chosen: Sequence[Hypothesis]) -> Float[np.ndarray, " p"]:
     return np.concatenate([h.prior_mean for h in chosen]) if chosen else np.zeros(0)
 
 
-def _scaled(
+def scaled(
     chosen: tuple[Hypothesis, ...], root: Float[np.ndarray, "R n"]
 ) -> Float[np.ndarray, "Rn p"]:
+    """Columns of several hypotheses on all rows, times `root`, per prior standard deviation."""
     out = np.zeros((*root.shape, sum(h.count for h in chosen)))
     at = 0
     for h in chosen:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import linalg
 
-from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
@@ -44,20 +44,27 @@ class Selection:
 
     @functools.cached_property
     def spread(self) -> Float[np.ndarray, "p p"]:
-        """Covariance of the numbers over fits with a tenth of the log left out in turn, scaled units.
+        """Covariance of the numbers over fits with a tenth of the log left out in turn, scaled units."""
+        return self.jackknife(np.zeros((*self.residual.y.shape, 0)))
+
+    def jackknife(self, further: Float[np.ndarray, "R n k"]) -> Float[np.ndarray, "p+k p+k"]:
+        """The same of the numbers and of those of `further` columns, whose prior standard deviation is one.
 
         The delete-a-group jackknife (Kott 2001): what the equations miss goes together over time.
         """
         evidence, chosen = self.evidence, self.posterior.chosen
+        root = np.sqrt(evidence.precision)
         group = np.arange(len(self.residual.y)) * GROUPS // len(self.residual.y)
         columns = evidence.design(chosen).reshape(*self.residual.y.shape, -1)
-        y = np.sqrt(evidence.precision) * evidence.y
+        columns = np.concatenate([columns, root[..., None] * further], axis=-1)
+        y, count = root * evidence.y, columns.shape[-1]
         parts = [
-            (columns[group == g].reshape(-1, columns.shape[-1]), y[group == g].ravel())
-            for g in range(GROUPS)
+            (columns[group == g].reshape(-1, count), y[group == g].ravel()) for g in range(GROUPS)
         ]
         grams, along = [x.T @ x for x, _ in parts], [x.T @ z for x, z in parts]
-        gram, whole = np.eye(columns.shape[-1]) + sum(grams), prior_mean(chosen) + sum(along)
+        gram = np.eye(count) + np.sum(grams, axis=0)
+        whole = np.sum(along, axis=0)
+        whole[: count - further.shape[-1]] += prior_mean(chosen)
         fits = [
             linalg.solve(gram - g, whole - a, assume_a="pos")
             for g, a in zip(grams, along, strict=True)
@@ -72,7 +79,7 @@ class Selection:
         equations are not exact. Of a calibrated model they are, so that spread is the posterior's own, and counts where
         it is larger.
         """
-        part = self.posterior.slices[self.posterior.chosen.index(h)]
+        part = self.posterior.part(h)
         own, spread = self.posterior.covariance[part, part], self.spread[part, part]
         exact = self.state is CalibrationState.CALIBRATED
         wide = _larger(own, spread) if exact else own + spread
@@ -88,18 +95,22 @@ class Selection:
         stated, each with the evidence by which it went; those that another run `refuted` do not count.
         """
         best = {h.key: evidence - h.odds for h, evidence in gone.items()}
-        chosen = {h.key for h in (*self.posterior.chosen, *refuted)}
+        chosen, residual = self.posterior.chosen, self.residual
+        barred = {h.key for h in (*chosen, *refuted)}
         gains = self.evidence.gains(self.posterior, self.named)
         likeliest: dict[tuple[str, str, str], tuple[float, Hypothesis]] = {}
         for c, gain in zip(
             self.named.candidates, gains - _odds(self.named.candidates), strict=True
         ):
             at = likeliest.get(c.key, (-np.inf, c))[0]
-            if c.key not in chosen and np.isfinite(gain) and gain > at:
+            if c.key in barred or not np.isfinite(gain) or gain <= at:
+                continue
+            # Another law of what is chosen is not one more.
+            if not excluded(residual, c, chosen):
                 likeliest[c.key] = float(gain), c
         for key, (gain, c) in likeliest.items():
             if gain > UNLIKELY:
-                gain -= sensor_noise.share(self.residual, self.evidence, self.posterior, c)
+                gain -= sensor_noise.share(residual, self.evidence, self.posterior, c)
             best[key] = max(best.get(key, -np.inf), gain)
         return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
 

@@ -1,8 +1,13 @@
 """What a hypothesis gains by the sensors' noise alone: columns computed of the log carry the noise that is in y.
 
 An acceleration's noise is in the torque that the model needs, and in every column made of accelerations: the two are
-correlated, and a column of noise explains noise. With noise added once more to the log, both change, by ΔA and Δy; what
-noise adds to AᵀW y is E ΔAᵀ W Δy (corrected score of errors in variables: Nakamura, Biometrika 77(1), 1990).
+correlated, and a column of noise explains noise. With noise added once more to the log, all change, by ΔA, ΔX and Δy;
+what noise adds to AᵀW (y − X m̂), m̂ = C XᵀW y the numbers of what is chosen already, is
+
+    E ΔAᵀ W Δr − AᵀW X C E ΔXᵀ W Δr,    r = y − X m̂
+
+(corrected score of errors in variables: Nakamura, Biometrika 77(1), 1990). The second term is the noise that the chosen
+take: what a rotor inertia's tolerance explains of it, another rotor inertia there does not.
 """
 
 import numpy as np
@@ -10,18 +15,19 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
 
 
 def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> float:
     """Of the log evidence that one more hypothesis gains, what the noise in its columns brings [nats]."""
     root = np.sqrt(evidence.precision)
-    own = _flat(h, root)
+    own = scaled((h,), root)
     base = evidence.design(now.chosen)
     cross = base.T @ own
     s = np.eye(h.count) + own.T @ own - cross.T @ now.covariance @ cross
     told = own.T @ (root * (evidence.y - now.fitted)).ravel() + h.prior_mean
-    without = told - by_noise(residual, evidence, now, h)
+    of_own, of_chosen = by_noise(residual, evidence, now, h)
+    without = told - (of_own - cross.T @ now.covariance @ of_chosen)
     both = np.stack([told, without], axis=1)
     whole, clean = np.sum(both * np.linalg.solve(s, both), axis=0)
     return float(0.5 * (whole - clean))
@@ -29,26 +35,17 @@ def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis)
 
 def by_noise(
     residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis
-) -> Float[np.ndarray, " k"]:
-    """E ΔAᵀ W Δ(y − fitted), over replicas of the log; A per prior standard deviation of each number."""
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " p"]]:
+    """E ΔAᵀ W Δr and E ΔXᵀ W Δr over replicas of the log, per prior standard deviation of each number."""
     root = np.sqrt(evidence.precision)
-    named = [c for c in now.chosen if c.is_odd]
+    every = (h, *now.chosen)
+    here = scaled(every, root)
+    numbers = np.concatenate([np.zeros(h.count), now.mean])
     parts = []
     for again in residual.replicas:
-        change = again.y - residual.y
-        for c in named:
-            theta = now.mean[now.slices[now.chosen.index(c)]]
-            change = change - (elsewhere(c, again).torque(theta, change.shape) - now.torque(c))
-        columns = _flat(elsewhere(h, again), root) - _flat(h, root)
-        parts.append(columns.T @ (root * change).ravel())
-    return np.mean(parts, axis=0)
-
-
-def _flat(h: Hypothesis, root: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "Rn k"]:
-    """Weighed columns on all rows, per prior standard deviation."""
-    out = np.zeros((*root.shape, h.count))
-    if h.row is None:
-        out[:] = h.scaled * root[..., None]
-    else:
-        out[:, h.row] = h.scaled * root[:, h.row, None]
-    return out.reshape(root.size, h.count)
+        there = tuple(elsewhere(c, again) for c in every)
+        change = scaled(there, root) - here
+        left = (root * (again.y - residual.y)).ravel() - change @ numbers
+        parts.append(change.T @ left)
+    mean = np.mean(parts, axis=0)
+    return mean[: h.count], mean[h.count :]

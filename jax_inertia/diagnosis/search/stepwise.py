@@ -1,13 +1,13 @@
 """Stepwise search over hypotheses by log evidence: add, delete, re-estimate, exchange; it decides nothing."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.base import Effect, Shape
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place, reshaped
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
@@ -53,7 +53,7 @@ def searched(
             every = (*every, *pushes(residual, evidence, now, push, settings))
         before = now.chosen
         now = _stepwise(residual, evidence, now, Bank(every), settings.most_steps)
-        now = _refined(residual, evidence, now)
+        now = _refined(residual, evidence, now, every)
         now = reconsidered(residual, evidence, now, tried, settings)
         if _numbers_of(now.chosen) == _numbers_of(before):
             break
@@ -69,22 +69,48 @@ def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
     return {(h.key, h.shape) for h in chosen}
 
 
-def _refined(residual, evidence: Evidence, now: Posterior) -> Posterior:
+def _refined(
+    residual, evidence: Evidence, now: Posterior, every: Sequence[Hypothesis]
+) -> Posterior:
     """Nonlinear numbers of each odd effect between its grid's points, all else marginalised."""
     for h in now.chosen:
         if h.is_odd:
             rest = now.without(h)
-            best = _between_points(residual, evidence, rest, h)
+            best = _at_best(residual, evidence, rest, h, every)
             if best is not h:
                 now = evidence.posterior((*rest.chosen, best))
     return learned(evidence, now.chosen, 1)
 
 
-def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> Hypothesis:
-    """The hypothesis at the nonlinear numbers of most evidence near its own: a pattern search."""
+def _at_best(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, every: Sequence[Hypothesis]
+) -> Hypothesis:
+    """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
+
+    `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
+    friction is the motor's or the link's, say, has its own optimum.
+    """
     steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
-    if not steps:
+    if not np.any(steps):
         return h
+    starts = {_unmoved(h, steps): h}
+    others = [c for c in every if c.key == h.key and not h.effect.many]
+    gains = evidence.gains(rest, others) if others else []
+    for k in np.argsort(gains)[::-1]:
+        starts.setdefault(_unmoved(others[k], steps), others[k])
+    climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
+    return max(climbed, key=lambda found: found[1])[0]
+
+
+def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
+    """What of its nonlinear numbers no search between the grid's points moves."""
+    return tuple(x for x, step in zip(h.shape, steps, strict=True) if not step)
+
+
+def _between_points(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
+) -> tuple[Hypothesis, float]:
+    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
     best, gain = h, float(evidence.gains(rest, (h,))[0])
     for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
         for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
@@ -92,14 +118,14 @@ def _between_points(residual, evidence: Evidence, rest: Posterior, h: Hypothesis
             for _ in range(MOST_MOVES):
                 shape = list(best.shape)
                 shape[k] += float(sign * step[k])
-                if shape[k] * best.shape[k] <= 0:
+                if shape[k] * best.shape[k] < 0 or not h.effect.within(tuple(shape)):
                     break
                 trial = reshaped(h, residual, tuple(shape))
                 got = float(evidence.gains(rest, (trial,))[0])
                 if not np.isfinite(got) or got <= gain:
                     break
                 best, gain = trial, got
-    return best
+    return best, gain
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -117,6 +143,8 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
             # One for one, and for good: that may be back to what was driven out by the way.
             moved = _exchanged(residual, evidence, now, bank, gone)
             barred |= gone
+        if moved is None:
+            moved = _merged(residual, evidence, now, bank)
         if moved is None:
             break
         now = moved[0]
@@ -141,7 +169,7 @@ def _best(
     gains = evidence.gains(now, bank) - np.array([h.odds for h in bank.candidates])
     for k in np.argsort(-gains):
         h = bank.candidates[k]
-        if np.isfinite(gains[k]) and id(h) not in barred and not _excluded(residual, h, now.chosen):
+        if np.isfinite(gains[k]) and id(h) not in barred and not excluded(residual, h, now.chosen):
             yield h, float(gains[k])
 
 
@@ -159,10 +187,33 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
             after = evidence.posterior((*now.chosen, added))
             gain = evidence.relearned_gain(now, after) - added.odds
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
-        after = _with(residual, evidence, now, added) if gain > by_noise else None
+        after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
             return _settled(residual, evidence, after), added
         barred.add(id(added))
+    return None
+
+
+def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis] | None:
+    """One odd effect for two of a place that together say the same; None where none does it as well.
+
+    A friction that differs by direction is a friction and a constant torque, say.
+    """
+    for a, b in itertools.combinations([h for h in now.chosen if h.is_odd], 2):
+        if not one_place(residual, a, b):
+            continue
+        rest = now.without(a)
+        first, second = (
+            float(evidence.worths(p)[p.chosen.index(h)]) - h.odds for p, h in ((now, a), (rest, b))
+        )
+        rest, both = rest.without(b), first + second
+        own = {id(c) for c in bank.candidates if c.key in (a.key, b.key)}
+        better = next(_best(residual, evidence, rest, bank, own), None)
+        if better is None or better[1] <= both:
+            continue
+        after = _with(residual, evidence, rest, better[0], bank)
+        if after is not None:
+            return _settled(residual, evidence, after), better[0]
     return None
 
 
@@ -184,32 +235,10 @@ def _exchanged(
         ):
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            after = _with(residual, evidence, rest, better[0])
+            after = _with(residual, evidence, rest, better[0], bank)
             if after is not None:
                 return _settled(residual, evidence, after), better[0]
     return None
-
-
-def _excluded(residual, h: Hypothesis, chosen: tuple[Hypothesis, ...]) -> bool:
-    """Whether it is chosen already, or another law of what its place has but one of."""
-    for c in chosen:
-        if c.family == h.family and h.family not in MANY and _one_place(residual, c, h):
-            return True
-        if h.fills and c.fills == h.fills and c.place == h.place:
-            return True
-        if not h.effect.law:
-            continue
-        together = c.place == h.place or "global" in (c.place.kind, h.place.kind)
-        if c.effect.law == h.effect.law and together:
-            return True
-    return False
-
-
-def _one_place(residual, a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two places are one: bodies that are fixed to each other are."""
-    if a.place.kind == b.place.kind == "body":
-        return residual.robot.topology.welded(a.place.index, b.place.index)
-    return a.place == b.place
 
 
 MOST_MOVES = 4
@@ -218,15 +247,31 @@ FAINT, MOST_FAINT = 8.0, 5
 """Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
 HALVINGS = 6
 """Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
-MANY = frozenset({"push", "cogging"})
-"""Effects that may be at a place more than once."""
 
 
-def _with(residual, evidence, now: Posterior, h: Hypothesis) -> Posterior | None:
+def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    after = relinearised(residual, evidence, now, _between_points(residual, evidence, now, h))
+    best = [
+        _at_best(residual, evidence, now, c, bank.candidates)
+        for c in (h, *_other_laws(evidence, now, h, bank))
+    ]
+    worths = evidence.gains(now, best) - np.array([c.odds for c in best])
+    after = relinearised(residual, evidence, now, best[int(np.argmax(worths))])
     added = after.chosen[-1]
     return after if added.possible(residual, after.of(added)[0]) else None
+
+
+def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
+    """Of each other family of which its place has but one with it, the best candidate: they compete at their best."""
+    alike = [
+        c
+        for c in bank.candidates
+        if h.effect.law and c.effect.law == h.effect.law and c.place == h.place
+    ]
+    best = {h.family: h}
+    for k in np.argsort(evidence.gains(now, alike))[::-1] if alike else ():
+        best.setdefault(alike[k].family, alike[k])
+    return [c for c in best.values() if c is not h]
 
 
 def _settled(residual, evidence, now: Posterior) -> Posterior:

@@ -1,0 +1,172 @@
+"""Single effects on a model that has its ordinary physics: torques of MuJoCo C's inverse dynamics, encoders' noise.
+
+The tolerances of the model's own numbers, the sensors' noise in every column and other laws of the same thing compete
+with the effect here.
+"""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis_robot import NOMINAL, log_of, motion, needed
+
+from jax_inertia import load_model
+from jax_inertia.diagnosis import pipeline
+from jax_inertia.diagnosis.causes import strain
+from jax_inertia.diagnosis.checks import OtherRun
+from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
+from jax_inertia.diagnosis.effects.external_force import Push
+from jax_inertia.diagnosis.effects.joint import Armature
+from jax_inertia.diagnosis.effects.tolerances import StatedNumbers
+from jax_inertia.diagnosis.hypothesis import excluded, hypothesis
+from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.effects.registry import effects_of
+from jax_inertia.diagnosis.search import sensor_noise
+from jax_inertia.diagnosis.search.candidates import candidates
+from jax_inertia.diagnosis.search.evidence import Posterior
+from jax_inertia.diagnosis.search.ordinary import ordinary_physics
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.maths.precision import in_double_precision
+
+VISCOUS, COULOMB, ROTOR = (0.9, 0.5, 0.15), (1.2, 0.7, 0.25), (0.15, 0.08, 0.02)
+ELBOW = Place("joint", "elbow", 1)
+
+
+def with_joints(viscous=VISCOUS, coulomb=COULOMB, rotor=ROTOR) -> str:
+    """The arm with friction and rotor inertia stated of each joint."""
+    text = NOMINAL
+    for name, d, f, i in zip(("shoulder", "elbow", "wrist"), viscous, coulomb, rotor, strict=True):
+        own = f'name="{name}" damping="{d}" frictionloss="{f}" armature="{i}"'
+        text = text.replace(f'name="{name}"', own)
+    return text
+
+
+def logged(seed: int, tau=lambda t, v: 0.0, **joints) -> object:
+    """A log of the arm with other joints than are stated, and `tau` beyond them."""
+    t, q, v, a = motion(seed)
+    d, f, i = (
+        np.array(joints.get(name, own))
+        for name, own in (("viscous", VISCOUS), ("coulomb", COULOMB), ("rotor", ROTOR))
+    )
+    bare = mujoco.MjModel.from_xml_string(NOMINAL)
+    own = d * v + f * np.tanh(v / 0.002) + i * a
+    return log_of(t, q, needed(bare, q, v, a) + own + tau(t, v), seed)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_model(mujoco.MjModel.from_xml_string(with_joints())).astype("float64")
+
+
+@pytest.fixture(scope="module")
+@in_double_precision
+def residual(robot):
+    return Residual(robot, logged(1), Settings())
+
+
+@in_double_precision
+def found(robot, **truth):
+    report = pipeline.diagnose(
+        robot, logged(1, **truth), test_log=logged(2, **truth), state=CalibrationState.CALIBRATED
+    )
+    return report, [(f.family, f.place.name) for f in report.found]
+
+
+def test_a_rotor_inertia_far_beyond_its_tolerance_is_an_effect(robot):
+    """Its tolerance explains most of it, and takes the noise in its column with it."""
+    report, named = found(robot, rotor=(0.15, 0.045, 0.02))
+    assert named == [("armature", "elbow")]
+    assert report.found[0].parameters["armature"].value == pytest.approx(-0.035, abs=0.004)
+    assert report.verdict == "explained"
+
+
+def test_friction_that_differs_by_direction_is_one_law(robot):
+    def uneven(t, v):
+        return np.stack([0 * t, 0.5 * np.tanh(v[:, 1] / 0.002) + 0.3 * (v[:, 1] != 0), 0 * t], 1)
+
+    report, named = found(robot, tau=uneven)
+    assert named == [("asymmetric_coulomb", "elbow")]
+    numbers = report.found[0].parameters
+    assert numbers["positive"].value == pytest.approx(0.8, rel=0.1)
+    assert numbers["negative"].value == pytest.approx(0.2, rel=0.3)
+
+
+def test_a_sound_calibrated_robot_has_no_gap(robot):
+    report, named = found(robot)
+    assert named == []
+    assert report.verdict == "no_gap"
+
+
+@in_double_precision
+def test_what_a_tolerance_takes_of_the_noise_no_effect_gains(robot, residual):
+    """A column that is among the tolerances gains nothing by noise; without them it would gain."""
+    settings = Settings()
+    evidence, now, _ = ordinary_physics(residual, (), settings, CalibrationState.CALIBRATED)
+    rotor = hypothesis(residual, Armature(), ELBOW, (), 8.0)
+    # Ten tolerances of it: a gain of which noise may have a share.
+    evidence.y = evidence.y.copy()
+    evidence.y[:, 1] += 10 * 0.05 * ROTOR[1] * rotor.columns[:, 0]
+    now = evidence.posterior(now.chosen)
+    gain = evidence.gains(now, (rotor,))[0]
+    share = sensor_noise.share(residual, evidence, now, rotor)
+    alone = sensor_noise.share(residual, evidence, evidence.nothing(), rotor)
+    assert gain > 8.0
+    assert abs(share) < 0.1 * gain
+    assert abs(alone) > 3.0 * abs(share)
+
+
+@pytest.mark.parametrize("effect", [Backlash(), JointElasticity()])
+def test_what_is_there_whole_or_not_is_there_whole(residual, effect):
+    context = residual.context
+    for theta, possible in ((1.0, True), (0.7, True), (0.2, False), (-0.3, False), (1.8, False)):
+        assert effect.possible(context, ELBOW, np.array([theta])) is possible
+
+
+def test_pushes_that_overlap_are_one(residual):
+    hand = Place("body", "hand", residual.robot.body_index("hand"))
+    first, over, later = (
+        hypothesis(residual, Push(), hand, (start, start + 1.0, 0.3, 0.0), 8.0)
+        for start in (2.0, 2.6, 4.0)
+    )
+    assert excluded(residual, over, (first,))
+    assert not excluded(residual, later, (first,))
+
+
+def test_a_law_of_friction_that_is_there_is_not_one_more(residual):
+    settings, library = Settings(), effects_of(residual.log)
+    forms = {
+        h.family: h
+        for h in candidates(residual, library, {}, settings, CalibrationState.CALIBRATED)
+        if h.place == ELBOW and h.family in ("coulomb_friction", "stribeck_friction")
+    }
+    plain, stribeck = forms["coulomb_friction"], forms["stribeck_friction"]
+    assert excluded(residual, plain, (stribeck,))
+    assert excluded(residual, stribeck, (plain,))
+
+
+@in_double_precision
+def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual):
+    """Against predictions at numbers drawn from the posterior."""
+    settings = Settings()
+    evidence, now, _ = ordinary_physics(residual, (), settings, CalibrationState.CALIBRATED)
+    other = OtherRun(Residual(robot, logged(2), settings), evidence)
+    rng, chosen = np.random.default_rng(0), now.chosen
+    draws = rng.multivariate_normal(np.zeros(len(now.mean)), now.covariance, 400)
+    away = [other.predicted(dataclasses.replace(now, mean=d)) for d in draws]
+    weight = other.residual.weight
+    mean = (weight * np.mean(np.square(away), axis=0)).sum(axis=0) / weight.sum(axis=0)
+    sensors = other.residual.sensors
+    assert len(chosen) > 3
+    np.testing.assert_allclose(other.expected(now) ** 2 - sensors**2, mean, rtol=0.15)
+
+
+def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):
+    tolerances, rotor = (
+        hypothesis(residual, effect, ELBOW, shape, 8.0)
+        for effect, shape in ((StatedNumbers(), (0.05,)), (Armature(), ()))
+    )
+    parts, nothing = (slice(0, 3), slice(3, 4)), np.zeros_like(residual.y)
+    now = Posterior((tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing)
+    assert strain(now) == pytest.approx(5.0)
