@@ -19,10 +19,10 @@ from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
 from jax_inertia.diagnosis.effects.external_force import Push
 from jax_inertia.diagnosis.effects.joint import Armature
+from jax_inertia.diagnosis.effects.registry import effects_of
 from jax_inertia.diagnosis.effects.tolerances import StatedNumbers
 from jax_inertia.diagnosis.hypothesis import excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.effects.registry import effects_of
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
 from jax_inertia.diagnosis.search.evidence import Posterior

@@ -7,7 +7,6 @@ import numpy as np
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Applied, Bound, Columns, Effect, Moment, Parameter
 
-
 SHORTEST = 0.1
 """Of a push [s]: a period of the band in which it is looked for."""
 
