@@ -119,6 +119,13 @@ def _mjx(part: dict) -> str:
     )
 
 
+def _where(row: dict) -> str:
+    """Where a row was measured, if not with the others."""
+    own = [f"commit {row['commit']}"] if "commit" in row else []
+    own += [row["device"]] if "device" in row else []
+    return f" ({', '.join(own)})" if own else ""
+
+
 def _gpu(gpu: dict | None) -> str:
     if not gpu:
         return "Accelerator: not run. Several GPUs: not run."
@@ -130,7 +137,7 @@ def _gpu(gpu: dict | None) -> str:
         share = row.get("roofline_share")
         rows.append(
             [
-                name + (f" (commit {row['commit']})" if "commit" in row else ""),
+                name + _where(row),
                 f"{row['per_s']:.3g}",
                 f"{row['compile_s']:.0f}",
                 f"{row['bytes_needed_per_step']:.0f}",
