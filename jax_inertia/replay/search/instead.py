@@ -99,7 +99,9 @@ def _falling(
     bends: dict[Candidate, list[tuple[float, float]]] = {}
     for c, start, error in tried_errors(plant, about, tries, records):
         change = (error - about.error) / start[0]
-        costs = _Costs(about, (*about.table, c.parameters[0]), np.concatenate([columns, change[None]]))
+        costs = _Costs(
+            about, (*about.table, c.parameters[0]), np.concatenate([columns, change[None]])
+        )
         bends.setdefault(c, []).append(costs.along(about.error, costs.padded(about.theta), away))
     out = {}
     for c, each in bends.items():

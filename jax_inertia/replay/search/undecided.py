@@ -30,9 +30,7 @@ def mean_size(slope: float, bend: float) -> float:
     return float((z + np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(z))) / np.sqrt(bend))
 
 
-def open_between(
-    slopes: Sequence[float], bends: Sequence[float], sd: float
-) -> tuple[float, float]:
+def open_between(slopes: Sequence[float], bends: Sequence[float], sd: float) -> tuple[float, float]:
     """(ln of the ratio, mean size of S) over all speeds tried, the size at the likeliest of them."""
     slope, bend = np.array(slopes), np.array(bends)
     each = log_odds(slope, bend, sd)
