@@ -7,8 +7,8 @@ twentieth of the likelihood are replayed, and stay if that holds of the replay, 
 By the equation of a joint that moves alone, (I + I_a) q̈ + g(q) + friction = s kp (q* − q) − kd q̇: with I and g as of
 M + m in place of M, and friction, rotor and kd by the same factor 1 + m / M larger, s may be as much larger too.
 
-Dry friction that falls with speed is the plain one and more: it would do where the evidence between both is no more than
-20 to 1 (`undecided.py`).
+Dry friction that falls with speed is the plain one and more: it would do where the evidence between both is no more
+than 20 to 1 (`undecided.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -106,7 +106,7 @@ def _falling(
     out = {}
     for c, each in bends.items():
         p = c.parameters[0]
-        odds, size = open_between(*zip(*each, strict=True), p.sd)
+        odds, size = open_between([b for b, _ in each], [a for _, a in each], p.sd)
         if odds > -LOG_ODDS:
             out[plain[p.joint]] = (Instead(p, size),)
     return out

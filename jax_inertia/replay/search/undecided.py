@@ -6,7 +6,8 @@ at their best and the prior's 1/sd² in a,
 
 p(log | Stribeck) / p(log | Coulomb) = 2 Φ(−b/√a) exp(b²/(2a)) / (sd √a),
 
-(Laplace's; MacKay 2003, chapter 28), its mean over the speeds v that are tried. Where the log says nothing of S this is 1.
+(Laplace's; MacKay 2003, chapter 28), its mean over the speeds v that are tried. Where the log says nothing
+of S this is 1.
 """
 
 from collections.abc import Sequence
