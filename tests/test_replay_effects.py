@@ -1,5 +1,7 @@
 """Effects of robots that are told positions: what a model is made to do against the equations, and what is found."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
 from jax_inertia.replay.search.odd import Search
 from jax_inertia.replay.search.parsimony import simplest
+from jax_inertia.replay.search.undecided import open_between
 from jax_inertia.replay.simulate import replay
 from jax_inertia.replay.varying_friction import callback
 
@@ -366,3 +369,38 @@ def test_a_load_on_a_joint_that_moves_alone_is_a_kp_by_the_equation():
     assert (tie.name, tie.exact) == ("left", True)
     mass = float(tie.text.split(" kg more at left")[0])
     assert mass == pytest.approx(0.8 * (1.0 / effect.size.value - 1.0), rel=0.01)
+
+
+def test_odds_of_a_size_that_is_not_known_are_the_integral_over_it():
+    slope, bend, sd = 3.0, 40.0, 0.4
+    x = np.linspace(0.0, 6.0, 200001)
+    # Of the cost, half is the logarithm; the bend has the prior's 1 / sd² in it.
+    density = np.exp(-0.5 * (2 * slope * x + bend * x**2)) * np.sqrt(2 / np.pi) / sd
+    odds, size = open_between([slope], [bend], sd)
+    assert odds == pytest.approx(np.log(np.trapezoid(density, x)), abs=1e-6)
+    assert size == pytest.approx(np.trapezoid(x * density, x) / np.trapezoid(density, x), rel=1e-6)
+    assert open_between([0.0, 0.0], [sd**-2.0] * 2, sd)[0] == pytest.approx(0.0)
+
+
+def coarse(log: Log) -> Log:
+    """50 Hz and an encoder of 12 bit."""
+    count, rows = 2 * np.pi / 2**12, slice(None, None, 4)
+    return dataclasses.replace(
+        log, time=log.time[rows], qpos=np.round(log.qpos[rows] / count) * count, qpos_target=log.qpos_target[rows]
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("dry", "more", "speed"),
+    [(0.1, 0.05, 0.05), (0.1, 0.04, 0.3), (0.1, 0.02, 0.03), (0.2, 0.0, 0.05)],
+)
+def test_friction_that_may_fall_with_speed_is_a_tie_where_the_log_does_not_decide(dry, more, speed):
+    def law(miss, v):
+        return KP[:1] * miss - KD[:1] * v, dry + more * np.exp(-((v / speed) ** 2))
+
+    log, other = (coarse(made(law, spec=one, seed=k, seconds=6.0)) for k in (2, 3))
+    found = pipeline.diagnose([log], one, test_log=other)
+    named = {e.family for e in found.effects} | {t.family for e in found.effects for t in e.ties}
+    assert "coulomb_friction" in named
+    assert ("stribeck_friction" in named) == (more > 0)

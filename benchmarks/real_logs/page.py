@@ -107,9 +107,14 @@ def position_rows(robots: dict[str, dict]) -> tuple[list[str], list[str]]:
             cells = [NAMES[robot], motion, *(f"{rms[k]:.2f}" for k in ("nominal", "pace", "ours"))]
             cells += [f"{ratio:.2f}", f"{good} of {len(each['ours'])}"]
             lines.append("| " + " | ".join(cells) + " |")
-            if ratio > EQUAL:
+            worse = [
+                f"{joint} ({b:.1f} for {a:.1f})"
+                for joint, a, b in zip(found["joints"], each["pace"], each["ours"], strict=True)
+                if b > EQUAL * a
+            ]
+            if worse:
                 behind.append(
-                    f"- {NAMES[robot]}, {motion}: {ratio:.2f} times the PACE-like fit's error"
+                    f"- {NAMES[robot]}, {motion}: behind the PACE-like fit at {', '.join(worse)}"
                 )
             if rms["ours"] > EQUAL * rms["nominal"]:
                 behind.append(f"- {NAMES[robot]}, {motion}: worse than the model as given")

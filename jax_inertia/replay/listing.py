@@ -114,7 +114,8 @@ def listed(
             Effect(family, *place, ((PARAMETERS[family], size),), nominal, min(share, 1.0), is_ordinary, ties)
         )  # fmt: skip
         out[-1] = _with_ties(out[-1], _instead(instead.get(rows, ()), loop, names))
-    return _with_possible(out, search.possible, names)
+    dropped = [o.candidate for o in search.odd if o.rows not in shares]
+    return _with_possible(_with_dropped(out, dropped, names), search.possible, names)
 
 
 def _with_ties(effect: Effect, more: Sequence[Tie]) -> Effect:
@@ -135,6 +136,18 @@ def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
         place = place_of(p.joint, p.body, names)
         out.append(Tie(p.family, *place, bound or text, bool(bound)))
     return tuple(out)
+
+
+def _with_dropped(effects: Sequence[Effect], dropped: Sequence[Candidate], names) -> list[Effect]:
+    """With what the log asked for and the held-out replay does not show, as a tie of what it passes for in part."""
+    out = list(effects)
+    for c in dropped:
+        place = place_of(*c.place, names)
+        for family, text in _IN_PART.get(c.family, ()):
+            for k, e in enumerate(out):
+                if (e.family, e.kind, e.name) == (family, *place):
+                    out[k] = _with_ties(e, [Tie(c.family, *place, text, False)])
+    return out
 
 
 def _with_possible(
@@ -182,14 +195,8 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     ]  # fmt: skip
     nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
     return Effect(
-        family,
-        *place,
-        tuple(sizes.items()),
-        nominal,
-        min(share, 1.0),
-        False,
-        tuple(ties),
-    )
+        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, tuple(ties)
+    )  # fmt: skip
 
 
 def _motor(sizes: dict[str, Size]) -> dict[str, Size]:

@@ -6,6 +6,9 @@ twentieth of the likelihood are replayed, and stay if that holds of the replay, 
 
 By the equation of a joint that moves alone, (I + I_a) q̈ + g(q) + friction = s kp (q* − q) − kd q̇: with I and g as of
 M + m in place of M, and friction, rotor and kd by the same factor 1 + m / M larger, s may be as much larger too.
+
+Dry friction that falls with speed is the plain one and more: it would do where the evidence between both is no more
+than 20 to 1 (`undecided.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,9 +24,11 @@ from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate
-from jax_inertia.replay.search.tries import tried_errors
+from jax_inertia.replay.search.tries import LOG_ODDS, tried_errors
+from jax_inertia.replay.search.undecided import open_between
 
 Rows = tuple[int, ...]
+_PLAIN, _FALLING = "coulomb_friction", "stribeck_friction"
 _MOST = 3
 """That are replayed for each effect."""
 
@@ -80,7 +85,31 @@ def in_place_of(
         kept += [_Try(unit, k, new) for cost, k, new in ranked[:_MOST] if cost <= room]
     by_load = {u: x for u in units if (x := _by_load(plant, found, u, pool)) is not None}
     proved = _proved(plant, records, costs, away, kept, limit, each)
-    return {u: (*by_load.get(u, ()), *proved.get(u, ())) for u in units}
+    falling = _falling(plant, about, columns, away, units, pool, records)
+    return {u: (*by_load.get(u, ()), *proved.get(u, ()), *falling.get(u, ())) for u in units}
+
+
+def _falling(
+    plant: Plant, about: Fit, columns, away, units: Sequence[Rows], pool, records
+) -> Mapping[Rows, tuple[Instead, ...]]:
+    """Of each dry friction, the one that falls with speed, where the log does not decide between both."""
+    plain = {about.table[u[0]].joint: u for u in units if about.table[u[0]].family == _PLAIN}
+    sought = [c for c in pool if c.family == _FALLING and c.parameters[0].joint in plain]
+    tries = [(c, s) for c in sought for s in c.starts]
+    bends: dict[Candidate, list[tuple[float, float]]] = {}
+    for c, start, error in tried_errors(plant, about, tries, records):
+        change = (error - about.error) / start[0]
+        costs = _Costs(
+            about, (*about.table, c.parameters[0]), np.concatenate([columns, change[None]])
+        )
+        bends.setdefault(c, []).append(costs.along(about.error, costs.padded(about.theta), away))
+    out = {}
+    for c, each in bends.items():
+        p = c.parameters[0]
+        odds, size = open_between([b for b, _ in each], [a for _, a in each], p.sd)
+        if odds > -LOG_ODDS:
+            out[plain[p.joint]] = (Instead(p, size),)
+    return out
 
 
 def _by_load(
@@ -141,6 +170,14 @@ class _Costs:
         now, gradient = self._at(error, theta, free)
         own = self.hessian[np.ix_(free, free)]
         return now - float(gradient[free] @ np.linalg.solve(own, gradient[free]))
+
+    def along(self, error, theta, others) -> tuple[float, float]:
+        """(b, a) of the cost c + 2 b x + a x² by the last number, `others` at their best."""
+        _, gradient = self._at(error, theta, others)
+        across, own = self.hessian[others, -1], self.hessian[np.ix_(others, others)]
+        solved = np.linalg.solve(own, np.column_stack([gradient[others], across]))
+        b, a = gradient[-1] - across @ solved[:, 0], self.hessian[-1, -1] - across @ solved[:, 1]
+        return float(b), float(a)
 
     def ranked(self, error, theta, others, options) -> list[tuple[float, int, np.ndarray]]:
         """(cost, option, numbers) with each option at its best, `others` following, the least first."""
