@@ -253,22 +253,28 @@ class LoadBank(eqx.Module):
     ) -> tuple[Float[Array, " k"], Int[Array, ""], Float[Array, ""]]:
         """(probabilities of none and of each candidate, the best candidate, time since its change)."""
         effective = _effective(state)
+        roots = self._roots_of(state)
 
-        def evidence(information, vector, mask):
-            inner = jnp.diag(1.0 - mask) + mask[:, None] * mask * information
-            factor = jnp.linalg.cholesky(inner + jnp.diag(mask))
-            half = jax.scipy.linalg.solve_triangular(factor, mask * vector, lower=True)
+        def evidence(information, vector, root):
+            factor = jnp.linalg.cholesky(
+                jnp.eye(len(root), dtype=pi.dtype) + root.T @ information @ root
+            )
+            half = jax.scipy.linalg.solve_triangular(factor, root.T @ vector, lower=True)
             return 0.5 * half @ half - jnp.sum(jnp.log(jnp.diagonal(factor)))
 
         left = effective * (state.vector - state.information @ pi) @ self.spread
         seen = effective * self.spread.T @ state.information @ self.spread
-        over_masks = jax.vmap(evidence, in_axes=(None, None, 0))
-        factors = jax.vmap(over_masks, in_axes=(0, 0, None))(seen, left, self._masks(pi.dtype))
+        over_roots = jax.vmap(evidence, in_axes=(None, None, 0))
+        every_one = jax.vmap(over_roots, in_axes=(0, 0, None))(seen, left, roots)
+        # Without a change the filter's own error explains what is seen, or shocks do: as likely as not.
+        shocks = -effective * state.lost
+        none = jnp.logaddexp(every_one[:, 0], shocks) - jnp.log(2.0)
+        factors = every_one[:, 1:] - none[:, None]
         # A change of two links at once is as rare as one of each within a window.
         count = jnp.asarray([len(c) for c in self.candidates], pi.dtype)
         every = self.memory / self.windows
         log_prior = count * jnp.log(self.rate * every)
-        score = factors + effective * state.lost[:, None] + log_prior
+        score = factors + log_prior
         begun = jnp.where(state.age[:-1, None] > 0, score[:-1], -jnp.inf)
         each = jax.scipy.special.logsumexp(begun, axis=0)
         total = jax.nn.softmax(jnp.concatenate([jnp.zeros(1, pi.dtype), each]))
@@ -279,6 +285,17 @@ class LoadBank(eqx.Module):
         best = jnp.argmax(links)
         at = jnp.argmax(begun[:, best])
         return jnp.concatenate([total[:1], links]), best, state.age[at]
+
+    def _roots_of(self, state: BankState) -> Float[Array, "hypotheses n n"]:
+        """Roots of what Δπ may be, in parts of `spread`: the filter's own error, alone and with each candidate's load."""
+        belief = state.filter.belief
+        g = jax.scipy.linalg.block_diag(
+            *self.estimator.chart.jacobian(belief.mean.reshape(-1, 10))
+        )
+        own = jnp.linalg.solve(self.spread, g @ cholesky(belief.covariance))
+        masks = self._masks(own.dtype)
+        with_none = jnp.concatenate([jnp.zeros_like(masks[:1]), masks])
+        return jax.vmap(lambda mask: cholesky(own @ own.T + jnp.diag(mask)))(with_none)
 
     def _expected(
         self, state: BankState, pi: Float[Array, " n"], best: Int[Array, ""]
