@@ -270,11 +270,8 @@ class LoadBank(eqx.Module):
         shocks = -effective * state.lost
         none = jnp.logaddexp(every_one[:, 0], shocks) - jnp.log(2.0)
         factors = every_one[:, 1:] - none[:, None]
-        # A change of two links at once is as rare as one of each within a window.
-        count = jnp.asarray([len(c) for c in self.candidates], pi.dtype)
-        every = self.memory / self.windows
-        log_prior = count * jnp.log(self.rate * every)
-        score = factors + log_prior
+        # What two links take up at once has one cause: it is as likely as what one does.
+        score = factors + jnp.log(self.rate * self.memory / self.windows)
         begun = jnp.where(state.age[:-1, None] > 0, score[:-1], -jnp.inf)
         each = jax.scipy.special.logsumexp(begun, axis=0)
         total = jax.nn.softmax(jnp.concatenate([jnp.zeros(1, pi.dtype), each]))
