@@ -206,16 +206,12 @@ def _variants(seeds: np.ndarray) -> dict[str, Wanted]:
             "effects": dataclasses.replace(no, friction=e.friction, damping=e.damping)
         },
         "cables only": {
-            "effects": dataclasses.replace(
-                no, arm_cable=e.arm_cable, pelvis_cable=e.pelvis_cable
-            )
+            "effects": dataclasses.replace(no, arm_cable=e.arm_cable, pelvis_cable=e.pelvis_cable)
         },
         "hoist only": {"effects": dataclasses.replace(no, hoist=e.hoist)},
         "model exact": {"effects": no},
     }
-    return {
-        name: Wanted(run, seeds, (1,), {**kind, "label": name}) for name, kind in kinds.items()
-    }
+    return {name: Wanted(run, seeds, (1,), {**kind, "label": name}) for name, kind in kinds.items()}
 
 
 def _draw(found: Run) -> None:

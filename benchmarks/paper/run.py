@@ -52,7 +52,11 @@ def main(arguments: list[str] | None = None) -> int:
     jobs = max(min(options.jobs, len(asked)), 1)
     together = sum(COST[name] for name in asked) if jobs > 1 else 0
     work = [
-        (name, *settings.values(), max(options.processes * COST[name] // (together or COST[name]), 1))
+        (
+            name,
+            *settings.values(),
+            max(options.processes * COST[name] // (together or COST[name]), 1),
+        )
         for name in asked
     ]
     # Workers of `multiprocessing.Pool` may have no processes of their own (`shared_out`).

@@ -11,12 +11,14 @@ load expected; the others are as believed. Torque is linear in π, so that every
 
     Λ = Σ_k Yᵀ R⁻¹ Y,    η = Σ_k Yᵀ R⁻¹ (Δτ − Y π̂),
 
-whatever the links: the bank of filters, one for each candidate and time of change, shares them, and its evidence is
+whatever the links: the bank of filters, one for each candidate and time of change, shares them, and with
+Δπ ~ N(0, C) its evidence is
 
-    log p(data | h, t₀) / p(data | no change) = ½ ηᵀ (Λ_h + Σ⁻¹)⁻¹ η − ½ log det(1 + Σ Λ_h),
+    log p(data | C) / p(data | Δπ = 0) = ½ ηᵀ (Λ + C⁻¹)⁻¹ η − ½ log det(1 + C Λ),
 
-the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 1976; Adams and MacKay 2007). With changes
-coming at `rate` per link these are posterior probabilities. Once one is beyond `threshold`, its links are opened in the
+C being P, the filter's own covariance, without a change and P + Σ_h with one: what an estimate still errs by is no load.
+Their difference is the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 1976; Adams and MacKay
+2007). With changes coming at `rate`, each to one link or to several with one cause, these are posterior probabilities. Once one is beyond `threshold`, its links are opened in the
 filter (their covariance grows by the load's), and all others keep resting.
 
 Two things would make such evidence lie. Shocks: "no change" and a load are compared by samples that may be garbage, a
@@ -286,9 +288,7 @@ class LoadBank(eqx.Module):
     def _roots_of(self, state: BankState) -> Float[Array, "hypotheses n n"]:
         """Roots of what Δπ may be, in parts of `spread`: the filter's own error, alone and with each candidate's load."""
         belief = state.filter.belief
-        g = jax.scipy.linalg.block_diag(
-            *self.estimator.chart.jacobian(belief.mean.reshape(-1, 10))
-        )
+        g = jax.scipy.linalg.block_diag(*self.estimator.chart.jacobian(belief.mean.reshape(-1, 10)))
         own = jnp.linalg.solve(self.spread, g @ cholesky(belief.covariance))
         masks = self._masks(own.dtype)
         with_none = jnp.concatenate([jnp.zeros_like(masks[:1]), masks])
@@ -355,7 +355,7 @@ def make_load_bank(
 
     `candidates` are the sets of links that may change at once (default: every link, and every pair of them).
     `sigma_tau` (or `noise`) is the noise of each row [N m, N], `sigma_a` that of accelerations [m/s², rad/s²], which
-    the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often a link's load changes,
+    the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often each of them changes,
     `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
     many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
     for how long links are compared after a change is noticed, `averaging` [s] over which residuals' size and
