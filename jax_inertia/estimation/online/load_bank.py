@@ -286,9 +286,10 @@ class LoadBank(eqx.Module):
         return jnp.concatenate([total[:1], links]), best, state.age[at]
 
     def _roots_of(self, state: BankState) -> Float[Array, "hypotheses n n"]:
-        """Roots of what Δπ may be, in parts of `spread`: the filter's own error, alone and with each candidate's load."""
+        """Roots of Δπ's covariances, in parts of `spread`: the filter's own, alone and with each candidate's load."""
         belief = state.filter.belief
-        g = jax.scipy.linalg.block_diag(*self.estimator.chart.jacobian(belief.mean.reshape(-1, 10)))
+        slopes = self.estimator.chart.jacobian(belief.mean.reshape(-1, 10))
+        g = jax.scipy.linalg.block_diag(*slopes)
         own = jnp.linalg.solve(self.spread, g @ cholesky(belief.covariance))
         masks = self._masks(own.dtype)
         with_none = jnp.concatenate([jnp.zeros_like(masks[:1]), masks])
