@@ -19,8 +19,8 @@ whatever the links: the bank of filters, one for each candidate and time of chan
 C being P, the filter's own covariance, without a change and P + Σ_h with one: what an estimate still errs by is no
 load. Their difference is the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 1976; Adams and
 MacKay 2007). With changes coming at `rate`, each to one link or to several with one cause, these are posterior
-probabilities. Once one is beyond `threshold`, its links are opened in the filter (their covariance grows by the load's),
-and all others keep resting.
+probabilities. Once one is beyond `threshold`, its links are opened in the filter (their covariance grows by the
+load's), and all others keep resting.
 
 Two things would make such evidence lie. Shocks: "no change" and a load are compared by samples that may be garbage, a
 mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
