@@ -23,7 +23,7 @@ def save_json(path: Path, data: Any) -> None:
 
 
 def commit() -> str:
-    """The code that runs: its commit, and whether anything was changed since."""
+    """The code that runs: its commit, and whether any of it was changed since (results may be)."""
 
     def git(*command: str) -> str:
         try:
@@ -35,7 +35,7 @@ def commit() -> str:
         return run.stdout.strip()
 
     own = git("rev-parse", "--short", "HEAD") or "unknown"
-    changed = git("status", "--porcelain", "--", "../jax_inertia", ".")
+    changed = git("status", "--porcelain", "--", "../jax_inertia", "*.py", "*.sh")
     return own + (" with changes" if changed else "")
 
 

@@ -142,5 +142,5 @@ if __name__ == "__main__":
     for kind_, dtype_ in (("exact", "float64"), ("exact", "float32"), ("extended", "float64")):
         result.append(trials(robot_, drawn_, dtype_, kind_))
         print(json.dumps(result[-1]), flush=True)
-        with open(out_, "w") as file:
-            json.dump(result, file)
+    with open(out_, "w") as file:
+        json.dump(result, file)

@@ -58,7 +58,7 @@ def followed(found: Run) -> dict[str, np.ndarray]:
 
 def touchdowns(seeds: np.ndarray) -> dict:
     """The gating experiment: spikes, the load of 10 kg found, and which link it was taken to be on."""
-    found = gating.run(seeds, gating.SETTINGS, load=gating.LOAD)
+    found = gating.run(seeds, settings=gating.SETTINGS, load=gating.LOAD)
     seen = followed(found)
     mass = np.repeat(seen["pi"][:, :, 0, 0], EVERY, axis=0)
     mass = np.vstack([np.repeat(mass[:1], EVERY, axis=0), mass])[: len(found.time)]

@@ -25,6 +25,7 @@ from benchmarks.paper.hardware import (
 )
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import NU, Fleet, LinkMass, Sensors, model
+from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.model.load import body_pi
 
@@ -99,7 +100,7 @@ def run(
     calibrated: bool = True,
     settings: Settings = SETTINGS,
     sensors: Sensors = SENSORS,
-    watch_also: Callable[[Fleet], dict[str, np.ndarray]] = lambda fleet: {},
+    watch_also: Callable[[Fleet], dict[str, np.ndarray]] | None = None,
     keep_inputs: bool = False,
     label: str = "curl",
 ) -> Run:
@@ -119,7 +120,7 @@ def run(
 
     def watch(fleet: Fleet, out) -> dict[str, np.ndarray]:
         return {
-            **watch_also(fleet),
+            **(watch_also(fleet) if watch_also else {}),
             "angle": fleet.q[:, joint],
             "wanted": out.record[:, joint - 7],
             "pi": out.pi[:, 0],
@@ -180,39 +181,37 @@ def in_step(time: np.ndarray, mass: np.ndarray) -> np.ndarray:
 
 def results(seeds: np.ndarray, sweep_seeds: np.ndarray) -> dict:
     """Everything that the report says of this experiment."""
-    found = run(seeds)
+    found, *parts = every([Wanted(run, seeds, (0, 1, 2)), *_variants(sweep_seeds).values()])
     on = found.time >= CURL + 3.0
     error = rms((found.series["angle"] - found.series["wanted"])[on])
     out = by_controller(found.mode, error)
     out["unphysical"] = int(found.unphysical.sum())
     out["estimate"] = figures_of(found, found.mode == 1)
     out["variants"] = []
-    e, no = Effects(), NOTHING
-    kinds = {
-        "without calibration": (e, False, SETTINGS),
-        "quick filter": (e, True, QUICK),
-        "friction and damping only": (
-            dataclasses.replace(no, friction=e.friction, damping=e.damping),
-            True,
-            SETTINGS,
-        ),
-        "cables only": (
-            dataclasses.replace(no, arm_cable=e.arm_cable, pelvis_cable=e.pelvis_cable),
-            True,
-            SETTINGS,
-        ),
-        "hoist only": (dataclasses.replace(no, hoist=e.hoist), True, SETTINGS),
-        "model exact": (no, True, SETTINGS),
-    }
-    for name, (effects, calibrated, settings) in kinds.items():
-        part = run(
-            sweep_seeds, (1,), effects=effects, calibrated=calibrated, settings=settings, label=name
-        )
+    for name, part in zip(_variants(sweep_seeds), parts, strict=True):
         away = rms((part.series["angle"] - part.series["wanted"])[on])
         row = {"variant": name, "rmse": float(np.median(away))}
         out["variants"].append({**row, **figures_of(part, part.mode == 1)})
     _draw(found)
     return out
+
+
+def _variants(seeds: np.ndarray) -> dict[str, Wanted]:
+    """Other settings, and single effects: which of them ripples."""
+    e, no = Effects(), NOTHING
+    kinds = {
+        "without calibration": {"calibrated": False},
+        "quick filter": {"settings": QUICK},
+        "friction and damping only": {
+            "effects": dataclasses.replace(no, friction=e.friction, damping=e.damping)
+        },
+        "cables only": {
+            "effects": dataclasses.replace(no, arm_cable=e.arm_cable, pelvis_cable=e.pelvis_cable)
+        },
+        "hoist only": {"effects": dataclasses.replace(no, hoist=e.hoist)},
+        "model exact": {"effects": no},
+    }
+    return {name: Wanted(run, seeds, (1,), {**kind, "label": name}) for name, kind in kinds.items()}
 
 
 def _draw(found: Run) -> None:

@@ -24,6 +24,7 @@ from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.hardware import FOREARM, NOTHING
 from benchmarks.paper.loop import Run
 from benchmarks.paper.plant import mjcf
+from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia import load_model
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.simulate.corrected import corrected
@@ -157,10 +158,15 @@ def knowable(effects: Sequence[Identified]) -> tuple[list[Identified], list[Iden
 
 def results(seeds: np.ndarray) -> dict:
     """What was found, and the estimate's error and ripple without it, with it, and without anything to find."""
-    every = np.append(seeds, SEED)
-    scored = np.arange(len(every)) < len(seeds)
-    ran = curl.run(every, (1,), watch_also=sensed, keep_inputs=True, label="curls")
-    bare = curl.run(every, (1,), effects=NOTHING, label="floor")
+    all_seeds = np.append(seeds, SEED)
+    scored = np.arange(len(all_seeds)) < len(seeds)
+    whole = {"watch_also": sensed, "keep_inputs": True, "label": "curls"}
+    ran, bare = every(
+        [
+            Wanted(curl.run, all_seeds, (1,), whole),
+            Wanted(curl.run, all_seeds, (1,), {"effects": NOTHING, "label": "floor"}),
+        ]
+    )
     log, robot = as_log(ran, len(seeds))
     found = diagnose(robot, log, max_effects=MOST)
     told, untold = knowable(effects_of(found))

@@ -14,6 +14,7 @@ from benchmarks.paper.brain import ORACLE, Settings
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import TICK, Sensors
+from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.maths.gates import ChiSquaredGate
 
@@ -32,11 +33,13 @@ GATED = dataclasses.replace(SETTINGS, gate=ChiSquaredGate(0.999, 29), reopen_aft
 KINDS = {"no gate": SETTINGS, "gate": GATED}
 
 
-def run(seeds: np.ndarray, settings: Settings, *, load: float = 0.0) -> Run:
+def run(
+    seeds: np.ndarray, modes: tuple[int, ...] = (ORACLE,), *, settings: Settings, load: float = 0.0
+) -> Run:
     """Walking in place on level, hard ground; `load` [kg] is added to the torso at PICK_UP."""
     return pelvis.walk(
         seeds,
-        (ORACLE,),
+        modes,
         amplitude=0.0,
         step=0.0,
         mass=lambda t: NOMINAL + (load if t >= PICK_UP else 0.0),
@@ -81,7 +84,7 @@ def found_after(found: Run, tolerance: float = 1.0) -> np.ndarray:
 def results(seeds: np.ndarray) -> dict:
     """Spike sizes, bias from rejected samples, share rejected, and how soon a new load is found."""
     out: dict = {}
-    walked = run(seeds, SETTINGS, load=LOAD)
+    (walked,) = every([Wanted(run, seeds, (ORACLE,), {"settings": SETTINGS, "load": LOAD})])
     runs = {name: pelvis.refiltered(walked, settings, SENSORS) for name, settings in KINDS.items()}
     for name, found in runs.items():
         walking = (found.time > 4.0) & (found.time < PICK_UP)

@@ -1,11 +1,11 @@
 """Rerun the paper's experiments and write down what came out.
 
-    python -m benchmarks.paper [--seeds N] [--jobs J] [--only NAME ...] [--resume]
+    python -m benchmarks.paper [--seeds N] [--jobs J] [--processes P] [--only NAME ...] [--resume]
 
 Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`, after every
 experiment. With `--only` the other experiments keep the numbers of the last run; `--resume` leaves out what has run
-with these seeds before, so that a run that was cut off goes on where it was. PAPER_PROCESSES (1): how many processes an
-experiment shares its seeds out over.
+with these seeds and this commit, so that a run that was cut off goes on where it was; PAPER_TASKS names a folder in
+which single tasks of several processes are kept too. Experiments that run at a time share the processes by their cost.
 """
 
 import argparse
@@ -18,7 +18,9 @@ from multiprocessing import get_context
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[1] / "results" / "paper.json"
-NAMES = ("elbow", "pelvis", "curl", "curl_causes", "gating", "torso", "blind")
+COST = {"pelvis": 18, "elbow": 11, "curl_causes": 9, "curl": 8, "blind": 6, "gating": 5, "torso": 5}
+"""Shares of the processes, the most first: by seconds, and more where one process goes on alone after all tasks."""
+NAMES = tuple(COST)
 WITH_SWEEP = ("pelvis", "elbow", "curl")
 
 
@@ -29,12 +31,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sweep-seeds", type=int, default=4, help="seeds of each sweep (4)")
     parser.add_argument("--first-seed", type=int, default=0, help="tuning used 1000 and on (0)")
     parser.add_argument("--jobs", type=int, default=1, help="experiments at a time (1)")
+    parser.add_argument("--processes", type=int, default=1, help="of all experiments at a time (1)")
     parser.add_argument("--only", nargs="*", choices=NAMES, default=list(NAMES))
     parser.add_argument("--resume", action="store_true", help="keep what has run with these seeds")
     parser.add_argument("--no-film", action="store_true", help="leave the animated figure out")
     options = parser.parse_args(arguments)
-    if options.seeds < 1 or options.sweep_seeds < 1 or options.jobs < 1:
-        parser.error("--seeds, --sweep-seeds and --jobs must be at least 1")
+    if min(options.seeds, options.sweep_seeds, options.jobs, options.processes) < 1:
+        parser.error("--seeds, --sweep-seeds, --jobs and --processes must be at least 1")
     # One thread each: several experiments at once would fight over the cores.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -44,9 +47,18 @@ def main(arguments: list[str] | None = None) -> int:
         "sweep_seeds": options.sweep_seeds,
         "first_seed": options.first_seed,
     }
-    done = [n for n in NAMES if found.get(n, {}).get("run") == settings] if options.resume else []
-    work = [(name, *settings.values()) for name in options.only if name not in done]
-    jobs = max(min(options.jobs, len(work)), 1)
+    kept = {name for name in NAMES if options.resume and _has_run(found.get(name, {}), settings)}
+    asked = [name for name in NAMES if name in options.only and name not in kept]
+    jobs = max(min(options.jobs, len(asked)), 1)
+    together = sum(COST[name] for name in asked) if jobs > 1 else 0
+    work = [
+        (
+            name,
+            *settings.values(),
+            max(options.processes * COST[name] // (together or COST[name]), 1),
+        )
+        for name in asked
+    ]
     # Workers of `multiprocessing.Pool` may have no processes of their own (`shared_out`).
     with ProcessPoolExecutor(jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
         for job in as_completed([pool.submit(_experiment, one) for one in work]):
@@ -61,8 +73,16 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _experiment(work: tuple[str, int, int, int]) -> tuple[str, float, dict]:
-    """One experiment in its own process."""
+def _has_run(result: dict, settings: dict) -> bool:
+    from benchmarks.harness.results import commit
+
+    return result.get("run") == settings and result.get("about", {}).get("commit") == commit()
+
+
+def _experiment(work: tuple[str, int, int, int, int]) -> tuple[str, float, dict]:
+    """One experiment in its own process, which shares its seeds out over some more."""
+    name, seeds, sweep, first, processes = work
+    os.environ["PAPER_PROCESSES"] = str(processes)
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -72,7 +92,6 @@ def _experiment(work: tuple[str, int, int, int]) -> tuple[str, float, dict]:
 
     from benchmarks.harness.results import circumstances
 
-    name, seeds, sweep, first = work
     about = circumstances()
     module = importlib.import_module(f"benchmarks.paper.{name}")
     every, few = first + np.arange(seeds), first + np.arange(min(sweep, seeds))

@@ -1,15 +1,24 @@
-"""Runs of many seeds, shared out over processes: PAPER_PROCESSES of them, one controller and two seeds to a task."""
+"""Runs of many seeds, shared out over processes: PAPER_PROCESSES of them, one controller and two seeds to a task.
 
+Each process keeps to one of the cores that this one may use: XLA starts as many threads as it sees cores, which on a
+large machine cost more than what they work on. Where PAPER_TASKS names a folder, tasks that have run are kept there,
+and a run that was cut off does not run them again.
+"""
+
+import hashlib
 import os
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from benchmarks.harness.results import commit
 from benchmarks.paper.loop import Run
 
 PROCESSES = int(os.environ.get("PAPER_PROCESSES", "1"))
@@ -30,16 +39,43 @@ def every(wanted: list[Wanted], processes: int = PROCESSES) -> list[Run]:
     """What each is wanted for, in their order; robots of one run in any order."""
     if processes == 1:
         return [w.run(w.seeds, w.modes, **w.options) for w in wanted]
-    with ProcessPoolExecutor(processes, get_context("spawn"), _begin) as pool:
+    context = get_context("spawn")
+    cores = context.SimpleQueue()
+    for core in (_cores() * processes)[:processes]:
+        cores.put(core)
+    own = commit()
+    with ProcessPoolExecutor(processes, context, _begin, (cores,)) as pool:
         jobs = [
             [
-                pool.submit(w.run, w.seeds[k : k + SEEDS], (mode,), **w.options)
+                pool.submit(_task, own, w.run, w.seeds[k : k + SEEDS], mode, w.options)
                 for mode in w.modes
                 for k in range(0, len(w.seeds), SEEDS)
             ]
             for w in wanted
         ]
         return [merged([job.result() for job in own]) for own in jobs]
+
+
+def _cores() -> list[int | None]:
+    """Those that this process may use, where the system tells."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
+
+
+def _task(own: str, run: Callable[..., Run], seeds: np.ndarray, mode: int, options: dict) -> Run:
+    """One controller over these seeds, or what the code of the commit `own` made of it before."""
+    folder = os.environ.get("PAPER_TASKS")
+    if not folder:
+        return run(seeds, (mode,), **options)
+    asked = pickle.dumps((own, run, seeds.tolist(), mode, options))
+    path = Path(folder) / hashlib.sha256(asked).hexdigest()[:16]
+    if path.exists():
+        return pickle.loads(path.read_bytes())
+    found = run(seeds, (mode,), **options)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_bytes(pickle.dumps(found))
+    os.replace(part, path)
+    return found
 
 
 def merged(runs: list[Run]) -> Run:
@@ -54,5 +90,8 @@ def merged(runs: list[Run]) -> Run:
     return Run(time=runs[0].time, series=series, inputs=inputs, wall=sum(out["wall"]), **robots)
 
 
-def _begin() -> None:
+def _begin(cores) -> None:
+    core = cores.get()
+    if core is not None:
+        os.sched_setaffinity(0, {core})
     jax.config.update("jax_enable_x64", True)

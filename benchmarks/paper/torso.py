@@ -14,6 +14,7 @@ from benchmarks.paper.brain import ORACLE, Settings
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, summary
 from benchmarks.paper.plant import Sensors, model
+from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia.estimation.priors import Load
 from jax_inertia.maths.charts import Chart, Linear, LogCholesky
 from jax_inertia.model.load import body_pi
@@ -29,19 +30,23 @@ NOMINAL = 13.5  # kg
 PI = ("mass", "ixx", "iyy", "izz")
 
 
+def nominal(t: float) -> float:
+    """The torso's mass, whenever [kg]."""
+    return NOMINAL
+
+
 def run(seeds: np.ndarray, duration: float = DURATION) -> dict[str, Run]:
     """A walk on level ground with the nominal torso, estimated in each chart, without and with the correction."""
-    walked = pelvis.walk(
-        seeds,
-        (ORACLE,),
-        amplitude=0.0,
-        mass=lambda t: NOMINAL,
-        settings=PAPER,
-        sensors=SENSORS,
-        duration=duration,
-        keep_inputs=True,
-        label="torso",
-    )
+    own = {
+        "amplitude": 0.0,
+        "mass": nominal,
+        "settings": PAPER,
+        "sensors": SENSORS,
+        "duration": duration,
+        "keep_inputs": True,
+        "label": "torso",
+    }
+    (walked,) = every([Wanted(pelvis.walk, seeds, (ORACLE,), own)])
     return {
         name + suffix: pelvis.refiltered(
             walked, dataclasses.replace(settings, chart=chart), SENSORS

@@ -11,13 +11,16 @@ load expected; the others are as believed. Torque is linear in π, so that every
 
     Λ = Σ_k Yᵀ R⁻¹ Y,    η = Σ_k Yᵀ R⁻¹ (Δτ − Y π̂),
 
-whatever the links: the bank of filters, one for each candidate and time of change, shares them, and its evidence is
+whatever the links: the bank of filters, one for each candidate and time of change, shares them, and with
+Δπ ~ N(0, C) its evidence is
 
-    log p(data | h, t₀) / p(data | no change) = ½ ηᵀ (Λ_h + Σ⁻¹)⁻¹ η − ½ log det(1 + Σ Λ_h),
+    log p(data | C) / p(data | Δπ = 0) = ½ ηᵀ (Λ + C⁻¹)⁻¹ η − ½ log det(1 + C Λ),
 
-the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 1976; Adams and MacKay 2007). With changes
-coming at `rate` per link these are posterior probabilities. Once one is beyond `threshold`, its links are opened in the
-filter (their covariance grows by the load's), and all others keep resting.
+C being P, the filter's own covariance, without a change and P + Σ_h with one: what an estimate still errs by is no
+load. Their difference is the Bayes factor of a change at t₀ over the same samples (Willsky and Jones 1976; Adams and
+MacKay 2007). With changes coming at `rate`, each to one link or to several with one cause, these are posterior
+probabilities. Once one is beyond `threshold`, its links are opened in the filter (their covariance grows by the
+load's), and all others keep resting.
 
 Two things would make such evidence lie. Shocks: "no change" and a load are compared by samples that may be garbage, a
 mixture of the noise stated and of noises 10 to 1000 times as large. One sample that no belief explains is then as
@@ -253,22 +256,25 @@ class LoadBank(eqx.Module):
     ) -> tuple[Float[Array, " k"], Int[Array, ""], Float[Array, ""]]:
         """(probabilities of none and of each candidate, the best candidate, time since its change)."""
         effective = _effective(state)
+        roots = self._roots_of(state)
 
-        def evidence(information, vector, mask):
-            inner = jnp.diag(1.0 - mask) + mask[:, None] * mask * information
-            factor = jnp.linalg.cholesky(inner + jnp.diag(mask))
-            half = jax.scipy.linalg.solve_triangular(factor, mask * vector, lower=True)
+        def evidence(information, vector, root):
+            factor = jnp.linalg.cholesky(
+                jnp.eye(len(root), dtype=pi.dtype) + root.T @ information @ root
+            )
+            half = jax.scipy.linalg.solve_triangular(factor, root.T @ vector, lower=True)
             return 0.5 * half @ half - jnp.sum(jnp.log(jnp.diagonal(factor)))
 
         left = effective * (state.vector - state.information @ pi) @ self.spread
         seen = effective * self.spread.T @ state.information @ self.spread
-        over_masks = jax.vmap(evidence, in_axes=(None, None, 0))
-        factors = jax.vmap(over_masks, in_axes=(0, 0, None))(seen, left, self._masks(pi.dtype))
-        # A change of two links at once is as rare as one of each within a window.
-        count = jnp.asarray([len(c) for c in self.candidates], pi.dtype)
-        every = self.memory / self.windows
-        log_prior = count * jnp.log(self.rate * every)
-        score = factors + effective * state.lost[:, None] + log_prior
+        over_roots = jax.vmap(evidence, in_axes=(None, None, 0))
+        every_one = jax.vmap(over_roots, in_axes=(0, 0, None))(seen, left, roots)
+        # Without a change the filter's own error explains what is seen, or shocks do: as likely as not.
+        shocks = -effective * state.lost
+        none = jnp.logaddexp(every_one[:, 0], shocks) - jnp.log(2.0)
+        factors = every_one[:, 1:] - none[:, None]
+        # What two links take up at once has one cause: it is as likely as what one does.
+        score = factors + jnp.log(self.rate * self.memory / self.windows)
         begun = jnp.where(state.age[:-1, None] > 0, score[:-1], -jnp.inf)
         each = jax.scipy.special.logsumexp(begun, axis=0)
         total = jax.nn.softmax(jnp.concatenate([jnp.zeros(1, pi.dtype), each]))
@@ -279,6 +285,16 @@ class LoadBank(eqx.Module):
         best = jnp.argmax(links)
         at = jnp.argmax(begun[:, best])
         return jnp.concatenate([total[:1], links]), best, state.age[at]
+
+    def _roots_of(self, state: BankState) -> Float[Array, "hypotheses n n"]:
+        """Roots of Δπ's covariances, in parts of `spread`: the filter's own, alone and with each candidate's load."""
+        belief = state.filter.belief
+        slopes = self.estimator.chart.jacobian(belief.mean.reshape(-1, 10))
+        g = jax.scipy.linalg.block_diag(*slopes)
+        own = jnp.linalg.solve(self.spread, g @ cholesky(belief.covariance))
+        masks = self._masks(own.dtype)
+        with_none = jnp.concatenate([jnp.zeros_like(masks[:1]), masks])
+        return jax.vmap(lambda mask: cholesky(own @ own.T + jnp.diag(mask)))(with_none)
 
     def _expected(
         self, state: BankState, pi: Float[Array, " n"], best: Int[Array, ""]
@@ -341,7 +357,7 @@ def make_load_bank(
 
     `candidates` are the sets of links that may change at once (default: every link, and every pair of them).
     `sigma_tau` (or `noise`) is the noise of each row [N m, N], `sigma_a` that of accelerations [m/s², rad/s²], which
-    the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often a link's load changes,
+    the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often each of them changes,
     `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
     many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
     for how long links are compared after a change is noticed, `averaging` [s] over which residuals' size and
