@@ -188,7 +188,7 @@ class LoadBank(eqx.Module):
         probability, best, since = self._posterior(state, pi)
         noticed = probability[0] < 1.0 - self.threshold
         sure = (probability[best + 1] > self.threshold) & (state.age[-1] > self.confirm)
-        # Links in every likely candidate do carry something, though others beside them stay possible.
+        # Links in every likely candidate do carry something, though more of them stay possible.
         common, is_one = self._common(probability)
         late = ~sure & is_one & (state.age[-1] > 0.5 * self.memory)
         best = jnp.where(late, common, best)
