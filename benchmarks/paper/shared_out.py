@@ -58,7 +58,7 @@ def every(wanted: list[Wanted], processes: int = PROCESSES) -> list[Run]:
 
 def _cores() -> list[int | None]:
     """Those that this process may use, where the system tells."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
+    return [*sorted(os.sched_getaffinity(0))] if hasattr(os, "sched_getaffinity") else [None]
 
 
 def _task(own: str, run: Callable[..., Run], seeds: np.ndarray, mode: int, options: dict) -> Run:
