@@ -28,6 +28,8 @@ LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _IDLE, _LISTED = 0.005, 0.01
 _SPARSER = 1.01
+_DROPPED = 3
+"""Effects at most that are dropped because the held-out replay is worse for them."""
 _LARGEST = 8
 """Effects of which it is looked at what would do in their place."""
 
@@ -144,8 +146,6 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
-    shown = Unseen(plant, held).shown(found, tuple(shares))
-    shares = {rows: s for rows, s in shares.items() if rows in shown}
     large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
         :_LARGEST
     ]
@@ -242,11 +242,12 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
 def _causal(plant, everything: Fit, records, least, progress) -> Fit:
     """The fit without a negative delay of all targets, which no model can have: found again with none.
 
-    One that stamps may be off by stays: forced to 0 it would be in friction and damping.
+    What stamps may be off by stays: forced to 0 it would be in friction and damping. How well the log tells a delay is no
+    excuse for one that is against the order of cause and effect: smooth motion takes -14 ms and more damping as well as
+    none, and steps then come before their targets.
     """
-    unsure = np.hypot(everything.sigma, checks.LOOSE_TIME)
     early = np.array([p.family == "target_delay" for p in everything.table]) & (
-        everything.theta < -2.0 * unsure
+        everything.theta < -2.0 * checks.LOOSE_TIME
     )
     if not early.any():
         return everything
@@ -273,28 +274,28 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
 def _gated(
     plant, found: Fit, odd_rows: Sequence[tuple[int, ...]], held
 ) -> tuple[Fit, dict[tuple[int, ...], float]]:
-    """Without the numbers that make the held-out replay worse, and what share of its error each of the others takes.
+    """Without the numbers that make the held-out replay worse, and what share of its error each other one takes.
 
     Numbers of one effect come and go together. Where torque is logged, an effect's share is that of positions or of
-    torques, whichever is larger: what a loop does to the torque, a stiff joint may hardly show.
+    torques, whichever is larger: what a loop does to the torque, a stiff joint may hardly show. What changes neither by
+    as much as sensors resolve has no share.
     """
     nominal = np.array([p.nominal for p in found.table])
     run = Unseen(plant, held)
     energy = run.misses(found.table, nominal[None])[0]
-    theta, units, shares = found.theta.copy(), [], np.zeros(0)
-    odd_ones = {k for rows in odd_rows for k in rows}
-    for _ in range(3):
-        away = np.flatnonzero(theta != nominal).tolist()
+    odd_ones, dropped = {k for rows in odd_rows for k in rows}, 0
+    while True:
+        away = np.flatnonzero(found.theta != nominal).tolist()
         units = [(k,) for k in away if k not in odd_ones]
         units += [rows for rows in odd_rows if rows[0] in away]
-        thetas = np.repeat(theta[None], len(units) + 1, axis=0)
-        for b, rows in enumerate(units):
-            thetas[b + 1, list(rows)] = nominal[list(rows)]
-        square = run.misses(found.table, thetas)
+        errors = run.taken_back(found, units)
+        square = run.missed_by(errors)
         each = (square[1:] - square[0]) / energy
-        shares, sums = each.max(axis=1, initial=-np.inf), each.sum(axis=1)
-        if not np.any(sums < -_IDLE):
+        sums = each.sum(axis=1)
+        if dropped == _DROPPED or not np.any(sums < -_IDLE):
             break
-        worst = list(units[int(np.argmin(sums))])
+        theta, worst = found.theta.copy(), list(units[int(np.argmin(sums))])
         theta[worst] = nominal[worst]
-    return found._replace(theta=theta), dict(zip(units, shares.tolist(), strict=True))
+        found, dropped = found._replace(theta=theta), dropped + 1
+    shares = zip(units, each.max(axis=1, initial=-np.inf).tolist(), run.shown(errors), strict=True)
+    return found, {rows: share for rows, share, shown in shares if shown}

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
 from jax_inertia.replay import fit as fitting
@@ -36,25 +36,32 @@ class Unseen:
         self, table: Sequence[Parameter], thetas: Float[np.ndarray, "B P"]
     ) -> Float[np.ndarray, "B k"]:
         """Of every vector."""
-        errors = fitting.errors(self._plant, table, thetas, self._records)
+        return self.missed_by(fitting.errors(self._plant, table, thetas, self._records))
+
+    def missed_by(self, errors: Float[np.ndarray, "B N m"]) -> Float[np.ndarray, "B k"]:
+        """Of the errors of replays."""
         return np.array([self.squares(np.mean(e**2, axis=0)) for e in errors])
 
-    def shown(self, found: Fit, effects: Sequence[tuple[int, ...]]) -> frozenset[tuple[int, ...]]:
-        """Those effects, by their rows in the table, without which the replay differs by what sensors resolve.
+    def taken_back(
+        self, found: Fit, effects: Sequence[tuple[int, ...]]
+    ) -> Float[np.ndarray, "B N m"]:
+        """Errors of the replay, and of those without each effect, by its rows in the table."""
+        thetas = np.repeat(found.theta[None], len(effects) + 1, axis=0)
+        for b, rows in enumerate(effects):
+            thetas[b + 1, list(rows)] = [found.table[k].nominal for k in rows]
+        return fitting.errors(self._plant, found.table, thetas, self._records)
+
+    def shown(self, errors: Float[np.ndarray, "B N m"]) -> Bool[np.ndarray, " E"]:
+        """Which effects, of the errors of `taken_back`, change the replay by what sensors resolve.
 
         That is, rms over the runs, at some joint a step of its encoder (√12 of its deviation) or, where logged, what
         its torque errs by though nothing is wrong. An effect below both is a guess about what remains, and no cause.
         """
-        thetas = np.repeat(found.theta[None], len(effects) + 1, axis=0)
-        for b, rows in enumerate(effects):
-            thetas[b + 1, list(rows)] = [found.table[k].nominal for k in rows]
-        errors = fitting.errors(self._plant, found.table, thetas, self._records)
         apart = np.sqrt(np.mean((errors[1:] - errors[:1]) ** 2, axis=1))
         least = np.sqrt(12.0) * np.max([checks.encoder_noise(r.q) for r in self._records], axis=0)
         if self._floor is not None:
             least = np.concatenate([least, self._floor])
-        seen = np.any(apart >= least, axis=1)
-        return frozenset(rows for rows, yes in zip(effects, seen, strict=True) if yes)
+        return np.any(apart >= least, axis=1)
 
     def squares(self, square: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
         """Of the mean square of each output."""
