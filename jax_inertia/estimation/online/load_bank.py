@@ -187,8 +187,12 @@ class LoadBank(eqx.Module):
         state = self._gather(state, h, z, lost, dt)
         probability, best, since = self._posterior(state, pi)
         noticed = probability[0] < 1.0 - self.threshold
-        sure = noticed & (probability[best + 1] > self.threshold) & (state.rest <= 0)
-        opened = sure & (state.age[-1] > self.confirm)
+        sure = (probability[best + 1] > self.threshold) & (state.age[-1] > self.confirm)
+        # Links in every likely candidate do carry something, though others beside them stay possible.
+        common, is_one = self._common(probability)
+        late = ~sure & is_one & (state.age[-1] > 0.5 * self.memory)
+        best = jnp.where(late, common, best)
+        opened = noticed & (sure | late) & (state.rest <= 0)
         state = eqx.tree_at(
             lambda s: s.age, state, state.age.at[-1].set(jnp.where(noticed, state.age[-1], 0.0))
         )
@@ -296,6 +300,20 @@ class LoadBank(eqx.Module):
         with_none = jnp.concatenate([jnp.zeros_like(masks[:1]), masks])
         return jax.vmap(lambda mask: cholesky(own @ own.T + jnp.diag(mask)))(with_none)
 
+    def _common(self, probability: Float[Array, " k"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
+        """(the candidate of all links that are likely to have changed, whatever else has; whether there is one)."""
+        members = self._members()
+        likely = members.T @ probability[1:] > self.threshold
+        same = jnp.all((members > 0) == likely, axis=1)
+        return jnp.argmax(same), jnp.any(same)
+
+    def _members(self) -> np.ndarray:
+        """Whether a link (column) is one of a candidate's (row)."""
+        out = np.zeros((len(self.candidates), len(self.estimator.bodies)))
+        for k, chosen in enumerate(self.candidates):
+            out[k, list(chosen)] = 1.0
+        return out
+
     def _expected(
         self, state: BankState, pi: Float[Array, " n"], best: Int[Array, ""]
     ) -> Float[Array, " n"]:
@@ -314,11 +332,7 @@ class LoadBank(eqx.Module):
         A load may be many times its link: from the bare link the first samples would be taken at a slope that is not
         the loaded one's, and what that leaves looks like a load on a neighbour.
         """
-        links = len(self.estimator.bodies)
-        of = np.zeros((len(self.candidates), links))
-        for k, chosen in enumerate(self.candidates):
-            of[k, list(chosen)] = 1.0
-        which = jnp.asarray(of, pi.dtype)[best] * opened
+        which = jnp.asarray(self._members(), pi.dtype)[best] * opened
         more = jax.scipy.linalg.block_diag(*(which[:, None, None] * self.opening))
         old = state.belief.mean.reshape(-1, 10)
         new = self.estimator.chart.from_pi(inertial_parameters.as_bodies(pi.reshape(-1, 10)))
@@ -327,11 +341,7 @@ class LoadBank(eqx.Module):
         return eqx.tree_at(lambda s: s.belief, state, Belief(mean, state.belief.covariance + more))
 
     def _masks(self, dtype: jnp.dtype) -> Float[Array, "candidates n"]:
-        links = len(self.estimator.bodies)
-        out = np.zeros((len(self.candidates), links, 10))
-        for k, chosen in enumerate(self.candidates):
-            out[k, list(chosen)] = 1.0
-        return jnp.asarray(out.reshape(len(out), -1), dtype)
+        return jnp.asarray(np.repeat(self._members(), 10, axis=1), dtype)
 
 
 @in_full_precision
@@ -360,7 +370,8 @@ def make_load_bank(
     the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often each of them changes,
     `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
     many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
-    for how long links are compared after a change is noticed, `averaging` [s] over which residuals' size and
+    for how long links are compared after a change is noticed (links that all likely candidates share are opened after half
+    of `memory` where no candidate is sure), `averaging` [s] over which residuals' size and
     correlation are taken.
     Raises ValueError for an unknown link, a candidate that is no set of the links, or numbers that cannot be.
 
