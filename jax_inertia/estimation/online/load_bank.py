@@ -370,9 +370,8 @@ def make_load_bank(
     the robot's inertia makes a noise of all rows at once. `rate` [1/s] says how often each of them changes,
     `threshold` from which probability on a change is believed, `memory` [s] how far back a change is looked for, in so
     many `windows`, `settle` [s] how long the filter has for a new load before the next is looked for, `confirm` [s]
-    for how long links are compared after a change is noticed (links that all likely candidates share are opened after half
-    of `memory` where no candidate is sure), `averaging` [s] over which residuals' size and
-    correlation are taken.
+    for how long links are compared after a change is noticed (where no candidate is sure, links that all likely ones
+    share are opened after half of `memory`), `averaging` [s] over which residuals' size and correlation are taken.
     Raises ValueError for an unknown link, a candidate that is no set of the links, or numbers that cannot be.
 
     >>> from jax_inertia import Load, load_model
