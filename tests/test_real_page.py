@@ -34,7 +34,7 @@ def test_where_the_tool_is_behind_is_said():
     assert "- robot a: as handed over (0.7) behind least squares" in text
     assert "as it states" not in text.split("**Behind a baseline**")[1].split("##")[0]
     assert "| Go2 in the air | steps | 25.50 | 7.62 | 8.25 | 1.08 | 1 of 2 |" in text
-    assert "- Go2 in the air, steps: 1.08 times the PACE-like fit's error" in text
+    assert "- Go2 in the air, steps: behind the PACE-like fit at x (6.0 for 4.0)" in text
     assert "worse than the model as given" not in text
 
 

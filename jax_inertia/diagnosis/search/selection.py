@@ -47,8 +47,8 @@ class Selection:
         """Covariance of the numbers over fits with a tenth of the log left out in turn, scaled units."""
         return self.jackknife(np.zeros((*self.residual.y.shape, 0)))
 
-    def jackknife(self, further: Float[np.ndarray, "R n k"]) -> Float[np.ndarray, "p+k p+k"]:
-        """The same of the numbers and of those of `further` columns, whose prior standard deviation is one.
+    def jackknife(self, further: Float[np.ndarray, "R n k"]) -> Float[np.ndarray, "q q"]:
+        """The same of the numbers and of those of `further` columns, whose prior standard deviation is one; q = p + k.
 
         The delete-a-group jackknife (Kott 2001): what the equations miss goes together over time.
         """
