@@ -242,9 +242,8 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
 def _causal(plant, everything: Fit, records, least, progress) -> Fit:
     """The fit without a negative delay of all targets, which no model can have: found again with none.
 
-    What stamps may be off by stays: forced to 0 it would be in friction and damping. How well the log tells a delay is no
-    excuse for one that is against the order of cause and effect: smooth motion takes -14 ms and more damping as well as
-    none, and steps then come before their targets.
+    What stamps may be off by stays: forced to 0 it would be in friction and damping. How little a log tells of a delay
+    is no excuse: smooth motion takes -14 ms and more damping as well as none, and steps then come before their targets.
     """
     early = np.array([p.family == "target_delay" for p in everything.table]) & (
         everything.theta < -2.0 * checks.LOOSE_TIME
