@@ -104,6 +104,7 @@ def informed(brain: Brain, effects: Sequence[Identified], pushed: tuple[str, ...
         estimator,
         brain.slew,
         brain.refer,
+        brain.damping,
         jnp.asarray(force),
         jnp.asarray(load),
         pushed,
