@@ -4,8 +4,8 @@
 
 Writes `benchmarks/paper/RESULTS.md`, `benchmarks/results/paper.json` and `benchmarks/figures/paper_*.png`, after every
 experiment. With `--only` the other experiments keep the numbers of the last run; `--resume` leaves out what has run
-with these seeds and this commit, so that a run that was cut off goes on where it was; PAPER_TASKS names a folder in
-which single tasks of several processes are kept too. Experiments that run at a time share the processes by their cost.
+with these seeds and this commit, so that a run that was cut off goes on where it was. Experiments that run at a time
+share the processes by their cost.
 """
 
 import argparse

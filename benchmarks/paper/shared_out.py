@@ -1,24 +1,19 @@
 """Runs of many seeds, shared out over processes: PAPER_PROCESSES of them, one controller and two seeds to a task.
 
 Each process keeps to one of the cores that this one may use: XLA starts as many threads as it sees cores, which on a
-large machine cost more than what they work on. Where PAPER_TASKS names a folder, tasks that have run are kept there,
-and a run that was cut off does not run them again.
+large machine cost more than what they work on.
 """
 
-import hashlib
 import os
-import pickle
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.harness.results import commit
 from benchmarks.paper.loop import Run
 
 PROCESSES = int(os.environ.get("PAPER_PROCESSES", "1"))
@@ -43,11 +38,10 @@ def every(wanted: list[Wanted], processes: int = PROCESSES) -> list[Run]:
     cores = context.SimpleQueue()
     for core in (_cores() * processes)[:processes]:
         cores.put(core)
-    own = commit()
     with ProcessPoolExecutor(processes, context, _begin, (cores,)) as pool:
         jobs = [
             [
-                pool.submit(_task, own, w.run, w.seeds[k : k + SEEDS], mode, w.options)
+                pool.submit(w.run, w.seeds[k : k + SEEDS], (mode,), **w.options)
                 for mode in w.modes
                 for k in range(0, len(w.seeds), SEEDS)
             ]
@@ -59,23 +53,6 @@ def every(wanted: list[Wanted], processes: int = PROCESSES) -> list[Run]:
 def _cores() -> list[int | None]:
     """Those that this process may use, where the system tells."""
     return [*sorted(os.sched_getaffinity(0))] if hasattr(os, "sched_getaffinity") else [None]
-
-
-def _task(own: str, run: Callable[..., Run], seeds: np.ndarray, mode: int, options: dict) -> Run:
-    """One controller over these seeds, or what the code of the commit `own` made of it before."""
-    folder = os.environ.get("PAPER_TASKS")
-    if not folder:
-        return run(seeds, (mode,), **options)
-    asked = pickle.dumps((own, run, seeds.tolist(), mode, options))
-    path = Path(folder) / hashlib.sha256(asked).hexdigest()[:16]
-    if path.exists():
-        return pickle.loads(path.read_bytes())
-    found = run(seeds, (mode,), **options)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_bytes(pickle.dumps(found))
-    os.replace(part, path)
-    return found
 
 
 def merged(runs: list[Run]) -> Run:

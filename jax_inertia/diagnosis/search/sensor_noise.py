@@ -21,12 +21,12 @@ from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
 def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> float:
     """Of the log evidence that one more hypothesis gains, what the noise in its columns brings [nats]."""
     root = np.sqrt(evidence.precision)
-    own = scaled((h,), root)
-    base = evidence.design(now.chosen)
+    here = scaled((h, *now.chosen), root)
+    own, base = np.split(here, [h.count], axis=1)
     cross = base.T @ own
     s = np.eye(h.count) + own.T @ own - cross.T @ now.covariance @ cross
     told = own.T @ (root * (evidence.y - now.fitted)).ravel() + h.prior_mean
-    of_own, of_chosen = by_noise(residual, evidence, now, h)
+    of_own, of_chosen = by_noise(residual, root, now, h, here)
     without = told - (of_own - cross.T @ now.covariance @ of_chosen)
     both = np.stack([told, without], axis=1)
     whole, clean = np.sum(both * np.linalg.solve(s, both), axis=0)
@@ -34,12 +34,17 @@ def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis)
 
 
 def by_noise(
-    residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis
+    residual: Residual,
+    root: Float[np.ndarray, "R n"],
+    now: Posterior,
+    h: Hypothesis,
+    here: Float[np.ndarray, "Rn q"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " p"]]:
-    """E ΔAᵀ W Δr and E ΔXᵀ W Δr over replicas of the log, per prior standard deviation of each number."""
-    root = np.sqrt(evidence.precision)
+    """E ΔAᵀ W Δr and E ΔXᵀ W Δr over replicas of the log, per prior standard deviation of each number.
+
+    `here`: columns of `h` and of the chosen on the log itself, times `root`, the square root of the precision.
+    """
     every = (h, *now.chosen)
-    here = scaled(every, root)
     numbers = np.concatenate([np.zeros(h.count), now.mean])
     parts = []
     for again in residual.replicas:
