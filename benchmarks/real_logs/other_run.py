@@ -31,13 +31,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "gap"))
 
-import diagnosis_cases
+import cases
 from baseline_least_squares import fit
 from logs import SHARED
 from report_torque import ReportTorque
 from torque_error import Predictor, needed, read, torque_error
 
-CASES = {case.name: case for case in diagnosis_cases.CASES}
+CASES = {case.name: case for case in cases.CASES}
 UR10E, DFKI = "ur10e_dynamic_calibration", "dfki_double_pendulum"
 
 
@@ -49,7 +49,7 @@ class Run:
     title: str
     folder: str
     case: str
-    """The diagnosed case whose model this is."""
+    """The case whose model this is."""
     log: str = ""
     other: str = ""
     """Runs of the folder; where empty, the case's own."""

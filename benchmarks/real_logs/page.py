@@ -28,7 +28,7 @@ HEAD = """# Real robots with a part withheld
 Every robot of our collection of public logs, split by run: the tools see one part, the numbers are of the other.
 Some of these logs were looked at while the method was made, so this is no sealed check. Written by
 `benchmarks/real_logs/page.py` from `benchmarks/results/real_robots.json`; diagnosis of commit {commit}. Robots were
-built and measured by others: `benchmarks/real_logs/DIAGNOSES.md` says what is known of each.
+built and measured by others: `benchmarks/real_logs/ROBOTS.md` says what is known of each.
 """
 TORQUE = """## Torque of the other run
 

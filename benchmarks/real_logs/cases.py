@@ -1,4 +1,4 @@
-"""The real logs that are diagnosed: model and logs as the command takes them, and what was published of the robot."""
+"""Real robots that are diagnosed: model and logs as the command takes them, and the published fit (ROBOTS.md)."""
 
 import dataclasses
 import warnings
@@ -46,55 +46,15 @@ Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Case:
-    """One diagnosis of a real robot."""
+    """One real robot."""
 
     name: str
-    title: str
-    known: str
-    """What is known of the robot from elsewhere, with its source; never given to the diagnosis."""
     folder: str
     prepare: Callable[[Path], Files]
-    max_effects: int
-    impossible: dict[str, str]
-    """Families that this robot, or this recording, cannot have, and why: a finding of one is not physical."""
-    terms: Terms | None = None
     law: Law | None = None
     """The published fit as a torque beside the nominal bodies, where it can be evaluated."""
     gains: np.ndarray | None = None
     """Published drive gains that belong to `law`, where the log is no torque."""
-    repeats: str = ""
-    """The case whose numbers must come out again."""
-    wanted: tuple[str, ...] = ()
-    """Families that others found on this robot, beyond what `terms` states."""
-    mass: float | None = None
-    """A load known to be there (or not) [kg]."""
-
-    @property
-    def present(self) -> bool:
-        """Whether the recordings are here."""
-        return (SHARED / self.folder).is_dir()
-
-
-ALONE = "nobody touched the robot"
-NOT_TOUCHED = {
-    "push": ALONE,
-    "constant_force": "nothing pulls at the robot",
-    "drag": "the robot is far too slow for the air",
-}
-MEASURED = {
-    "torque_saturation": "the current was measured, not commanded",
-    "time_delay": "current and position were measured, and logged together",
-    "actuator_lag": "the current was measured, not commanded",
-}
-BEHIND_GEAR = {
-    "armature": "the torque sensor sits behind the gear: no rotor",
-    "torque_saturation": "the torque was measured, not commanded",
-    "time_delay": "torque and position were measured, and logged together",
-    "actuator_lag": "the torque was measured, not commanded",
-    "joint_elasticity": "a soft joint of this drive has thousands of N m/rad",
-    "backlash": "a harmonic drive has none",
-    "payload": "nothing was mounted",
-}
 
 
 def _save(log: Log, path: Path, **changes) -> Path:
@@ -142,14 +102,6 @@ def _sigmoid(v: np.ndarray, a: np.ndarray) -> np.ndarray:
     return _PHI1 / (1 + np.exp(-_PHI2 * (v + _PHI3))) - _PHI1 / (1 + np.exp(-_PHI2 * _PHI3))
 
 
-_PANDA_TERMS = Terms(
-    viscous=np.array([0.0665, 0.1987, 0.0399, 0.2257, 0.1023, -0.0132, 0.0638]),
-    coulomb=np.array([0.2450, 0.1523, 0.1827, 0.3591, 0.2669, 0.1658, 0.2109]),
-    offset=np.array([-0.1073, -0.1566, -0.0686, -0.2522, 0.0045, 0.0910, -0.0127]),
-    armature=np.zeros(7),
-)
-
-
 def _panda(out: Path) -> Files:
     folder = "panda_gaz2019"
     sensor = {"tau_kind": TorqueKind.SENSOR}
@@ -161,9 +113,6 @@ def _panda(out: Path) -> Files:
 
 
 # --- KUKA LWR4+ ------------------------------------------------------------------------------------------------
-
-_LWR_OFFSET = np.array([0.84, np.nan, np.nan, np.nan, -0.655, 0.62, np.nan])
-_LWR_COULOMB = np.array([0.5, np.nan, 0.4, np.nan, 1.1, 0.225, np.nan])
 
 
 def _lwr(run: str) -> Callable[[Path], Files]:
@@ -208,27 +157,6 @@ def _ur10e_free(out: Path) -> Files:
         _copy(_UR10E, "dev_free_1", out, **current),
         _copy(_UR10E, "dev_free_2", out, **current),
     )
-
-
-def _ur10e_pair(run: str) -> Callable[[Path], Files]:
-    def prepare(out: Path) -> Files:
-        """Gains, bodies and friction from the three free runs; the run itself in two parts, by time."""
-        fit = ur10e.calibrations()[-1].fit(ur10e.observe(ur10e.FREE))
-        spec = _ur10e_spec(fit.robot)
-        robot = fit.robot
-        with_joint_terms(
-            spec, *map(np.asarray, (robot.damping, robot.frictionloss, robot.armature))
-        )
-        log = read_log(SHARED / _UR10E / f"{run}.npz").with_torque_gains(np.asarray(fit.gains))
-        log = dataclasses.replace(log, tau=log.tau - fit.bias, tau_kind=TorqueKind.CURRENT)
-        cut = 0.6 * log.duration
-        return Files(
-            _write(spec, out / "model.xml"),
-            _save(log.between(0.0, cut), out / f"{run}_first.npz"),
-            _save(log.between(cut, log.duration), out / f"{run}_rest.npz"),
-        )
-
-    return prepare
 
 
 # --- DFKI double pendulum --------------------------------------------------------------------------------------
@@ -319,104 +247,17 @@ def _xl330(run: str, test: str) -> Callable[[Path], Files]:
     return prepare
 
 
-_GAZ = "Gaz et al., IEEE RA-L 2019"
 CASES = (
-    Case(
-        "panda",
-        "Franka Panda, published bodies",
-        f"{_GAZ}: sigmoid friction at every joint; classical least squares of this very run (Table III) gives "
-        "viscous and Coulomb friction and offsets. The torque sensor sits behind the gear: no armature.",
-        "panda_gaz2019",
-        _panda,
-        10,
-        {**NOT_TOUCHED, **BEHIND_GEAR},
-        _PANDA_TERMS,
-        _sigmoid,
-    ),
-    *(
-        Case(
-            name,
-            f"KUKA LWR4+, identified bodies, {run}",
-            "The data set's page, fits with three other models: torque offsets at joints 0 (+0.84), 4 (−0.63 to "
-            "−0.68), 5 (+0.56 to +0.68 N m) that return in every run; Coulomb friction about 0.5 (0), 0.2–0.6 (2), "
-            "1.0–1.2 (4), 0.15–0.3 (5) N m.",
-            "kuka_lwr4_flobaroid",
-            _lwr(run),
-            10,
-            {**NOT_TOUCHED, **BEHIND_GEAR},
-            Terms(np.full(7, np.nan), _LWR_COULOMB, _LWR_OFFSET, np.zeros(7)),
-            repeats=repeats,
-        )
-        for name, run, repeats in (
-            ("lwr4", "train_1", ""),
-            ("lwr4_repeat", "train_2_repeat", "lwr4"),
-        )
-    ),
-    Case(
-        "ur10e",
-        "UR10e without load, the maker's masses",
-        "Mamedov & Mikhel, Frontiers in Robotics and AI 2020, repository: gains 10.0 10.6956 8.4566 9.0029 9.48 "
-        "10.1232 N m/A (another published set is 17–49 % higher), friction, rotor inertia; friction scales with "
-        "the gains. Rigid bodies were fitted too and are not published with them.",
-        _UR10E,
-        _ur10e_free,
-        12,
-        {
-            **NOT_TOUCHED,
-            **MEASURED,
-            "payload": "nothing was mounted",
-            "backlash": "a harmonic drive has none",
-        },
-        _UR10E_TERMS,
-        _UR10E_TERMS.torque,
-        ur10e.REPOSITORY,
-    ),
-    Case(
-        "ur10e_payload",
-        "UR10e with a load, calibrated on free runs",
-        "The authors mounted 2.805 kg at the flange; centre of mass and inertia are not published. Model: gains, "
-        "bodies and friction as the estimator calibrates them on dev_free_1 to 3.",
-        _UR10E,
-        _ur10e_pair("dev_pair_payload"),
-        3,
-        {**NOT_TOUCHED, **MEASURED},
-        mass=2.805,
-    ),
-    Case(
-        "ur10e_no_load",
-        "The same UR10e without the load",
-        "The same motion with nothing mounted, same calibrated model: nothing should be found, or only friction.",
-        _UR10E,
-        _ur10e_pair("dev_pair_free"),
-        3,
-        {**NOT_TOUCHED, **MEASURED, "payload": "nothing was mounted"},
-        mass=0.0,
-    ),
-    Case(
-        "double_pendulum",
-        "DFKI double pendulum, design C.1, published bodies",
-        "Repository of the data, model 1.0: Coulomb friction 0.16 and 0.12 N m, damping 0.001 N m s/rad, rotor "
-        "2.3e-3 kg m² reflected. The published model leaves 60 % of the torque unexplained (data set's page).",
-        "dfki_double_pendulum",
-        _dfki,
-        5,
-        {**NOT_TOUCHED, **MEASURED, "payload": "nothing was mounted"},
-        _C1.terms,
-        _C1.terms.torque,
-    ),
+    Case("panda", "panda_gaz2019", _panda, _sigmoid),
+    Case("lwr4", "kuka_lwr4_flobaroid", _lwr("train_1")),
+    Case("lwr4_repeat", "kuka_lwr4_flobaroid", _lwr("train_2_repeat")),
+    Case("ur10e", _UR10E, _ur10e_free, _UR10E_TERMS.torque, ur10e.REPOSITORY),
+    Case("double_pendulum", "dfki_double_pendulum", _dfki, _C1.terms.torque),
     Case(
         "xl330",
-        "Dynamixel XL330 on a pendulum rig",
-        "Rhoban BAM (arXiv 2410.08650): the friction of this gearbox grows with load (27 % of the motor's torque in "
-        "their model m6); Coulomb with viscous friction (m1) is too simple. Back-EMF adds k²/R = 0.037 to the "
-        "viscous term, since voltage is logged, not torque. Gain k/R 0.096 (m1), 0.130 N m/V (m6).",
         "bam_xl330",
         _xl330("train_07_sin_time_square_kp200", "test_08_sin_sin_kp400"),
-        5,
-        {**NOT_TOUCHED, "payload": "the rig's load is known"},
-        _XL330_TERMS,
         _XL330_TERMS.torque,
         np.array([_KT / _R]),
-        wanted=("load_friction",),
     ),
 )
