@@ -47,8 +47,10 @@ def rules() -> dict[str, Callable[[], contextlib.ExitStack]]:
     def exact(h: object) -> float:
         return 0.0
 
-    generic = tuple(e for e in registry.EFFECTS if e.named)
     from jax_inertia.diagnosis.hypothesis import Hypothesis
+
+    def named(log):
+        return tuple(e for e in registry.effects_of(log) if e.named)
 
     return {
         EVERYTHING: patched(),
@@ -73,12 +75,16 @@ def rules() -> dict[str, Callable[[], contextlib.ExitStack]]:
             (discrepancy.SlowNoise, "likeliest", lambda self, values: self)
         ),
         "no exchange": patched((stepwise, "_exchanged", lambda *a: None)),
-        "grid not refined": patched((stepwise, "_refined", lambda residual, evidence, now: now)),
-        "no generic alternatives": patched((pipeline, "EFFECTS", generic)),
+        "grid not refined": patched(
+            (stepwise, "_refined", lambda residual, evidence, now, every: now)
+        ),
+        "no generic alternatives": patched((pipeline, "effects_of", named)),
         "no gate on the other run": patched(
             (pipeline, "gated", lambda selection, judge, settings: (selection, ()))
         ),
-        "parts of the log not asked": patched((pipeline, "borne_out", lambda selection: selection)),
+        "parts of the log not asked": patched(
+            (pipeline, "borne_out", lambda selection, judges: selection)
+        ),
     }
 
 
