@@ -42,7 +42,7 @@ STANDS = 0.4, 0.8
 USUAL = 95.0
 """Percentile of a foot's own force that counts as its largest: such sensors have no unit, and ring."""
 UNSURE = 0.25
-"""By how much forces are off, in parts of them, by which a base moves while no foot stands."""
+"""By how much forces are off by which a base moves while no foot stands, and how deep feet sink, in parts of them."""
 SETTLES = 0.03
 """A foot stands that has borne load for this long, and will for as long [s]: what sets it down rings."""
 RINGS = 3.0
@@ -196,15 +196,18 @@ def _odometry(
     """Velocity of the base [m/s] by which the standing feet roll on the ground; their mean by load.
 
     With `rng` it has an error as large as its own: how far each foot is off that mean, at another moment and with a
-    sign by chance.
+    sign by chance, and grounds softer or harder than the model's by `UNSURE`.
     """
     bodies = tuple(f.body for f in legs.feet)
     moves = _moves((robot, bodies), (np.asarray(motion.q), np.asarray(motion.v)))
     each = np.zeros((len(rotation), len(bodies), 3))
+    known = np.ones(len(bodies))
+    if rng is not None:
+        known += UNSURE * rng.choice([-1.0, 1.0])
     for k, foot in enumerate(legs.feet):
         arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
         each[:, k] = -moves[:, k, :3] - np.cross(moves[:, k, 3:], arm)
-        each[:, k, 2] -= legs.sinks[:, k]
+        each[:, k, 2] -= legs.sinks[:, k] * known[k]
     share = legs.stands / np.maximum(legs.stands.sum(axis=1, keepdims=True), 1e-9)
     velocity = np.einsum("tk,tkc->tc", share, each)
     if rng is None:
