@@ -94,7 +94,7 @@ def diagnose(
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [*said, *listing.notes(everything, loop, torque_logged), *checks.touch_note(wholes)]
+    notes = [*said, *listing.notes(done.stamps, loop, torque_logged), *checks.touch_note(wholes)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -106,7 +106,10 @@ def diagnose(
 
 
 class _Fitted(NamedTuple):
+    stamps: Fit
+    """Ordinary numbers alone, their delay as the log would have it."""
     everything: Fit
+    """With odd effects, and of a delay that a model can have."""
     found: Fit
     search: odd.Search
     instead: Mapping[Rows, tuple[Instead, ...]]
@@ -130,7 +133,8 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     if sound:
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
-        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {}, records)
+        same = everything._replace(theta=nominal)
+        return _Fitted(everything, everything, same, none, {}, {}, records)
     records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
@@ -141,8 +145,6 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     search = odd.Search(causal, (), (), ())
     if "odd" not in exclude:
         search = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
-    if search.odd:
-        everything = search.found
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
@@ -150,7 +152,8 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    return _Fitted(everything, found, search, others, shares, records)
+    told = _with_variance(search.found, everything)
+    return _Fitted(everything, told, found, search, others, shares, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
@@ -254,6 +257,15 @@ def _causal(plant, everything: Fit, records, least, progress) -> Fit:
     return fitting.fit(
         plant, everything.table, records, start, free=~early, floor=least, rounds=6, progress=progress
     )  # fmt: skip
+
+
+def _with_variance(fit: Fit, stamps: Fit) -> Fit:
+    """A fit whose delay was set to none: how well it is known is what the log told of it, and not perfectly."""
+    covariance = fit.covariance.copy()
+    for k in range(len(stamps.table)):
+        if covariance[k, k] == 0:
+            covariance[k, k] = stamps.covariance[k, k]
+    return fit._replace(covariance=covariance)
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:

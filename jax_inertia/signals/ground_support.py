@@ -94,7 +94,7 @@ class Support:
 
     def left_of(
         self, x: Float[np.ndarray, "T *c"], row: int | None
-    ) -> Float[np.ndarray, "T nv *c"]:
+    ) -> Float[np.ndarray, "T *d"]:
         """What no force at the feet explains of torques on all rows (T, nv, ...), or of those on one row (T, ...)."""
         alive = np.flatnonzero(~self.used_up)
         seen = self.seen[:, alive]
