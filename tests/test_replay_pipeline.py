@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from jax_inertia.replay import causal, pipeline
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay import pipeline
 from jax_inertia.replay.fit import Fit, Weights
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
@@ -24,7 +24,9 @@ def table(*families: str) -> tuple[Parameter, ...]:
 def fitted(theta, sd, *families: str) -> Fit:
     size = np.eye(len(sd))
     weights = Weights(NONE, NONE)
-    return Fit(table(*families), np.array(theta), np.diag(np.square(sd)), size, 9.0, NONE, NONE, weights)
+    return Fit(
+        table(*families), np.array(theta), np.diag(np.square(sd)), size, 9.0, NONE, NONE, weights
+    )
 
 
 @pytest.mark.parametrize(("delay", "early"), [(-0.014, True), (-0.0015, False), (0.014, False)])
@@ -39,7 +41,7 @@ def test_a_delay_before_its_cause_is_fitted_again_with_none(monkeypatch, delay, 
     monkeypatch.setattr(fitting, "fit", again)
     first = fitted([delay, 0.1], [0.007, 0.02], "target_delay", "kp_scale")
     second = fitted([0.0, 0.2], [0.0, 0.02], "target_delay", "kp_scale")
-    found = pipeline._causal(Joints(), first, [], 1e-4, print)
+    found = causal.fitted(Joints(), first, [], 1e-4, print)
     assert asked == ([([0.0, 0.1], [False, True])] if early else [])
     assert found is (second if early else first)
 
@@ -47,7 +49,7 @@ def test_a_delay_before_its_cause_is_fitted_again_with_none(monkeypatch, delay, 
 def test_a_delay_that_was_set_to_none_is_known_as_well_as_the_log_told():
     stamps = fitted([-0.014, 0.1], [0.007, 0.02], "target_delay", "kp_scale")
     final = fitted([0.0, 0.3, 0.2], [0.0, 0.01, 0.05], "target_delay", "kp_scale", "dead_band")
-    told = pipeline._with_variance(final, stamps)
+    told = causal.with_variance(final, stamps)
     np.testing.assert_allclose(told.sigma, [0.007, 0.01, 0.05])
     np.testing.assert_array_equal(told.theta, final.theta)
 
@@ -67,6 +69,7 @@ class Joints(Plant):
 @pytest.fixture
 def unseen(monkeypatch):
     """Replays of two joints that err by what their numbers miss of (0.3, 0.2), at every sample."""
+
     def errors(plant, table, thetas, records):
         miss = np.asarray(thetas)[:, :2] - [0.3, 0.2]
         miss[:, 0] += np.asarray(thetas)[:, 2:].sum(axis=1)

@@ -10,7 +10,6 @@ import numpy as np
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.model.robot import Surface
 
-
 _MIDDLE = 1e-3, 1.0 - 1e-3
 """Where `solimp` may have its middle."""
 
@@ -55,7 +54,9 @@ def _pivot(model: MjModel, geom: int) -> tuple[float, float]:
 def _softness(model: MjModel, geom: int) -> list[float]:
     """`Surface.soft` of a geom on the floor, mixed of both as MuJoCo does (`priority`, `solmix`)."""
     ref, imp, margin = model.geom_solref[geom], model.geom_solimp[geom], model.geom_margin[geom]
-    planes = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0))
+    planes = np.flatnonzero(
+        (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
+    )
     if len(planes):
         floor = planes[0]
         above = int(model.geom_priority[floor]) - int(model.geom_priority[geom])

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, proof
+from jax_inertia.replay import causal, checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
@@ -141,10 +141,10 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         everything = fitting.fit(
             plant, table, records, everything.theta, floor=least, progress=progress
         )
-    causal = _causal(plant, everything, records, least, progress)
-    search = odd.Search(causal, (), (), ())
+    possible = causal.fitted(plant, everything, records, least, progress)
+    search = odd.Search(possible, (), (), ())
     if "odd" not in exclude:
-        search = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
+        search = odd.add_odd(plant, possible, records, held, torque, least, exclude, progress)
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
@@ -152,7 +152,7 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    told = _with_variance(search.found, everything)
+    told = causal.with_variance(search.found, everything)
     return _Fitted(everything, told, found, search, others, shares, records)
 
 
@@ -240,32 +240,6 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
             weight = data.qfrc_bias[plant.dof].copy()
             parts.append(np.abs(weight) + plant.inertia(r.q[k]) * np.abs(a))
     return np.maximum(np.sqrt(np.mean(np.square(parts), axis=0)), 1e-3)
-
-
-def _causal(plant, everything: Fit, records, least, progress) -> Fit:
-    """The fit without a negative delay of all targets, which no model can have: found again with none.
-
-    What stamps may be off by stays: forced to 0 it would be in friction and damping. How little a log tells of a delay
-    is no excuse: smooth motion takes -14 ms and more damping as well as none, and steps then come before their targets.
-    """
-    early = np.array([p.family == "target_delay" for p in everything.table]) & (
-        everything.theta < -2.0 * checks.LOOSE_TIME
-    )
-    if not early.any():
-        return everything
-    start = np.where(early, 0.0, everything.theta)
-    return fitting.fit(
-        plant, everything.table, records, start, free=~early, floor=least, rounds=6, progress=progress
-    )  # fmt: skip
-
-
-def _with_variance(fit: Fit, stamps: Fit) -> Fit:
-    """A fit whose delay was set to none: how well it is known is what the log told of it, and not perfectly."""
-    covariance = fit.covariance.copy()
-    for k in range(len(stamps.table)):
-        if covariance[k, k] == 0:
-            covariance[k, k] = stamps.covariance[k, k]
-    return fit._replace(covariance=covariance)
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:

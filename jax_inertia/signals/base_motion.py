@@ -166,9 +166,7 @@ def _settled(
         time = 1.0 / np.sqrt(foot.soft[0]) if foot.soft[0] > 0 else 0.0
         before = max(after, round(RINGS * time * rate))
         # The least of what was and will be, each for its own time.
-        past = ndimage.minimum_filter1d(
-            firm[:, k], before + 1, mode="nearest", origin=before // 2
-        )
+        past = ndimage.minimum_filter1d(firm[:, k], before + 1, mode="nearest", origin=before // 2)
         future = ndimage.minimum_filter1d(
             firm[:, k], after + 1, mode="nearest", origin=-((after + 1) // 2)
         )
@@ -270,8 +268,8 @@ def _bridged(
 ) -> Float[np.ndarray, "T 3"]:
     """A velocity where no foot stands: as it was before and will be, between as an acceleration has it.
 
-    Of the acceleration its mean over a gap plays no part: what the robot weighs is not to be assumed. With `rng` what it
-    adds to a straight line is off by `UNSURE` of it, one way or the other.
+    Of the acceleration its mean over a gap plays no part: what the robot weighs is not assumed. With `rng` what it adds
+    to a straight line is off by `UNSURE` of it, one way or the other.
     """
     summed = integrate.cumulative_trapezoid(acceleration, time, axis=0, initial=0.0)
     straight, detour = _across(x, known), summed - _across(summed, known)

@@ -92,9 +92,7 @@ class Support:
         bodies = tuple(f.body for f in self.feet)
         return _torques((robot, bodies), (q, moment[:, None]))[:, 0]
 
-    def left_of(
-        self, x: Float[np.ndarray, "T *c"], row: int | None
-    ) -> Float[np.ndarray, "T *d"]:
+    def left_of(self, x: Float[np.ndarray, "T *c"], row: int | None) -> Float[np.ndarray, "T *d"]:
         """What no force at the feet explains of torques on all rows (T, nv, ...), or of those on one row (T, ...)."""
         alive = np.flatnonzero(~self.used_up)
         seen = self.seen[:, alive]
@@ -190,7 +188,11 @@ def supported(
     size[:BASE] = np.array([1, 1, 1, 0.3, 0.3, 0.3]) * weight / TRUST
     solved = _solved(rows, size)
     soft = np.array([f.soft for f in feet])
-    load = np.einsum("tm,tmc->tc", np.einsum("tmj,tj->tm", solved, residual), _ways(rotation, feet, depth)[..., 2])
+    load = np.einsum(
+        "tm,tmc->tc",
+        np.einsum("tmj,tj->tm", solved, residual),
+        _ways(rotation, feet, depth)[..., 2],
+    )
     depth, sinks = sunk(soft, load, rate)
     ways = _ways(rotation, feet, 0.5 * depth)
     if depth.any():
