@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import causal, checks, listing, proof
+from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
@@ -18,7 +18,7 @@ from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
-from jax_inertia.replay.search import odd, parsimony
+from jax_inertia.replay.search import causal, odd, parsimony
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 

@@ -165,11 +165,10 @@ def _settled(
     for k, foot in enumerate(feet):
         time = 1.0 / np.sqrt(foot.soft[0]) if foot.soft[0] > 0 else 0.0
         before = max(after, round(RINGS * time * rate))
-        # The least of what was and will be, each for its own time.
-        past = ndimage.minimum_filter1d(firm[:, k], before + 1, mode="nearest", origin=before // 2)
-        future = ndimage.minimum_filter1d(
-            firm[:, k], after + 1, mode="nearest", origin=-((after + 1) // 2)
-        )
+        own = firm[:, k]
+        past = ndimage.minimum_filter1d(own, before + 1, mode="nearest", origin=before // 2)
+        ahead = -((after + 1) // 2)
+        future = ndimage.minimum_filter1d(own, after + 1, mode="nearest", origin=ahead)
         out[:, k] = np.minimum(past, future)
     return out
 

@@ -36,7 +36,7 @@ def fitted(
 
 
 def with_variance(fit: Fit, stamps: Fit) -> Fit:
-    """A fit whose delay was set to none: how well it is known is what the log told of it, and not perfectly."""
+    """A fit whose delay was set to none: how well it is known is what the log said of it, and not perfectly."""
     covariance = fit.covariance.copy()
     for k in range(len(stamps.table)):
         if covariance[k, k] == 0:
