@@ -89,7 +89,7 @@ def with_base(source: Masked, robot: Robot, rng: np.random.Generator | None = No
     known = np.zeros(len(time)) if legs is None else legs.stands.max(axis=1)
     walked = None if legs is None else _odometry(robot, motion, rotation, legs, rng)
     if felt is None:
-        if walked is None:
+        if walked is None or legs is None:
             raise LogError(
                 "the log has neither base_pos nor base_linacc (an accelerometer), and no foot of the model stands on "
                 "the ground: nothing tells how the base accelerates; log one of them"
@@ -140,19 +140,18 @@ def standing(
     if support is None:
         return None
     feet = feet_of(robot, rotation, position, log.contact_bodies)
+    mass, gravity = float(jnp.sum(robot.pi[:, 0])), np.asarray(robot.gravity)
     load = _told(log)
     if load is None:
-        gravity = np.asarray(robot.gravity)
-        weight = -float(jnp.sum(robot.pi[:, 0])) * gravity
+        weight = -mass * gravity
         load = support.wrench[:, :, :3] @ weight / (weight @ weight)
     # Of the foot that bears most, where the robot is not in the air.
     share = load / np.maximum(load.max(axis=1, keepdims=True), TOUCHES)
     firm = np.clip((share - STANDS[0]) / (STANDS[1] - STANDS[0]), 0.0, 1.0)
     force = support.wrench[:, :, :3].sum(axis=1)
-    gravity = np.asarray(robot.gravity)
     # What the feet carry in the mean is the robot's weight, whatever the model says.
-    heavy = -force.mean(axis=0) @ gravity / (gravity @ gravity)
-    carried = a[:, :3] + force / heavy - missing[:, :3] / float(jnp.sum(robot.pi[:, 0]))
+    heavy = max(-force.mean(axis=0) @ gravity / (gravity @ gravity), TOUCHES * mass)
+    carried = a[:, :3] + force / heavy - missing[:, :3] / mass
     return Legs(feet, _settled(firm, feet, rate), support.sinks, carried)
 
 
@@ -198,13 +197,11 @@ def _odometry(
     bodies = tuple(f.body for f in legs.feet)
     moves = _moves((robot, bodies), (np.asarray(motion.q), np.asarray(motion.v)))
     each = np.zeros((len(rotation), len(bodies), 3))
-    known = np.ones(len(bodies))
-    if rng is not None:
-        known += UNSURE * rng.choice([-1.0, 1.0])
+    known = 1.0 if rng is None else 1.0 + UNSURE * rng.choice([-1.0, 1.0])
     for k, foot in enumerate(legs.feet):
         arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
         each[:, k] = -moves[:, k, :3] - np.cross(moves[:, k, 3:], arm)
-        each[:, k, 2] -= legs.sinks[:, k] * known[k]
+        each[:, k, 2] -= legs.sinks[:, k] * known
     share = legs.stands / np.maximum(legs.stands.sum(axis=1, keepdims=True), 1e-9)
     velocity = np.einsum("tk,tkc->tc", share, each)
     if rng is None:
