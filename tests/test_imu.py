@@ -432,13 +432,3 @@ def test_a_soft_foot_sinks_as_in_mujoco():
     assert np.abs(depth[late, 0] - depths[late]).max() < 2e-4
     rate = np.gradient(depths, 0.004)
     assert np.std(speed[late, 0] - rate[late]) < 0.15 * np.std(rate[late])
-
-
-@pytest.mark.slow
-def test_a_load_on_a_trotting_robot_with_soft_feet_weighs_right():
-    """Without an accelerometer; feet of a soft contact go in by as much as the trunk rises and falls."""
-    robot = dataclasses.replace(SMALL, soft=0.02)
-    arrays = walked(robot, trot, load=2.0, at=(0.03, 0.0, 0.04), seed=3)
-    log = log_of(arrays, "base_linacc", *FEET)
-    model = model_of(robot)
-    payload(ji.diagnose(model, log), model, 2.0)
