@@ -25,6 +25,7 @@ from jax_inertia.signals.bands import DIAGNOSIS_IN_CONTACT, Bands
 from jax_inertia.signals.base_motion import with_base
 from jax_inertia.signals.filtering import low_pass, mask, resample
 from jax_inertia.signals.held import with_loop_torque
+from jax_inertia.signals.sinking import sunk
 from jax_inertia.signals.torque_residual import needed_torques, observed, prepare
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"
@@ -404,3 +405,30 @@ def test_loads_by_an_imu_without_torque():
     found = ji.diagnose(model_of(SMALL), log_of(arrays, "tau", **gains))
     payload(found, SMALL, 1.0)
     assert any("what the position loop gives" in note for note in found.notes)
+
+
+def test_a_soft_foot_sinks_as_in_mujoco():
+    """The depth of a ball of 2 kg that a changing force presses into a floor, by that force alone."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="0.0005"/><worldbody>
+      <geom type="plane" size="1 1 1"/><body name="ball" pos="0 0 0.015"><freejoint/>
+      <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+      <geom type="sphere" size="0.023" margin="0.001" priority="1" solimp="0.015 1 0.023"/></body>
+      </worldbody></mujoco>""")
+    data, forces, depths = mujoco.MjData(model), [], []
+    for k in range(4000):
+        t = k * model.opt.timestep
+        data.xfrc_applied[1, 2] = -30.0 - 25.0 * np.sin(2 * np.pi * 3.0 * t)
+        mujoco.mj_step(model, data)
+        if k % 8 == 7:
+            mujoco.mj_forward(model, data)
+            wrench = np.zeros(6)
+            mujoco.mj_contactForce(model, data, 0, wrench)
+            forces.append([wrench[0]])
+            depths.append(0.023 - data.qpos[2])
+    soft = np.asarray(ji.load_model(model).surface.soft)
+    depth, speed = in_double_precision(sunk)(soft, np.array(forces), 250.0)
+    late = slice(100, None)
+    assert np.ptp(depths[late]) > 2e-3
+    assert np.abs(depth[late, 0] - depths[late]).max() < 2e-4
+    rate = np.gradient(depths, 0.004)
+    assert np.std(speed[late, 0] - rate[late]) < 0.15 * np.std(rate[late])

@@ -22,7 +22,7 @@ ORDER: dict[str, str] = {
     "model": """mujoco_types joint_inertia mujoco_warnings robot geometry file_safety finite_numbers
         urdf_read descriptions spec urdf_write load lock joint_match write log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
-    "signals": """bands held filtering generalised_motion differences ground_support base_motion
+    "signals": """bands held filtering generalised_motion differences sinking ground_support base_motion
         wrench_axes spikes outliers creep dry_friction torque_residual window_mean errors_in_variables holds misfit
         corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
@@ -35,7 +35,7 @@ ORDER: dict[str, str] = {
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": """loop record joint_numbers spec_edits plant simulate fit checks search result listing proof
         command pipeline figures varying_friction late_targets corrected report entry""",
-    "replay.search": "parsimony held_out candidates by_law tries afresh odd undecided instead",
+    "replay.search": "parsimony causal held_out candidates by_law tries afresh odd undecided instead",
     "fleet": "numbers drift page jobs",
     "cli": """console gains conventions convert command_page replay_run replay diagnose_whole diagnose_run diagnose
         plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",

@@ -162,6 +162,8 @@ class Surface(eqx.Module):
     """m."""
     pivot: Float[Array, "p 2"]
     """Moment that a contact may bear about its normal, and about what lies in the ground, per force on it [m]."""
+    soft: Float[Array, "p 9"]
+    """Its contact with the floor: stiffness [1/s²], damping [1/s], `solimp`, inverse mass [1/kg], margin [m]."""
 
 
 class Robot(eqx.Module):

@@ -18,7 +18,7 @@ from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
-from jax_inertia.replay.search import odd, parsimony
+from jax_inertia.replay.search import causal, odd, parsimony
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
@@ -94,7 +94,7 @@ def diagnose(
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [*said, *listing.notes(everything, loop, torque_logged), *checks.touch_note(wholes)]
+    notes = [*said, *listing.notes(done.stamps, loop, torque_logged), *checks.touch_note(wholes)]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -106,7 +106,10 @@ def diagnose(
 
 
 class _Fitted(NamedTuple):
+    stamps: Fit
+    """Ordinary numbers alone, their delay as the log would have it."""
     everything: Fit
+    """With odd effects, and of a delay that a model can have."""
     found: Fit
     search: odd.Search
     instead: Mapping[Rows, tuple[Instead, ...]]
@@ -130,19 +133,18 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     if sound:
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
-        return _Fitted(everything, everything._replace(theta=nominal), none, {}, {}, records)
+        same = everything._replace(theta=nominal)
+        return _Fitted(everything, everything, same, none, {}, {}, records)
     records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
         everything = fitting.fit(
             plant, table, records, everything.theta, floor=least, progress=progress
         )
-    causal = _causal(plant, everything, records, least, progress)
-    search = odd.Search(causal, (), (), ())
+    possible = causal.fitted(plant, everything, records, least, progress)
+    search = odd.Search(possible, (), (), ())
     if "odd" not in exclude:
-        search = odd.add_odd(plant, causal, records, held, torque, least, exclude, progress)
-    if search.odd:
-        everything = search.found
+        search = odd.add_odd(plant, possible, records, held, torque, least, exclude, progress)
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
@@ -150,7 +152,8 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    return _Fitted(everything, found, search, others, shares, records)
+    told = causal.with_variance(search.found, everything)
+    return _Fitted(everything, told, found, search, others, shares, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
@@ -237,23 +240,6 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
             weight = data.qfrc_bias[plant.dof].copy()
             parts.append(np.abs(weight) + plant.inertia(r.q[k]) * np.abs(a))
     return np.maximum(np.sqrt(np.mean(np.square(parts), axis=0)), 1e-3)
-
-
-def _causal(plant, everything: Fit, records, least, progress) -> Fit:
-    """The fit without a negative delay of all targets, which no model can have: found again with none.
-
-    What stamps may be off by stays: forced to 0 it would be in friction and damping. How little a log tells of a delay
-    is no excuse: smooth motion takes -14 ms and more damping as well as none, and steps then come before their targets.
-    """
-    early = np.array([p.family == "target_delay" for p in everything.table]) & (
-        everything.theta < -2.0 * checks.LOOSE_TIME
-    )
-    if not early.any():
-        return everything
-    start = np.where(early, 0.0, everything.theta)
-    return fitting.fit(
-        plant, everything.table, records, start, free=~early, floor=least, rounds=6, progress=progress
-    )  # fmt: skip
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import linalg, ndimage
+from scipy import integrate, linalg, ndimage
 
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.findings import run_bounds
@@ -41,10 +41,12 @@ STANDS = 0.4, 0.8
 """Share of the load of the foot that bears most from which another one may stand, and from which it does."""
 USUAL = 95.0
 """Percentile of a foot's own force that counts as its largest: such sensors have no unit, and ring."""
-STANDARD_GRAVITY = 9.81
-"""How fast feet that let go make a base fall [m/s²]."""
+UNSURE = 0.25
+"""By how much forces are off by which a base moves while no foot stands, and how deep feet sink, in parts of them."""
 SETTLES = 0.03
 """A foot stands that has borne load for this long, and will for as long [s]: what sets it down rings."""
+RINGS = 3.0
+"""Time constants of a soft contact until nothing is left of how fast its foot came down."""
 
 
 def motion_of(source: Masked, robot: Robot, rng: np.random.Generator | None = None) -> Motion:
@@ -87,14 +89,12 @@ def with_base(source: Masked, robot: Robot, rng: np.random.Generator | None = No
     known = np.zeros(len(time)) if legs is None else legs.stands.max(axis=1)
     walked = None if legs is None else _odometry(robot, motion, rotation, legs, rng)
     if felt is None:
-        if walked is None:
+        if walked is None or legs is None:
             raise LogError(
                 "the log has neither base_pos nor base_linacc (an accelerometer), and no foot of the model stands on "
                 "the ground: nothing tells how the base accelerates; log one of them"
             )
-        velocity = _bridged(walked, known > 0)
-        if rng is not None:
-            velocity = velocity + _unknown(time, known > 0, rng)
+        velocity = _bridged(time, walked, legs.carried, known > 0, rng)
     else:
         velocity = _fused(time, felt, walked, known)
     low = np.zeros(len(time))
@@ -112,6 +112,10 @@ class Legs:
 
     feet: Sequence[Foot]
     stands: Float[np.ndarray, "T C"]
+    sinks: Float[np.ndarray, "T C"]
+    """How fast each goes into the ground [m/s]."""
+    carried: Float[np.ndarray, "T 3"]
+    """Acceleration of the base's origin [m/s²] by the forces at the feet, for what they carry in the mean."""
 
 
 def standing(
@@ -131,20 +135,41 @@ def standing(
     if acceleration is not None:
         a[:, :3] = acceleration
     missing = _needed(robot, (q, v, a)) - np.asarray(motion.tau)
-    support = supported(robot, q, np.asarray(motion.tau), missing, log.contact_bodies)
+    rate = 1.0 / float(np.median(np.diff(motion.time)))
+    support = supported(robot, q, np.asarray(motion.tau), missing, rate, log.contact_bodies)
     if support is None:
         return None
     feet = feet_of(robot, rotation, position, log.contact_bodies)
+    mass, gravity = float(jnp.sum(robot.pi[:, 0])), np.asarray(robot.gravity)
     load = _told(log)
     if load is None:
-        gravity = np.asarray(robot.gravity)
-        weight = -float(jnp.sum(robot.pi[:, 0])) * gravity
+        weight = -mass * gravity
         load = support.wrench[:, :, :3] @ weight / (weight @ weight)
     # Of the foot that bears most, where the robot is not in the air.
     share = load / np.maximum(load.max(axis=1, keepdims=True), TOUCHES)
     firm = np.clip((share - STANDS[0]) / (STANDS[1] - STANDS[0]), 0.0, 1.0)
-    reach = 2 * round(SETTLES / float(np.median(np.diff(motion.time)))) + 1
-    return Legs(feet, ndimage.minimum_filter1d(firm, reach, axis=0, mode="nearest"))
+    force = support.wrench[:, :, :3].sum(axis=1)
+    # What the feet carry in the mean is the robot's weight, whatever the model says.
+    heavy = max(-force.mean(axis=0) @ gravity / (gravity @ gravity), TOUCHES * mass)
+    carried = a[:, :3] + force / heavy - missing[:, :3] / mass
+    return Legs(feet, _settled(firm, feet, rate), support.sinks, carried)
+
+
+def _settled(
+    firm: Float[np.ndarray, "T C"], feet: Sequence[Foot], rate: float
+) -> Float[np.ndarray, "T C"]:
+    """Of feet that stand, those that have for a while, and will: a soft one needs longer to come to rest."""
+    out = np.zeros_like(firm)
+    after = round(SETTLES * rate)
+    for k, foot in enumerate(feet):
+        time = 1.0 / np.sqrt(foot.soft[0]) if foot.soft[0] > 0 else 0.0
+        before = max(after, round(RINGS * time * rate))
+        own = firm[:, k]
+        past = ndimage.minimum_filter1d(own, before + 1, mode="nearest", origin=before // 2)
+        ahead = -((after + 1) // 2)
+        future = ndimage.minimum_filter1d(own, after + 1, mode="nearest", origin=ahead)
+        out[:, k] = np.minimum(past, future)
+    return out
 
 
 def _told(log: Log) -> Float[np.ndarray, "T C"] | None:
@@ -167,14 +192,16 @@ def _odometry(
     """Velocity of the base [m/s] by which the standing feet roll on the ground; their mean by load.
 
     With `rng` it has an error as large as its own: how far each foot is off that mean, at another moment and with a
-    sign by chance.
+    sign by chance, and grounds softer or harder than the model's by `UNSURE`.
     """
     bodies = tuple(f.body for f in legs.feet)
     moves = _moves((robot, bodies), (np.asarray(motion.q), np.asarray(motion.v)))
     each = np.zeros((len(rotation), len(bodies), 3))
+    known = 1.0 if rng is None else 1.0 + UNSURE * rng.choice([-1.0, 1.0])
     for k, foot in enumerate(legs.feet):
         arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
         each[:, k] = -moves[:, k, :3] - np.cross(moves[:, k, 3:], arm)
+        each[:, k, 2] -= legs.sinks[:, k] * known
     share = legs.stands / np.maximum(legs.stands.sum(axis=1, keepdims=True), 1e-9)
     velocity = np.einsum("tk,tkc->tc", share, each)
     if rng is None:
@@ -228,21 +255,29 @@ def _fused(
     return linalg.solveh_banded(band, right)
 
 
-def _bridged(x: Float[np.ndarray, "T 3"], known: np.ndarray) -> Float[np.ndarray, "T 3"]:
+def _bridged(
+    time: Float[np.ndarray, " T"],
+    x: Float[np.ndarray, "T 3"],
+    acceleration: Float[np.ndarray, "T 3"],
+    known: np.ndarray,
+    rng: np.random.Generator | None,
+) -> Float[np.ndarray, "T 3"]:
+    """A velocity where no foot stands: as it was before and will be, between as an acceleration has it.
+
+    Of the acceleration its mean over a gap plays no part: what the robot weighs is not assumed. With `rng` what it adds
+    to a straight line is off by `UNSURE` of it, one way or the other.
+    """
+    summed = integrate.cumulative_trapezoid(acceleration, time, axis=0, initial=0.0)
+    straight, detour = _across(x, known), summed - _across(summed, known)
+    if rng is not None:
+        for start, stop in run_bounds(~known):
+            detour[start:stop] *= 1.0 + UNSURE * rng.choice([-1.0, 1.0], 3)
+    return straight + detour
+
+
+def _across(x: Float[np.ndarray, "T 3"], known: np.ndarray) -> Float[np.ndarray, "T 3"]:
     at = np.arange(len(x))
     return np.stack([np.interp(at, at[known], column[known]) for column in x.T], axis=1)
-
-
-def _unknown(
-    time: Float[np.ndarray, " T"], known: np.ndarray, rng: np.random.Generator
-) -> Float[np.ndarray, "T 3"]:
-    """By how much a bridged velocity may be off [m/s]: its acceleration by gravity's, one way and then the other."""
-    out = np.zeros((len(time), 3))
-    for start, stop in run_bounds(~known):
-        span = np.linspace(0.0, 1.0, stop - start + 2)[1:-1, None]
-        most = 0.25 * STANDARD_GRAVITY * float(time[stop - 1] - time[start])
-        out[start:stop] = most * rng.choice([-1.0, 1.0], 3) * (1.0 - np.abs(2.0 * span - 1.0))
-    return out
 
 
 def _centre(rotation, position, foot: Foot) -> Float[np.ndarray, "T 3"]:

@@ -21,6 +21,7 @@ from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.log import LogError
 from jax_inertia.maths.over_samples import over_samples
 from jax_inertia.model.robot import Robot
+from jax_inertia.signals.sinking import sunk
 
 BASE = 6
 """Rows of a free joint."""
@@ -47,6 +48,8 @@ class Foot:
     flat: bool
     pivot: tuple[float, float] = (0.0, 0.0)
     """Moment that it may bear about the ground's normal, and along the ground, per force on it [m]."""
+    soft: tuple[float, ...] = (0.0,) * 9
+    """Of a ball, how it sinks (`Surface.soft`); a sole's load is shared by who knows how many points."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +66,8 @@ class Support:
     used_up: Bool[np.ndarray, " nv"]
     """Rows of the legs."""
     feet: tuple[Foot, ...]
+    sinks: Float[np.ndarray, "T C"]
+    """How fast each foot goes into the ground under it [m/s]."""
     turned: int | None
     """The row of the base about whose axis balls turn on the spot, and bear who knows what moment; None for none."""
 
@@ -87,9 +92,7 @@ class Support:
         bodies = tuple(f.body for f in self.feet)
         return _torques((robot, bodies), (q, moment[:, None]))[:, 0]
 
-    def left_of(
-        self, x: Float[np.ndarray, "T *c"], row: int | None
-    ) -> Float[np.ndarray, "T nv *c"]:
+    def left_of(self, x: Float[np.ndarray, "T *c"], row: int | None) -> Float[np.ndarray, "T *d"]:
         """What no force at the feet explains of torques on all rows (T, nv, ...), or of those on one row (T, ...)."""
         alive = np.flatnonzero(~self.used_up)
         seen = self.seen[:, alive]
@@ -138,7 +141,10 @@ def feet_of(
             extent = np.ptp(points[at], axis=0).max()
             centre = tuple(points[at].mean(axis=0).tolist())
             pivot = tuple(np.asarray(surface.pivot)[at].mean(axis=0).tolist())
-            feet.append(Foot(body, centre, float(radius[at].mean()), bool(extent > SOLE), pivot))
+            soft = tuple(np.asarray(surface.soft)[at].mean(axis=0).tolist())
+            flat = bool(extent > SOLE)
+            ball = Foot(body, centre, float(radius[at].mean()), flat, pivot)
+            feet.append(ball if flat else dataclasses.replace(ball, soft=soft))
     return feet
 
 
@@ -147,10 +153,12 @@ def supported(
     q: Float[np.ndarray, "T nq"],
     tau: Float[np.ndarray, "T nv"],
     residual: Float[np.ndarray, "T nv"],
+    rate: float,
     bodies: Sequence[str] = (),
 ) -> Support | None:
     """What holds a floating base up, where the torque residual lacks all forces of the ground; None where nothing does.
 
+    `rate` [Hz] is the grid's. Feet sink under their loads, which then act nearer to their centres: at half the depth.
     `bodies`: those that may touch; without them, all that come near the lowest points of the motion of a robot that
     does not fly. Raises LogError where forces at the feet could explain every torque.
     """
@@ -167,8 +175,8 @@ def supported(
     if not feet:
         return None
     names = tuple(robot.body_names[f.body] for f in feet)
-    ways = _ways(rotation, feet)
-    rows = _torques((robot, tuple(f.body for f in feet)), (q, ways))
+    depth = np.zeros((len(q), len(feet)))
+    rows = _torques((robot, tuple(f.body for f in feet)), (q, _ways(rotation, feet, depth)))
     used_up = np.abs(rows).max(axis=(0, 1)) > 1e-9
     used_up[:BASE] = False
     if rows.shape[1] >= BASE + used_up.sum():
@@ -178,9 +186,18 @@ def supported(
         )
     size = np.maximum(np.percentile(np.abs(tau), 99.5, axis=0), 1e-3)
     size[:BASE] = np.array([1, 1, 1, 0.3, 0.3, 0.3]) * weight / TRUST
-    weighted = rows / size**2
-    gram = weighted @ rows.transpose(0, 2, 1)
-    solved = np.linalg.solve(gram, weighted)
+    solved = _solved(rows, size)
+    soft = np.array([f.soft for f in feet])
+    load = np.einsum(
+        "tm,tmc->tc",
+        np.einsum("tmj,tj->tm", solved, residual),
+        _ways(rotation, feet, depth)[..., 2],
+    )
+    depth, sinks = sunk(soft, load, rate)
+    ways = _ways(rotation, feet, 0.5 * depth)
+    if depth.any():
+        rows = _torques((robot, tuple(f.body for f in feet)), (q, ways))
+        solved = _solved(rows, size)
     seen = np.eye(robot.nv) - rows.transpose(0, 2, 1) @ solved
     seen[:, used_up] = 0.0
     force = np.einsum("tmj,tj->tm", solved, residual)
@@ -189,16 +206,25 @@ def supported(
     turns = any(f.pivot[0] > 0 and not f.flat for f in feet)
     upright = int(np.argmax(np.abs(rotation[:, 0, 2]).mean(axis=0)))
     turned = BASE - 3 + upright if turns else None
-    return Support(names, wrench, torque, seen, used_up, tuple(feet), turned)
+    return Support(names, wrench, torque, seen, used_up, tuple(feet), sinks, turned)
+
+
+def _solved(
+    rows: Float[np.ndarray, "T m nv"], size: Float[np.ndarray, " nv"]
+) -> Float[np.ndarray, "T m nv"]:
+    """(J W Jᵀ)⁻¹ J W, W = diag(1 / size²)."""
+    weighted = rows / size**2
+    return np.linalg.solve(weighted @ rows.transpose(0, 2, 1), weighted)
 
 
 def _ways(
-    rotation: Float[np.ndarray, "T nb 3 3"], feet: list[Foot]
+    rotation: Float[np.ndarray, "T nb 3 3"], feet: list[Foot], above: Float[np.ndarray, "T C"]
 ) -> Float[np.ndarray, "T m C 6"]:
-    """The unit wrenches that the ground may give."""
+    """The unit wrenches that the ground may give, so far above the lowest point of each foot [m]."""
     ways = []
     for k, foot in enumerate(feet):
         arm = rotation[:, foot.body] @ np.array(foot.point) - [0.0, 0.0, foot.radius]
+        arm[:, 2] += above[:, k]
         for axis in np.eye(6)[: 6 if foot.flat else 3]:
             way = np.zeros((len(rotation), len(feet), 6))
             way[:, k] = axis

@@ -143,7 +143,8 @@ def on_the_ground(robot: Robot, observation: Observation, bodies: Sequence[str])
     motion = observation.motion
     tau = np.asarray(motion.tau)
     residual = _needed_torques(robot, observation) - tau
-    found = supported(robot, np.asarray(motion.q), tau, residual, bodies)
+    rate = 1.0 / float(np.median(np.diff(motion.time)))
+    found = supported(robot, np.asarray(motion.q), tau, residual, rate, bodies)
     if found is None:
         return observation
     valid = np.asarray(motion.valid) & ~found.used_up
@@ -184,7 +185,7 @@ def prepare(
     support = None
     if robot.has_free_base and log.contact_wrench is None:
         q = np.asarray(observation.motion.q)
-        support = supported(robot, q, tau, inverse - tau, log.contact_bodies)
+        support = supported(robot, q, tau, inverse - tau, rate, log.contact_bodies)
         if support is not None:
             observation = _carried(observation, support)
             inverse = inverse - support.torque
