@@ -15,6 +15,7 @@ from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects, share
+from jax_inertia.diagnosis.loud_stretches import loud_stretches
 from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
@@ -68,7 +69,8 @@ def summarised(
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
-    chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))
+    sensors = np.maximum(residual.sensors, 1e-12)
+    chi = float(np.sum(residual.weight * (residual.y / sensors) ** 2))
     energy = evidence.gap**2 * evidence.count
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints, gains = joint_numbers(told), motor_gains(told)
@@ -94,6 +96,7 @@ def summarised(
         notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
+        when=loud_stretches(residual.time, np.sqrt(residual.weight) * residual.y / sensors),
     )
 
 
