@@ -139,7 +139,7 @@ def hypothesis(
     scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
     scale = np.concatenate(scales)
     cut = _cut(residual, effect, place, shape)
-    # Each joint of a robot as bought has mild forms of its friction beside it, and how that turns round among them.
+    # A robot as bought has mild forms of each joint's friction, and how it turns round is among them.
     turning = None if assumed else _turning(residual, effect, place, shape)
     return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut, turning)
 

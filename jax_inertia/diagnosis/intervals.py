@@ -204,7 +204,7 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
 
 
 def _stated(selection: Selection, h: Hypothesis | None, family: str, unit: str) -> Interval:
-    """A number of the model's own that nothing was found beside, its error within the tolerance taken out.
+    """A number of the model's own to which nothing was found, its error within the tolerance taken out.
 
     Nothing where the model states none, and where what is beyond it would be less than nothing.
     """

@@ -132,9 +132,7 @@ def _between_points(
     return best, gain
 
 
-def _stepwise(
-    residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, settings: Settings
-):
+def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
     # What is not added to some may do better in the place of one of them.
     barred, gone = set(), set()
@@ -182,29 +180,30 @@ def _best(
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
     """One more, the best there is, and which; None where nothing gains.
 
-    The likeliest by the variances that are there compete at their best numbers, each by variances learned with it: what
-    explains most of a row was taken for noise before.
+    Those that pay compete at their best numbers, each by variances learned with it: what explains most of a row was
+    taken for noise before.
     """
     asked: set[tuple[str, str, str]] = set()
     rivals: list[tuple[float, Posterior, Hypothesis]] = []
     for c, gain in _best(residual, evidence, now, bank, barred):
-        if gain <= -FAINT or (len(asked) >= MOST_RIVALS and (rivals or gain <= 0)):
+        if len(asked) >= MOST_RIVALS or gain <= (0.0 if rivals else -FAINT):
             break
         if c.key in asked:
             continue
         asked.add(c.key)
-        entered = _with(residual, evidence, now, c, bank)
+        if gain <= 0:
+            # By variances that are there it does not pay: it may explain most of what they were learned from.
+            with_it = evidence.posterior((*now.chosen, c))
+            gain = evidence.gain_learned(now, *_learned(residual, evidence, with_it, 2)) - c.odds
+        entered = None
+        if gain > 0 and gain > sensor_noise.share(residual, evidence, now, c):
+            entered = _with(residual, evidence, now, c, bank)
         if entered is None:
             barred.add(id(c))
+            asked.discard(c.key)
             continue
         beside, after = entered
-        gain = evidence.gain_learned(now, beside, after) - c.odds
-        h = after.chosen[-1]
-        by_noise = sensor_noise.share(residual, evidence, now, h) if gain > 0 else 0.0
-        if gain > by_noise:
-            rivals.append((gain, after, c))
-        else:
-            barred.add(id(c))
+        rivals.append((evidence.gain_learned(now, beside, after) - c.odds, after, c))
     if not rivals:
         return None
     _, after, added = max(rivals, key=lambda r: r[0])
@@ -319,20 +318,26 @@ def _learned_with(residual, evidence: Evidence, now: Posterior) -> tuple[Evidenc
     From the variances that are there, and from the sensors' alone: by those that hold a whole gap, a prior outweighs
     what the log says of its cause; by those of the sensors, a cause that is not all of it is bent to be.
     """
-    rest, h = now.chosen[:-1], now.chosen[-1]
-    found: list[tuple[Evidence, Posterior]] = []
-    for start in (evidence, evidence.by_sensors_alone()):
-        after = now if start is evidence else relinearised(residual, start, rest, h)
-        before = -np.inf
-        for _ in range(ROUNDS):
-            start = copy.copy(start)
-            start.learn(after, memory=False)
-            after = relinearised(residual, start, rest, after.chosen[-1])
-            found.append((start, after))
-            if abs(after.log_evidence - before) < CONVERGED:
-                break
-            before = after.log_evidence
+    sharp = evidence.by_sensors_alone()
+    bent = relinearised(residual, sharp, now.chosen[:-1], now.chosen[-1])
+    starts = (evidence, now), (sharp, bent)
+    found = (_learned(residual, start, after, ROUNDS) for start, after in starts)
     return max(found, key=lambda one: one[1].log_evidence)
+
+
+def _learned(
+    residual, evidence: Evidence, now: Posterior, rounds: int
+) -> tuple[Evidence, Posterior]:
+    """Variances and numbers in turn, until they stand."""
+    before = -np.inf
+    for _ in range(rounds):
+        evidence = copy.copy(evidence)
+        evidence.learn(now, memory=False)
+        now = relinearised(residual, evidence, now.chosen[:-1], now.chosen[-1])
+        if abs(now.log_evidence - before) < CONVERGED:
+            break
+        before = now.log_evidence
+    return evidence, now
 
 
 def _settled(residual, evidence, now: Posterior) -> Posterior:
