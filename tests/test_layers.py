@@ -41,7 +41,8 @@ ORDER: dict[str, str] = {
         plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis search
-        detectability checks causes verdict report motor_gains intervals calibration_state listing summary pipeline""",
+        detectability checks causes verdict report motor_gains intervals calibration_state listing
+        gap_stretches summary pipeline""",
     "diagnosis.features": "derivatives band two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction encoder
         environment external_force generic inertial tolerances transmission registry""",

@@ -275,7 +275,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
             continue
         if len(best) == MOST_RIVALS:
             break
-        with_it = relinearised(selection.residual, evidence, rest, c)
+        with_it = relinearised(selection.residual, evidence, rest.chosen, c)
         c = with_it.chosen[-1]
         if c.effect.secant:
             behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds

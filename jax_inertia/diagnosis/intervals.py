@@ -8,6 +8,7 @@ import numpy as np
 from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
+from jax_inertia.diagnosis.effects.tolerances import STATED, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.motor_gains import after_gain
 from jax_inertia.diagnosis.search.ordinary import FRICTION
@@ -191,10 +192,27 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
             nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
             h = chosen.get((family, "joint", name))
             if h is None:
-                own[family] = Interval(0.0, 0.0, 0.0, unit)
+                own[family] = _stated(
+                    selection, chosen.get(("stated_numbers", "joint", name)), family, unit
+                )
                 continue
             (p,) = intervals(selection, h, *reported(selection, h)).values()
             low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
             own[family] = Interval(p.value + nominal, low, p.high + nominal, p.unit)
         out[name] = own
     return out
+
+
+def _stated(selection: Selection, h: Hypothesis | None, family: str, unit: str) -> Interval:
+    """A number of the model's own to which nothing was found, its error within the tolerance taken out.
+
+    Nothing where the model states none, and where what is beyond it would be less than nothing.
+    """
+    if h is None or family not in STATED:
+        return Interval(0.0, 0.0, 0.0, unit)
+    now, k = selection.posterior, STATED.index(family)
+    at = now.part(h).start + k
+    own = h.shape[0] * StatedNumbers.own(selection.residual.context, h.place)[k]
+    value = own / h.shape[0] + own * float(now.mean[at])
+    half = 1.96 * own * float(np.sqrt(now.covariance[at, at] + selection.spread[at, at]))
+    return Interval(value, max(value - half, 0.0), value + half, unit)

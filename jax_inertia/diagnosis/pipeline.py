@@ -75,6 +75,8 @@ def _begun(robot, log: Log, exclude, extra, settings: Settings, progress: Progre
     """The library of effects and the log's torque residual."""
     if unknown := sorted(set(exclude) - set(NAMES)):
         raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
+    if taken := sorted({e.name for e in extra} & set(NAMES)):
+        raise ValueError(f"the library has families {taken} already; give yours another name")
     progress("filtering the log")
     residual = Residual(robot, log, settings)
     _require_rows(residual, log)

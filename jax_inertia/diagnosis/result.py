@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Interval, Parameter, Place
-from jax_inertia.text.words import at, unit
+from jax_inertia.text.notebook_page import line, table
+from jax_inertia.text.words import at, chance, plain, unit
 
 
 class Verdict(enum.StrEnum):
@@ -46,13 +47,28 @@ class Found:
     ordinary: bool
     equation: str
 
-    def __repr__(self) -> str:
-        sizes = (
+    @property
+    def sizes(self) -> str:
+        """Every parameter with its 95 % interval."""
+        return ", ".join(
             f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]{unit(p.unit)}"
             for name, p in self.parameters.items()
         )
-        ties = ", ".join(f"{t.family}{at(t.place)}" for t in self.equivalent)
-        return f"{self.family}{at(self.place)}: {', '.join(sizes)}{f'; or {ties}' * bool(ties)}"
+
+    @property
+    def ties(self) -> str:
+        """What this log cannot tell it from."""
+        return ", ".join(f"{t.family}{at(t.place)}" for t in self.equivalent)
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of a table: effect, equation, place, sizes, probability, ties."""
+        name, sure = plain(self.family), chance(self.probability)
+        return name, self.equation, self.place.name, self.sizes, sure, self.ties
+
+    def __repr__(self) -> str:
+        ties = f"; or {self.ties}" if self.equivalent else ""
+        return f"{self.family}{at(self.place)}: {self.sizes}{ties}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,12 +141,28 @@ class Diagnosis:
     trace: Trace
     units: dict[str, str]
     """Of each row's torque: N m, or N of a slide."""
+    when: tuple[tuple[float, float], ...] = ()
+    """Stretches [s] of the log in which the torque residual stands out."""
     gains: dict[str, Interval] = dataclasses.field(default_factory=dict)
     """Of each joint whose motor's gain is found or uncertain: torque at the joint over the logged one."""
     undetectable_below: tuple[tuple[str, Place, Parameter], ...] = ()
     """Family, place and smallest size of odd effects that this log would have shown."""
     speed: dict[str, float] = dataclasses.field(default_factory=dict)
     """Fastest usual speed of each row in this log, its 99th percentile [rad/s; m/s]."""
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the verdict in words, the effects as a table, how far the gap shrinks."""
+        verdict = f"{plain(str(self.verdict))} (confidence {chance(self.confidence)})"
+        out = line(verdict, strong=True) + line(self.headline)
+        if self.found:
+            head = ("effect", "equation", "where", "size, 95 % interval", "probability", "or")
+            out += table(head, (f.cells for f in self.found))
+        return out + line(self._shrinks()) + "".join(line(note) for note in self.notes)
+
+    def _shrinks(self) -> str:
+        """How far the residual shrinks on the run that played no part."""
+        where, s = "held out" if self.test is None else "other motion", self.checked
+        return f"{where}: {s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})"
 
     @property
     def odd(self) -> tuple[Found, ...]:
@@ -145,7 +177,5 @@ class Diagnosis:
     def __repr__(self) -> str:
         lines = [f"{self.verdict} (confidence {self.confidence:.2f})", f"  {self.headline}"]
         lines += [f"  {f!r}" for f in self.found]
-        where = "held out" if self.test is None else "other motion"
-        s = self.checked
-        lines.append(f"  {where}: {s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})")
+        lines.append(f"  {self._shrinks()}")
         return "\n".join(lines)

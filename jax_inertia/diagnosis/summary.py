@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
@@ -12,13 +13,14 @@ from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
+from jax_inertia.diagnosis.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects, share
 from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
-from jax_inertia.diagnosis.search.evidence import Posterior
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
@@ -68,8 +70,7 @@ def summarised(
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
-    chi = float(np.sum(residual.weight * (residual.y / np.maximum(residual.sensors, 1e-12)) ** 2))
-    energy = evidence.gap**2 * evidence.count
+    z = np.sqrt(residual.weight) * residual.y / np.maximum(residual.sensors, 1e-12)
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints, gains = joint_numbers(told), motor_gains(told)
     return Diagnosis(
@@ -86,14 +87,15 @@ def summarised(
         heldout=shrinks[0],
         test=shrinks[1],
         remainder=remainder,
-        chi2=chi / max(float(residual.weight.sum()), 1.0),
+        chi2=float(np.sum(z**2)) / max(float(residual.weight.sum()), 1.0),
         noise_floor=1.0,
         per_joint_rms=dict(zip(names, evidence.gap.tolist(), strict=True)),
-        share=dict(zip(names, (energy / max(energy.sum(), 1e-300)).tolist(), strict=True)),
+        share=dict(zip(names, _shares(evidence).tolist(), strict=True)),
         inertials=_inertials(told),
         notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
+        when=gap_stretches(residual.time, z),
     )
 
 
@@ -230,6 +232,12 @@ def _remainder(check: Check, names: tuple[str, ...], generic: list[Hypothesis]) 
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}
     carried = tuple(f"{h.family} at {h.place.name}" for h in generic)
     return Remainder(check.unexplained, where, carried, check.after)
+
+
+def _shares(evidence: Evidence) -> Float[np.ndarray, " n"]:
+    """What each row has of the gap's energy."""
+    energy = evidence.gap**2 * evidence.count
+    return energy / max(energy.sum(), 1e-300)
 
 
 def _trace(residual, checked: Check) -> Trace:

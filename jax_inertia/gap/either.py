@@ -27,6 +27,7 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
+from jax_inertia.signals.ground_support import BASE
 from jax_inertia.signals.held import with_loop_torque
 
 ENOUGH = (Verdict.EXPLAINED, Verdict.NO_GAP)
@@ -175,10 +176,13 @@ def _whole_robot(
 ) -> WholeRobot | None:
     """The diagnosis of every joint at once by one of `pipeline`'s searches.
 
-    None where that finds none, and for what it does not do yet: floating bases, and rows that are no hinge's or
-    slide's.
+    None where that finds none, and for what it does not do yet: a base that floats on forces that are not measured, and
+    rows that are no hinge's, slide's or base's.
     """
-    if robot.has_free_base or not all(robot.topology.dof_scalar):
+    floats = robot.has_free_base
+    measured = all(one is None or one.contact_wrench is not None for one in logs)
+    joints = robot.topology.dof_scalar[BASE if floats else 0 :]
+    if (floats and not measured) or not all(joints):
         return None
     settings = Settings()
     if asked.nominal_uncertainty is not None:

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
-from jax_inertia.diagnosis.effects.inertial import steiner
+from jax_inertia.diagnosis.effects.inertial import RIGID, steiner
+from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
 
@@ -17,7 +18,7 @@ class InertialTolerances(Effect):
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
-    named, marginal, form_error = False, True, 0.0
+    named, marginal, form_error = False, True, RIGID
 
     def columns(self, context, place, shape):
         every, robot = context.regressor, context.robot
@@ -49,24 +50,31 @@ def _timing(context: Context, error: float, period: float) -> Float[np.ndarray, 
     return size * np.gradient(context.tau, context.time, axis=0)
 
 
+STATED = ("viscous_friction", "coulomb_friction", "armature")
+"""Families whose number a model states of a joint."""
+
+
 class StatedNumbers(Effect):
     """Errors of the friction and rotor inertia that the model states of a joint, relative to them; marginalised.
 
     Shape: their standard deviation.
     """
 
+    # As exact as the effects that change these numbers.
     name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
-    named, marginal, form_error = False, True, 0.0
+    named, marginal, form_error = False, True, ViscousFriction.form_error
 
     def places(self, context):
-        return [p for p in super().places(context) if self._own(context, p).any()]
+        return [p for p in super().places(context) if self.own(context, p).any()]
 
     def columns(self, context, place, shape):
-        row, own = place.index, self._own(context, place)
+        row, own = place.index, self.own(context, place)
         motion = context.v[:, row], context.side[:, row], context.acceleration[:, row]
         return of_row(-shape[0] * np.stack(motion, 1) * own, place)
 
-    def _own(self, context: Context, place: Place) -> Float[np.ndarray, "3"]:
+    @staticmethod
+    def own(context: Context, place: Place) -> Float[np.ndarray, "3"]:
+        """The joint's numbers in the model, in the order of `STATED`."""
         every = context.damping, context.frictionloss, context.armature
         return np.array([float(x[place.index]) for x in every])
 

@@ -49,7 +49,7 @@ def to_report(
             "where": found.remainder.where,
             "resembles": "; ".join(found.remainder.resembles),
         },
-        "when": [],
+        "when": [list(stretch) for stretch in found.when],
         "undetectable_below": [
             {"family": family, "location": located(place), "value": p.value, "unit": p.unit}
             for family, place, p in found.undetectable_below

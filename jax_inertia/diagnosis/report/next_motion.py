@@ -102,7 +102,7 @@ def to_record(found: Diagnosis, extra: Sequence[Effect] = ()) -> tuple[Suggestio
 
 def _is_open(p: Interval) -> bool:
     """Whether a number's interval holds zero."""
-    return p.low <= 0.0 < p.high
+    return bool(p.low <= 0.0 < p.high)
 
 
 def asked(advice: Advice, joint: str) -> str:

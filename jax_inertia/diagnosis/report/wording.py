@@ -1,5 +1,7 @@
 """What is said of a diagnosis, as an engineer would say it."""
 
+import math
+
 from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
 from jax_inertia.text.words import at, number, percent, plain, unit
 
@@ -52,10 +54,14 @@ def headline(
 
 
 def named(f: Found) -> str:
-    """Effect, place and its first number."""
+    """Effect, place and its first number; of a vector its length."""
     name, p = next(iter(f.parameters.items()), ("", None))
     text = f"{plain(f.family)}{at(f.place)}"
     if p is None:
         return text
+    stem, _, axis = name.rpartition("_")
+    if axis == "x" and f"{stem}_z" in f.parameters:
+        size = math.hypot(*(f.parameters[f"{stem}_{k}"].value for k in "xyz"))
+        return f"{text} ({number(size)}{unit(p.unit)})"
     times = "× " if p.factor else ""
     return f"{text} ({plain(name)} {times}{number(p.value)}{unit(p.unit)})"

@@ -225,7 +225,8 @@ def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> 
             for h in now.chosen
             if h.family in FRICTION and h.place.index == row and h.place.kind == "joint"
         ]
-        if own:
+        # A joint at rest for good has none.
+        if np.any(own):
             level = float(np.sqrt(np.mean(sum(own) ** 2)))
             place = Place("joint", name, row)
             out.append(make(residual, effect, place, (presliding.get(row, 0.0), level), settings))

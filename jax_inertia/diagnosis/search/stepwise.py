@@ -1,5 +1,6 @@
 """Stepwise search over hypotheses by log evidence: add, delete, re-estimate, exchange; it decides nothing."""
 
+import copy
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
@@ -90,12 +91,15 @@ def _at_best(
     `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
     friction is the motor's or the link's, say, has its own optimum.
     """
-    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
-    if not np.any(steps):
+    if h.effect.secant:
         return h
-    starts = {_unmoved(h, steps): h}
+    steps = h.effect.steps(residual.context, h.place, h.shape)
     others = [c for c in every if c.key == h.key and not h.effect.many]
-    gains = evidence.gains(rest, others) if others else []
+    gains = evidence.gains(rest, others) if others else np.zeros(0)
+    if not np.any(steps):
+        alone = float(evidence.gains(rest, (h,))[0])
+        return others[int(np.argmax(gains))] if np.max(gains, initial=-np.inf) > alone else h
+    starts = {_unmoved(h, steps): h}
     for k in np.argsort(gains)[::-1]:
         starts.setdefault(_unmoved(others[k], steps), others[k])
     climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
@@ -174,24 +178,36 @@ def _best(
 
 
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
-    """One more, the best there is, and which; None where nothing gains."""
+    """One more, the best there is, and which; None where nothing gains.
+
+    Those that pay compete at their best numbers, each by variances learned with it: what explains most of a row was
+    taken for noise before.
+    """
     asked: set[tuple[str, str, str]] = set()
-    for added, gain in _best(residual, evidence, now, bank, barred):
-        if gain <= -FAINT or len(asked) == MOST_FAINT:
-            return None
+    rivals: list[tuple[float, Posterior, Hypothesis]] = []
+    for c, gain in _best(residual, evidence, now, bank, barred):
+        if len(asked) >= MOST_RIVALS or gain <= (0.0 if rivals else -FAINT):
+            break
+        if c.key in asked:
+            continue
+        asked.add(c.key)
         if gain <= 0:
             # By variances that are there it does not pay: it may explain most of what they were learned from.
-            if added.key in asked:
-                continue
-            asked.add(added.key)
-            after = evidence.posterior((*now.chosen, added))
-            gain = evidence.relearned_gain(now, after) - added.odds
-        by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
-        after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
-        if after is not None:
-            return _settled(residual, evidence, after), added
-        barred.add(id(added))
-    return None
+            with_it = evidence.posterior((*now.chosen, c))
+            gain = evidence.gain_learned(now, *_learned(residual, evidence, with_it, 2)) - c.odds
+        entered = None
+        if gain > 0 and gain > sensor_noise.share(residual, evidence, now, c):
+            entered = _with(residual, evidence, now, c, bank)
+        if entered is None:
+            barred.add(id(c))
+            asked.discard(c.key)
+            continue
+        beside, after = entered
+        rivals.append((evidence.gain_learned(now, beside, after) - c.odds, after, c))
+    if not rivals:
+        return None
+    _, after, added = max(rivals, key=lambda r: r[0])
+    return _settled(residual, evidence, after), added
 
 
 def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis] | None:
@@ -211,10 +227,18 @@ def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis]
         better = next(_best(residual, evidence, rest, bank, own), None)
         if better is None or better[1] <= both:
             continue
-        after = _with(residual, evidence, rest, better[0], bank)
-        if after is not None:
-            return _settled(residual, evidence, after), better[0]
+        entered = _with(residual, evidence, rest, better[0], bank)
+        if entered is not None and _pays(evidence, now, entered, a.odds + b.odds):
+            return _settled(residual, evidence, entered[1]), better[0]
     return None
+
+
+def _pays(
+    evidence: Evidence, now: Posterior, entered: tuple[Evidence, Posterior], spared: float
+) -> bool:
+    """Whether what entered is likelier than what is there, each by its own variances; `spared`: odds of what left."""
+    beside, after = entered
+    return evidence.gain_learned(now, beside, after) > after.chosen[-1].odds - spared
 
 
 def _exchanged(
@@ -235,30 +259,40 @@ def _exchanged(
         ):
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            after = _with(residual, evidence, rest, better[0], bank)
-            if after is not None:
-                return _settled(residual, evidence, after), better[0]
+            entered = _with(residual, evidence, rest, better[0], bank)
+            if entered is not None and _pays(evidence, now, entered, h.odds - EXCHANGE):
+                return _settled(residual, evidence, entered[1]), better[0]
     return None
 
 
 MOST_MOVES = 4
 """Steps of one length that lead up: as far as the grid's next point."""
-FAINT, MOST_FAINT = 8.0, 5
-"""Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
+FAINT, MOST_RIVALS = 8.0, 6
+"""Nats below its prior odds from which a candidate is not asked, and how many compete."""
 HALVINGS = 6
 """Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 
 
-def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
-    """One more, its secant where it belongs; None where its numbers are no robot's."""
+def _with(
+    residual, evidence, now: Posterior, h: Hypothesis, bank: Bank
+) -> tuple[Evidence, Posterior] | None:
+    """One more at its best numbers, and the evidence by variances learned with it; None where they are no robot's."""
     best = [
         _at_best(residual, evidence, now, c, bank.candidates)
         for c in (h, *_other_laws(evidence, now, h, bank))
     ]
     worths = evidence.gains(now, best) - np.array([c.odds for c in best])
-    after = relinearised(residual, evidence, now, best[int(np.argmax(worths))])
-    added = after.chosen[-1]
-    return after if added.possible(residual, after.of(added)[0]) else None
+    after = relinearised(residual, evidence, now.chosen, best[int(np.argmax(worths))])
+    beside, after = _learned_with(residual, evidence, after)
+    # By variances that hold the gap no better numbers lead up; by its own they may.
+    added, rest = after.chosen[-1], after.without(after.chosen[-1])
+    better = _at_best(residual, beside, rest, added, bank.candidates)
+    if better is not added:
+        beside, after = _learned_with(
+            residual, beside, relinearised(residual, beside, rest.chosen, better)
+        )
+        added = after.chosen[-1]
+    return (beside, after) if added.possible(residual, after.of(added)[0]) else None
 
 
 def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
@@ -274,6 +308,38 @@ def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hyp
     return [c for c in best.values() if c is not h]
 
 
+ROUNDS, CONVERGED = 6, 0.5
+"""Of variances and numbers in turn at most, and the change of log evidence [nats] from which there are no more."""
+
+
+def _learned_with(residual, evidence: Evidence, now: Posterior) -> tuple[Evidence, Posterior]:
+    """The evidence by variances learned with what is chosen, and the posterior: they are found in turn, best of two.
+
+    From the variances that are there, and from the sensors' alone: by those that hold a whole gap, a prior outweighs
+    what the log says of its cause; by those of the sensors, a cause that is not all of it is bent to be.
+    """
+    sharp = evidence.by_sensors_alone()
+    bent = relinearised(residual, sharp, now.chosen[:-1], now.chosen[-1])
+    starts = (evidence, now), (sharp, bent)
+    found = (_learned(residual, start, after, ROUNDS) for start, after in starts)
+    return max(found, key=lambda one: one[1].log_evidence)
+
+
+def _learned(
+    residual, evidence: Evidence, now: Posterior, rounds: int
+) -> tuple[Evidence, Posterior]:
+    """Variances and numbers in turn, until they stand."""
+    before = -np.inf
+    for _ in range(rounds):
+        evidence = copy.copy(evidence)
+        evidence.learn(now, memory=False)
+        now = relinearised(residual, evidence, now.chosen[:-1], now.chosen[-1])
+        if abs(now.log_evidence - before) < CONVERGED:
+            break
+        before = now.log_evidence
+    return evidence, now
+
+
 def _settled(residual, evidence, now: Posterior) -> Posterior:
     """Variance learned again, and without what can no longer be or has lost its evidence."""
     evidence.learn(now)
@@ -281,12 +347,18 @@ def _settled(residual, evidence, now: Posterior) -> Posterior:
     return _pruned(evidence, bounded(residual, evidence, now))
 
 
-def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> Posterior:
+SECANTS = 30
+"""Moves of a secant at most: they end where it stands at the value found."""
+
+
+def relinearised(
+    residual, evidence: Evidence, rest: tuple[Hypothesis, ...], h: Hypothesis
+) -> Posterior:
     """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
-    now = evidence.posterior((*now.chosen, h))
+    now = evidence.posterior((*rest, h))
     if not h.effect.secant:
         return now
-    for _ in range(4):
+    for _ in range(SECANTS):
         theta = now.of(now.chosen[-1])[0]
         if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
             break

@@ -25,8 +25,13 @@ def correction(
     if found.inertials:
         set_inertials(spec, {name: np.array(pi) for name, pi in found.inertials.items()})
     compile_spec(spec)
-    # Whole gains, joint by joint, in the place of those that are listed.
-    odd = (_identified(f) for f in found.odd if f.family != GAIN or not found.gains)
+    # Whole gains and ordinary numbers, joint by joint, in the place of what is listed of them.
+    odd = (
+        _identified(f)
+        for f in found.odd
+        if (f.family != GAIN or not found.gains)
+        and f.family not in found.joints.get(f.place.name, {})
+    )
     gains = (
         Identified(GAIN, "joint", joint, {"gain": p.value}) for joint, p in found.gains.items()
     )
