@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.best_numbers import relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance, scaled
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
 
 PASSING = frozenset({"push"})

@@ -1,17 +1,22 @@
 """Stepwise search over hypotheses by log evidence: add, delete, re-estimate, exchange; it decides nothing."""
 
-import copy
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, Shape
+from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place, reshaped
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.best_numbers import (
+    at_best,
+    learned_in_turn,
+    learned_with,
+    relinearised,
+)
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import (
@@ -77,59 +82,10 @@ def _refined(
     for h in now.chosen:
         if h.is_odd:
             rest = now.without(h)
-            best = _at_best(residual, evidence, rest, h, every)
+            best = at_best(residual, evidence, rest, h, every)
             if best is not h:
                 now = evidence.posterior((*rest.chosen, best))
     return learned(evidence, now.chosen, 1)
-
-
-def _at_best(
-    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, every: Sequence[Hypothesis]
-) -> Hypothesis:
-    """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
-
-    `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
-    friction is the motor's or the link's, say, has its own optimum.
-    """
-    if h.effect.secant:
-        return h
-    steps = h.effect.steps(residual.context, h.place, h.shape)
-    others = [c for c in every if c.key == h.key and not h.effect.many]
-    gains = evidence.gains(rest, others) if others else np.zeros(0)
-    if not np.any(steps):
-        alone = float(evidence.gains(rest, (h,))[0])
-        return others[int(np.argmax(gains))] if np.max(gains, initial=-np.inf) > alone else h
-    starts = {_unmoved(h, steps): h}
-    for k in np.argsort(gains)[::-1]:
-        starts.setdefault(_unmoved(others[k], steps), others[k])
-    climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
-    return max(climbed, key=lambda found: found[1])[0]
-
-
-def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
-    """What of its nonlinear numbers no search between the grid's points moves."""
-    return tuple(x for x, step in zip(h.shape, steps, strict=True) if not step)
-
-
-def _between_points(
-    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
-) -> tuple[Hypothesis, float]:
-    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
-    best, gain = h, float(evidence.gains(rest, (h,))[0])
-    for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
-        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
-            # On while it leads up: an optimum may be several steps from the grid's point.
-            for _ in range(MOST_MOVES):
-                shape = list(best.shape)
-                shape[k] += float(sign * step[k])
-                if shape[k] * best.shape[k] < 0 or not h.effect.within(tuple(shape)):
-                    break
-                trial = reshaped(h, residual, tuple(shape))
-                got = float(evidence.gains(rest, (trial,))[0])
-                if not np.isfinite(got) or got <= gain:
-                    break
-                best, gain = trial, got
-    return best, gain
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -194,7 +150,10 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
         if gain <= 0:
             # By variances that are there it does not pay: it may explain most of what they were learned from.
             with_it = evidence.posterior((*now.chosen, c))
-            gain = evidence.gain_learned(now, *_learned(residual, evidence, with_it, 2)) - c.odds
+            gain = (
+                evidence.gain_learned(now, *learned_in_turn(residual, evidence, with_it, 2))
+                - c.odds
+            )
         entered = None
         if gain > 0 and gain > sensor_noise.share(residual, evidence, now, c):
             entered = _with(residual, evidence, now, c, bank)
@@ -265,12 +224,8 @@ def _exchanged(
     return None
 
 
-MOST_MOVES = 4
-"""Steps of one length that lead up: as far as the grid's next point."""
 FAINT, MOST_RIVALS = 8.0, 6
 """Nats below its prior odds from which a candidate is not asked, and how many compete."""
-HALVINGS = 6
-"""Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 
 
 def _with(
@@ -278,17 +233,17 @@ def _with(
 ) -> tuple[Evidence, Posterior] | None:
     """One more at its best numbers, and the evidence by variances learned with it; None where they are no robot's."""
     best = [
-        _at_best(residual, evidence, now, c, bank.candidates)
+        at_best(residual, evidence, now, c, bank.candidates)
         for c in (h, *_other_laws(evidence, now, h, bank))
     ]
     worths = evidence.gains(now, best) - np.array([c.odds for c in best])
     after = relinearised(residual, evidence, now.chosen, best[int(np.argmax(worths))])
-    beside, after = _learned_with(residual, evidence, after)
+    beside, after = learned_with(residual, evidence, after)
     # By variances that hold the gap no better numbers lead up; by its own they may.
     added, rest = after.chosen[-1], after.without(after.chosen[-1])
-    better = _at_best(residual, beside, rest, added, bank.candidates)
+    better = at_best(residual, beside, rest, added, bank.candidates)
     if better is not added:
-        beside, after = _learned_with(
+        beside, after = learned_with(
             residual, beside, relinearised(residual, beside, rest.chosen, better)
         )
         added = after.chosen[-1]
@@ -308,63 +263,11 @@ def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hyp
     return [c for c in best.values() if c is not h]
 
 
-ROUNDS, CONVERGED = 6, 0.5
-"""Of variances and numbers in turn at most, and the change of log evidence [nats] from which there are no more."""
-
-
-def _learned_with(residual, evidence: Evidence, now: Posterior) -> tuple[Evidence, Posterior]:
-    """The evidence by variances learned with what is chosen, and the posterior: they are found in turn, best of two.
-
-    From the variances that are there, and from the sensors' alone: by those that hold a whole gap, a prior outweighs
-    what the log says of its cause; by those of the sensors, a cause that is not all of it is bent to be.
-    """
-    sharp = evidence.by_sensors_alone()
-    bent = relinearised(residual, sharp, now.chosen[:-1], now.chosen[-1])
-    starts = (evidence, now), (sharp, bent)
-    found = (_learned(residual, start, after, ROUNDS) for start, after in starts)
-    return max(found, key=lambda one: one[1].log_evidence)
-
-
-def _learned(
-    residual, evidence: Evidence, now: Posterior, rounds: int
-) -> tuple[Evidence, Posterior]:
-    """Variances and numbers in turn, until they stand."""
-    before = -np.inf
-    for _ in range(rounds):
-        evidence = copy.copy(evidence)
-        evidence.learn(now, memory=False)
-        now = relinearised(residual, evidence, now.chosen[:-1], now.chosen[-1])
-        if abs(now.log_evidence - before) < CONVERGED:
-            break
-        before = now.log_evidence
-    return evidence, now
-
-
 def _settled(residual, evidence, now: Posterior) -> Posterior:
     """Variance learned again, and without what can no longer be or has lost its evidence."""
     evidence.learn(now)
     now = evidence.posterior(now.chosen)
     return _pruned(evidence, bounded(residual, evidence, now))
-
-
-SECANTS = 30
-"""Moves of a secant at most: they end where it stands at the value found."""
-
-
-def relinearised(
-    residual, evidence: Evidence, rest: tuple[Hypothesis, ...], h: Hypothesis
-) -> Posterior:
-    """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
-    now = evidence.posterior((*rest, h))
-    if not h.effect.secant:
-        return now
-    for _ in range(SECANTS):
-        theta = now.of(now.chosen[-1])[0]
-        if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
-            break
-        h = reshaped(h, residual, tuple(float(x) for x in theta))
-        now = evidence.posterior((*now.chosen[:-1], h))
-    return now
 
 
 def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
