@@ -187,17 +187,9 @@ def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis]
         if better is None or better[1] <= both:
             continue
         entered = _with(residual, evidence, rest, better[0], bank)
-        if entered is not None and _pays(evidence, now, entered, a.odds + b.odds):
+        if entered is not None:
             return _settled(residual, evidence, entered[1]), better[0]
     return None
-
-
-def _pays(
-    evidence: Evidence, now: Posterior, entered: tuple[Evidence, Posterior], spared: float
-) -> bool:
-    """Whether what entered is likelier than what is there, each by its own variances; `spared`: odds of what left."""
-    beside, after = entered
-    return evidence.gain_learned(now, beside, after) > after.chosen[-1].odds - spared
 
 
 def _exchanged(
@@ -219,7 +211,7 @@ def _exchanged(
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             entered = _with(residual, evidence, rest, better[0], bank)
-            if entered is not None and _pays(evidence, now, entered, h.odds - EXCHANGE):
+            if entered is not None:
                 return _settled(residual, evidence, entered[1]), better[0]
     return None
 
