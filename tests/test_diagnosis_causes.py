@@ -75,7 +75,7 @@ class _Rows(Residual):
 
     def has(self, h):
         """The same with a hypothesis' columns as they are on the first run."""
-        self.known[h.effect, h.place, h.shape, h.level] = h.columns, h.row, None, None
+        self.known[h.effect, h.place, h.shape, h.level] = h.columns, h.row, None
         return self
 
 

@@ -43,8 +43,6 @@ class Hypothesis:
     """Whether it is an ordinary effect that every hypothesis has."""
     cut: Cut | None = None
     """Where on its row it leaves the logged torque open."""
-    turning: Float[np.ndarray, " R"] | None = None
-    """By how much its direction may be another as it turns round, in parts of it."""
 
     @property
     def count(self) -> int:
@@ -139,9 +137,7 @@ def hypothesis(
     scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
     scale = np.concatenate(scales)
     cut = _cut(residual, effect, place, shape)
-    # A robot as bought has mild forms of each joint's friction, and how it turns round is among them.
-    turning = None if assumed else _turning(residual, effect, place, shape)
-    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut, turning)
+    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut)
 
 
 def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
@@ -154,21 +150,9 @@ def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
     key = h.effect, h.place, h.shape, h.level
     if key not in residual.known:
         columns, row = _columns(residual, *key)
-        of = residual, h.effect, h.place, h.shape
-        turning = None if h.assumed else _turning(*of)
-        residual.known[key] = columns, row, _cut(*of), turning
-    columns, row, cut, turning = residual.known[key]
-    return dataclasses.replace(h, columns=columns, row=row, cut=cut, turning=turning)
-
-
-def _turning(
-    residual: Residual, effect: Effect, place: Place, shape: Shape
-) -> Float[np.ndarray, " R"] | None:
-    other = effect.turning(residual.context_of(effect), place, shape)
-    if other is None:
-        return None
-    rows, _ = residual.rows_of(Columns(other[:, None], place.index))
-    return rows[:, place.index, 0] if rows.ndim == 3 else rows[:, 0]
+        residual.known[key] = columns, row, _cut(residual, h.effect, h.place, h.shape)
+    columns, row, cut = residual.known[key]
+    return dataclasses.replace(h, columns=columns, row=row, cut=cut)
 
 
 def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut | None:

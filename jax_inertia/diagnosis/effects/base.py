@@ -234,12 +234,6 @@ class Effect(abc.ABC):
         """`numbers`, in newtons and metres of a joint that slides."""
         return slid(self.numbers(context, place, shape, theta), context, place)
 
-    def turning(
-        self, context: Context, place: Place, shape: Shape
-    ) -> Float[np.ndarray, " T"] | None:
-        """By how much the law's direction may be another as it turns round, in parts of it; None of what does not."""
-        return None
-
     def room(self, context: Context, place: Place, shape: Shape) -> Float[np.ndarray, " T"] | None:
         """Where a row's logged torque does not reach the joint, over how much it may lie [N m]; 0 where it does.
 

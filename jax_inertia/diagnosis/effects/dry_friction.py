@@ -48,10 +48,6 @@ class DryFriction(Effect):
         """z in [−1, 1] that multiplies the level (T,)."""
         return direction(context, place.index, float(shape[0]), shape[1])
 
-    def turning(self, context, place, shape):
-        narrow, wide = (direction(context, place.index, x) for x in _beside(shape[0]))
-        return TURNING_TOLERANCE * (narrow - wide)
-
     def edit(self, spec, model, found):
         # The level; what varies about it is written to `dof_frictionloss` at each step.
         add_friction(joint_of(spec, found), found.values["coulomb"])
@@ -290,7 +286,7 @@ class StatedFriction(Effect):
     """The form of a friction that the model states, marginalised: no model of two numbers states it.
 
     How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); beside it bristles over
-    other ways, Stribeck's at three speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
+    other ways, Stribeck's at two speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
     way, as of the joint's dry friction.
     """
 
@@ -301,8 +297,7 @@ class StatedFriction(Effect):
         return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
 
     def shapes(self, context, place):
-        # Its level is known, and so is how fast a soft constraint lets it creep.
-        return [(x, BENT) for x in (*PRESLIDING, -float(context.frictionloss[place.index]))]
+        return turnings(context, place)
 
     def columns(self, context, place, shape):
         row = place.index
@@ -310,7 +305,7 @@ class StatedFriction(Effect):
         dry = [
             context.side[:, row] - z,
             *(z - direction(context, row, x) for x in _beside(shape[0])),
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.02, 0.05, 0.2)),
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
         ]
         top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
         bent = float(context.damping[row]) * np.abs(v) * v / top
@@ -320,8 +315,7 @@ class StatedFriction(Effect):
 
     def scale(self, context, place, shape):
         turning, form = TURNING_TOLERANCE, STATED_TOLERANCE
-        # What happens slower than a joint is seen to move is a way to turn round, too.
-        return np.array([1.0, turning, turning, turning, form, form, form])
+        return np.array([1.0, turning, turning, form, form, form])
 
     def numbers(self, context, place, shape, theta):
         return {}

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
-from jax_inertia.diagnosis.effects.inertial import RIGID, steiner
-from jax_inertia.diagnosis.effects.joint import ViscousFriction
+from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
 
@@ -18,7 +17,7 @@ class InertialTolerances(Effect):
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
-    named, marginal, form_error = False, True, RIGID
+    named, marginal, form_error = False, True, 0.0
 
     def columns(self, context, place, shape):
         every, robot = context.regressor, context.robot
@@ -60,9 +59,8 @@ class StatedNumbers(Effect):
     Shape: their standard deviation.
     """
 
-    # As exact as the effects that change these numbers.
     name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
-    named, marginal, form_error = False, True, ViscousFriction.form_error
+    named, marginal, form_error = False, True, 0.0
 
     def places(self, context):
         return [p for p in super().places(context) if self.own(context, p).any()]

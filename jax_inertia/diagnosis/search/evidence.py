@@ -106,11 +106,7 @@ def form_variance(now: Posterior) -> Float[np.ndarray, "R n"]:
     form = np.zeros_like(now.fitted)
     for h in now.chosen:
         if h.form_error:
-            torque = now.torque(h)
-            form += (h.form_error * torque) ** 2
-            if h.turning is not None:
-                own = torque[:, h.place.index]
-                form[:, h.place.index] += np.mean(own**2) * h.turning**2
+            form += (h.form_error * now.torque(h)) ** 2
     return form
 
 
@@ -161,13 +157,6 @@ class Evidence:
         out = copy.copy(self)
         out.noise = dataclasses.replace(self.noise, most_repeated=np.inf)
         out.learn(now)
-        return out
-
-    def by_sensors_alone(self) -> "Evidence":
-        """The same by variances as small as sensors and filters let them be."""
-        out = copy.copy(self)
-        variance = self.least**2 * np.ones_like(self.y)
-        out.noise = dataclasses.replace(self.noise, variance=variance)
         return out
 
     @property
@@ -246,14 +235,16 @@ class Evidence:
         rows = self.weight[:, h.row] / self.noise.repeated[h.row]
         return float(np.sum(rows * h.cut.share * each))
 
-    def gain_learned(self, now: Posterior, beside: "Evidence", after: Posterior) -> float:
-        """Change of log evidence from one set of hypotheses to another, nats, each by variances learned with it.
+    def relearned_gain(self, now: Posterior, after: Posterior) -> float:
+        """Change of log evidence from one set of hypotheses to another, variances learned with either, nats.
 
-        `beside`: the same rows, their variances learned with `after`. `gains` asks by the variances that are there:
-        what explains most of a row, they take for as large as noise.
+        `gains` asks by the variances that are there: what explains most of a row, they take for as large as noise.
         """
-        alone = copy.copy(self)
+        alone, beside = copy.copy(self), copy.copy(self)
         alone.learn(now, memory=False)
+        for _ in range(2):
+            beside.learn(after, memory=False)
+            after = beside.posterior(after.chosen)
         owed = sum(map(beside.unsaid, after.chosen)) - sum(map(alone.unsaid, now.chosen))
         return after.log_evidence - alone.posterior(now.chosen).log_evidence - owed
 

@@ -5,18 +5,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.base import Effect, Shape
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place, reshaped
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.best_numbers import (
-    at_best,
-    learned_in_turn,
-    learned_with,
-    relinearised,
-)
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import (
@@ -82,10 +76,56 @@ def _refined(
     for h in now.chosen:
         if h.is_odd:
             rest = now.without(h)
-            best = at_best(residual, evidence, rest, h, every)
+            best = _at_best(residual, evidence, rest, h, every)
             if best is not h:
                 now = evidence.posterior((*rest.chosen, best))
     return learned(evidence, now.chosen, 1)
+
+
+def _at_best(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, every: Sequence[Hypothesis]
+) -> Hypothesis:
+    """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
+
+    `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
+    friction is the motor's or the link's, say, has its own optimum.
+    """
+    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
+    if not np.any(steps):
+        return h
+    starts = {_unmoved(h, steps): h}
+    others = [c for c in every if c.key == h.key and not h.effect.many]
+    gains = evidence.gains(rest, others) if others else []
+    for k in np.argsort(gains)[::-1]:
+        starts.setdefault(_unmoved(others[k], steps), others[k])
+    climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
+    return max(climbed, key=lambda found: found[1])[0]
+
+
+def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
+    """What of its nonlinear numbers no search between the grid's points moves."""
+    return tuple(x for x, step in zip(h.shape, steps, strict=True) if not step)
+
+
+def _between_points(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
+) -> tuple[Hypothesis, float]:
+    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
+    best, gain = h, float(evidence.gains(rest, (h,))[0])
+    for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
+        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
+            # On while it leads up: an optimum may be several steps from the grid's point.
+            for _ in range(MOST_MOVES):
+                shape = list(best.shape)
+                shape[k] += float(sign * step[k])
+                if shape[k] * best.shape[k] < 0 or not h.effect.within(tuple(shape)):
+                    break
+                trial = reshaped(h, residual, tuple(shape))
+                got = float(evidence.gains(rest, (trial,))[0])
+                if not np.isfinite(got) or got <= gain:
+                    break
+                best, gain = trial, got
+    return best, gain
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -134,39 +174,24 @@ def _best(
 
 
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
-    """One more, the best there is, and which; None where nothing gains.
-
-    Those that pay compete at their best numbers, each by variances learned with it: what explains most of a row was
-    taken for noise before.
-    """
+    """One more, the best there is, and which; None where nothing gains."""
     asked: set[tuple[str, str, str]] = set()
-    rivals: list[tuple[float, Posterior, Hypothesis]] = []
-    for c, gain in _best(residual, evidence, now, bank, barred):
-        if len(asked) >= MOST_RIVALS or gain <= (0.0 if rivals else -FAINT):
-            break
-        if c.key in asked:
-            continue
-        asked.add(c.key)
+    for added, gain in _best(residual, evidence, now, bank, barred):
+        if gain <= -FAINT or len(asked) == MOST_FAINT:
+            return None
         if gain <= 0:
             # By variances that are there it does not pay: it may explain most of what they were learned from.
-            with_it = evidence.posterior((*now.chosen, c))
-            gain = (
-                evidence.gain_learned(now, *learned_in_turn(residual, evidence, with_it, 2))
-                - c.odds
-            )
-        entered = None
-        if gain > 0 and gain > sensor_noise.share(residual, evidence, now, c):
-            entered = _with(residual, evidence, now, c, bank)
-        if entered is None:
-            barred.add(id(c))
-            asked.discard(c.key)
-            continue
-        beside, after = entered
-        rivals.append((evidence.gain_learned(now, beside, after) - c.odds, after, c))
-    if not rivals:
-        return None
-    _, after, added = max(rivals, key=lambda r: r[0])
-    return _settled(residual, evidence, after), added
+            if added.key in asked:
+                continue
+            asked.add(added.key)
+            after = evidence.posterior((*now.chosen, added))
+            gain = evidence.relearned_gain(now, after) - added.odds
+        by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
+        after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
+        if after is not None:
+            return _settled(residual, evidence, after), added
+        barred.add(id(added))
+    return None
 
 
 def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis] | None:
@@ -186,9 +211,9 @@ def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis]
         better = next(_best(residual, evidence, rest, bank, own), None)
         if better is None or better[1] <= both:
             continue
-        entered = _with(residual, evidence, rest, better[0], bank)
-        if entered is not None:
-            return _settled(residual, evidence, entered[1]), better[0]
+        after = _with(residual, evidence, rest, better[0], bank)
+        if after is not None:
+            return _settled(residual, evidence, after), better[0]
     return None
 
 
@@ -210,36 +235,30 @@ def _exchanged(
         ):
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            entered = _with(residual, evidence, rest, better[0], bank)
-            if entered is not None:
-                return _settled(residual, evidence, entered[1]), better[0]
+            after = _with(residual, evidence, rest, better[0], bank)
+            if after is not None:
+                return _settled(residual, evidence, after), better[0]
     return None
 
 
-FAINT, MOST_RIVALS = 8.0, 6
-"""Nats below its prior odds from which a candidate is not asked, and how many compete."""
+MOST_MOVES = 4
+"""Steps of one length that lead up: as far as the grid's next point."""
+FAINT, MOST_FAINT = 8.0, 5
+"""Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
+HALVINGS = 6
+"""Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 
 
-def _with(
-    residual, evidence, now: Posterior, h: Hypothesis, bank: Bank
-) -> tuple[Evidence, Posterior] | None:
-    """One more at its best numbers, and the evidence by variances learned with it; None where they are no robot's."""
+def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
+    """One more, its secant where it belongs; None where its numbers are no robot's."""
     best = [
-        at_best(residual, evidence, now, c, bank.candidates)
+        _at_best(residual, evidence, now, c, bank.candidates)
         for c in (h, *_other_laws(evidence, now, h, bank))
     ]
     worths = evidence.gains(now, best) - np.array([c.odds for c in best])
-    after = relinearised(residual, evidence, now.chosen, best[int(np.argmax(worths))])
-    beside, after = learned_with(residual, evidence, after)
-    # By variances that hold the gap no better numbers lead up; by its own they may.
-    added, rest = after.chosen[-1], after.without(after.chosen[-1])
-    better = at_best(residual, beside, rest, added, bank.candidates)
-    if better is not added:
-        beside, after = learned_with(
-            residual, beside, relinearised(residual, beside, rest.chosen, better)
-        )
-        added = after.chosen[-1]
-    return (beside, after) if added.possible(residual, after.of(added)[0]) else None
+    after = relinearised(residual, evidence, now, best[int(np.argmax(worths))])
+    added = after.chosen[-1]
+    return after if added.possible(residual, after.of(added)[0]) else None
 
 
 def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
@@ -260,6 +279,20 @@ def _settled(residual, evidence, now: Posterior) -> Posterior:
     evidence.learn(now)
     now = evidence.posterior(now.chosen)
     return _pruned(evidence, bounded(residual, evidence, now))
+
+
+def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> Posterior:
+    """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
+    now = evidence.posterior((*now.chosen, h))
+    if not h.effect.secant:
+        return now
+    for _ in range(4):
+        theta = now.of(now.chosen[-1])[0]
+        if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
+            break
+        h = reshaped(h, residual, tuple(float(x) for x in theta))
+        now = evidence.posterior((*now.chosen[:-1], h))
+    return now
 
 
 def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
