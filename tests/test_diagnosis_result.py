@@ -1,11 +1,14 @@
 """What a diagnosis says of itself."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from diagnosis_made_up import diagnosis
 
 from jax_inertia.diagnosis.effects.base import Interval, Place
 from jax_inertia.diagnosis.gap_stretches import gap_stretches
-from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Tie, Trace, Verdict
+from jax_inertia.diagnosis.result import Found, Tie, Verdict
 
 KNEE, HIP = Place("joint", "knee", 0), Place("joint", "hip", 1)
 
@@ -15,34 +18,9 @@ def effect(family: str, place: Place = KNEE, *ties: Tie) -> Found:
     return Found(family, place, size, 0.9, 20.0, 0.95, ties, False, "τ + <b>")
 
 
-def diagnosis(verdict: Verdict, *found: Found) -> Diagnosis:
-    shrink = Shrink(1.0, 0.5, 0.1, 0.1, {"knee": (1.0, 0.1)})
-    rows = np.zeros((2, 1))
-    return Diagnosis(
-        verdict=verdict,
-        confidence=0.9,
-        headline="The model lacks something.",
-        found=found,
-        joints={},
-        presliding={},
-        as_bought=-10.0,
-        heldout=shrink,
-        test=None,
-        remainder=Remainder(0.1, {"knee": 1.0}, (), 0.1),
-        chi2=2.0,
-        noise_floor=1.0,
-        per_joint_rms={"knee": 1.0},
-        share={"knee": 1.0},
-        inertials={},
-        notes=("a <note>",),
-        trace=Trace(np.zeros(2), rows, rows, rows, ("knee",)),
-        units={"knee": "N m"},
-    )
-
-
 def test_in_a_console_and_in_a_notebook():
     tied = effect("torque_bias", KNEE, Tie("joint_spring", HIP, "motion_limited"))
-    found = diagnosis(Verdict.EXPLAINED, tied)
+    found = dataclasses.replace(diagnosis(Verdict.EXPLAINED, tied), notes=("a <note>",))
     assert "torque_bias at knee: bias 0.5 [0.4, 0.6] N m; or joint_spring at hip" in repr(found)
     page = found._repr_html_()
     for said in ("torque bias", "τ + &lt;b&gt;", "95 %", "joint_spring at hip", "a &lt;note&gt;"):

@@ -13,10 +13,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from diagnosis_made_up import diagnosis
 
 import jax_inertia as ji
 from jax_inertia.cli import estimate as command
-from jax_inertia.diagnosis.result import Diagnosis, Remainder, Shrink, Trace, Verdict
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.estimate_inputs import CHARTS, Settings
 from jax_inertia.gap import either
@@ -206,32 +207,6 @@ def test_whole_logs_are_computed_in_double_precision(found):
 # --- diagnose ----------------------------------------------------------------------------------------------------
 
 
-def whole() -> Diagnosis:
-    """A diagnosis of the whole robot that found nothing."""
-    shrink = Shrink(1.0, 0.5, 0.1, 0.1, {"elbow": (1.0, 0.1)})
-    rows = np.zeros((2, 1))
-    return Diagnosis(
-        verdict=Verdict.EXPLAINED,
-        confidence=0.9,
-        headline="The model lacks friction.",
-        found=(),
-        joints={},
-        presliding={},
-        as_bought=10.0,
-        heldout=shrink,
-        test=None,
-        remainder=Remainder(0.1, {"elbow": 1.0}, (), 0.1),
-        chi2=2.0,
-        noise_floor=0.1,
-        per_joint_rms={"elbow": 1.0},
-        share={"elbow": 1.0},
-        inertials={},
-        notes=("of its own",),
-        trace=Trace(np.zeros(2), rows, rows, rows, ("elbow",)),
-        units={"elbow": "N m"},
-    )
-
-
 @pytest.fixture
 def both(monkeypatch, request):
     """Which of the two ways was taken, without the minutes that they take."""
@@ -240,11 +215,11 @@ def both(monkeypatch, request):
     def one_effect(robot, logs, asked, max_effects):
         options = {"exclude": asked.exclude, "max_effects": max_effects}
         taken.append(("one effect", logs[0], options))
-        return whole()
+        return diagnosis(Verdict.EXPLAINED)
 
     def every_joint(robot, log, **options):
         taken.append(("every joint", log, options))
-        return whole() if getattr(request, "param", True) else None
+        return diagnosis(Verdict.EXPLAINED) if getattr(request, "param", True) else None
 
     monkeypatch.setattr(either, "single_effects", one_effect)
     monkeypatch.setattr(either.pipeline, "diagnose_as_bought", every_joint)

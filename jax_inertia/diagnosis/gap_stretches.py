@@ -28,7 +28,7 @@ def gap_stretches(
     mean = np.convolve(energy, np.ones(width) / width, mode="same")
     large = mean > max(LARGE * z.shape[1], OF_LARGEST * float(mean.max(initial=0.0)))
     for (_, stop), (start, _) in itertools.pairwise(run_bounds(large)):
-        if (start - stop) * step < JOINED:
+        if start - stop < round(JOINED / step):
             large[stop:start] = True
     return tuple(
         (float(time[start]), float(time[min(stop, len(time) - 1)]))

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES
-from jax_inertia.gap import locate
+from jax_inertia.diagnosis.gap_stretches import gap_stretches
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
@@ -26,6 +26,7 @@ from jax_inertia.gap.finder import finder
 from jax_inertia.gap.finding import Diagnosis, Finding, Tie
 from jax_inertia.gap.harm import without_harm
 from jax_inertia.gap.intervals import Interval, intervals
+from jax_inertia.gap.locate import times
 from jax_inertia.gap.motors import by_samples
 from jax_inertia.gap.nuisance import Tolerance
 from jax_inertia.gap.objections import objections
@@ -145,7 +146,7 @@ def diagnose(
         findings=findings,
         heldout=heldout,
         test=None if trial is None else trial.shrink,
-        when=tuple((a, b) for a, b in locate.intervals(evidence, evidence.y)),
+        when=gap_stretches(times(evidence), evidence.unflatten(evidence.y)),
         undetectable_below=undetectable(pool),
         notes=(*log.notes, *_unmeasured(prepared), *_unstated(search, log), *checked.notes),
         doubts=objections(search, chosen, verdict, trial, beside, max_effects),

@@ -1,4 +1,4 @@
-"""Where the gap lies: in which rows, in which stretches of time, as which wrench on which body."""
+"""In which short stretches of time the gap lies."""
 
 import itertools
 
@@ -49,19 +49,6 @@ def windows(
             if shortest < (stop - start) * step < longest and inside > 0.5 * excess:
                 found.add((time[start] - 0.04, time[min(stop, len(time) - 1)] + 0.04))
     return tuple(sorted(found))
-
-
-def intervals(evidence: Evidence, residual: Float[np.ndarray, " n"]) -> list[list[float]]:
-    """Stretches [s] that hold most of the excess energy of a whitened residual, if it is not spread over the log."""
-    time = times(evidence)
-    step = time[1] - time[0]
-    total = (evidence.unflatten(residual) ** 2).sum(axis=1)
-    width = max(1, round(0.2 / step))
-    smooth = np.convolve(total, np.ones(width) / width, mode="same")
-    level = max(3.0 * evidence.used.shape[1], 0.25 * smooth.max())
-    loud = _closed(smooth > level, round(0.3 / step), np.ones(len(total), bool))
-    runs = [(a, b) for a, b in run_bounds(loud) if (b - a) * step > 0.05]
-    return [[float(time[a]), float(time[min(b, len(time) - 1)])] for a, b in runs]
 
 
 def times(evidence: Evidence) -> Float[np.ndarray, " R"]:

@@ -25,6 +25,8 @@ from jax_inertia.signals.sinking import sunk
 
 BASE = 6
 """Rows of a free joint."""
+RIGID = (0.0,) * 9
+"""`Surface.soft` of what does not sink."""
 # A point is at the ground that is so near to it [m] for this share of the log.
 NEAR, OFTEN = 0.02, 0.05
 # A robot that nothing carries needs less than this share of its weight.
@@ -48,7 +50,7 @@ class Foot:
     flat: bool
     pivot: tuple[float, float] = (0.0, 0.0)
     """Moment that it may bear about the ground's normal, and along the ground, per force on it [m]."""
-    soft: tuple[float, ...] = (0.0,) * 9
+    soft: tuple[float, ...] = RIGID
     """Of a ball, how it sinks (`Surface.soft`); a sole's load is shared by who knows how many points."""
 
 
@@ -141,10 +143,9 @@ def feet_of(
             extent = np.ptp(points[at], axis=0).max()
             centre = tuple(points[at].mean(axis=0).tolist())
             pivot = tuple(np.asarray(surface.pivot)[at].mean(axis=0).tolist())
-            soft = tuple(np.asarray(surface.soft)[at].mean(axis=0).tolist())
             flat = bool(extent > SOLE)
-            ball = Foot(body, centre, float(radius[at].mean()), flat, pivot)
-            feet.append(ball if flat else dataclasses.replace(ball, soft=soft))
+            soft = RIGID if flat else tuple(np.asarray(surface.soft)[at].mean(axis=0).tolist())
+            feet.append(Foot(body, centre, float(radius[at].mean()), flat, pivot, soft))
     return feet
 
 

@@ -3,7 +3,8 @@
 import math
 
 from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
-from jax_inertia.text.words import at, number, percent, plain, unit
+from jax_inertia.text import words
+from jax_inertia.text.words import number, percent, plain, unit
 
 MANY = 3
 
@@ -56,7 +57,7 @@ def headline(
 def named(f: Found) -> str:
     """Effect, place and its first number; of a vector its length."""
     name, p = next(iter(f.parameters.items()), ("", None))
-    text = f"{plain(f.family)}{at(f.place)}"
+    text = words.named(f.family, f.place)
     if p is None:
         return text
     stem, _, axis = name.rpartition("_")
