@@ -48,7 +48,8 @@ ORDER: dict[str, str] = {
         environment external_force generic inertial tolerances transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
     "diagnosis.report": "wording next_motion detectable_sizes drawing figures json_values json_report page",
-    "diagnosis.search": "bank discrepancy evidence sensor_noise pushes candidates ordinary selection stepwise",
+    "diagnosis.search": """bank discrepancy evidence best_numbers sensor_noise pushes candidates ordinary selection
+        stepwise""",
 }
 UNORDERED = {"gap"}
 RANK = {folder: {n: i for i, n in enumerate(text.split())} for folder, text in ORDER.items()}

@@ -10,9 +10,10 @@ determine has no vote, and no joint says more than what a single effect there wo
 """
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import norm
 
-from jax_inertia.diagnosis.checks import rms
+from jax_inertia.diagnosis.checks import rms, rows
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import reported
 from jax_inertia.diagnosis.search.selection import Selection
@@ -30,23 +31,34 @@ def log_odds_as_bought(selection: Selection, settings: Settings) -> float:
     """Votes of all joints on the number that most of them lack [nats]."""
     chosen = {h.key: h for h in selection.posterior.chosen}
     votes = dict.fromkeys(NUMBERS, 0.0)
+    gap = _beside_odd(selection)
     for h in selection.tried:
         if h.key in chosen and h.family in NUMBERS:
-            votes[h.family] += _vote(selection, chosen[h.key], settings)
+            votes[h.family] += _vote(selection, chosen[h.key], gap, settings)
         elif h.family in NUMBERS:
             # Its best value is below what any joint has.
             votes[h.family] -= settings.odd_odds
     return max(votes.values())
 
 
-def _vote(selection: Selection, h: Hypothesis, settings: Settings) -> float:
+def _beside_odd(selection: Selection) -> Float[np.ndarray, " n"]:
+    """Rms of each row without what is odd [N m]: next to a heavy load no friction is material."""
+    left, now = selection.evidence.y.copy(), selection.posterior
+    for h in selection.odd:
+        left -= now.torque(h)
+    return rows(left, selection.residual.weight)
+
+
+def _vote(
+    selection: Selection, h: Hypothesis, gap: Float[np.ndarray, " n"], settings: Settings
+) -> float:
     """v of one number."""
     row = h.place.index
     own = float(getattr(selection.residual.context, NUMBERS[h.family])[row])
     per_unit = max(float(rms(h.columns, selection.residual.weight[:, [row]])), 1e-12)
     good = max(
         settings.ordinary_tolerance * own,
-        np.sqrt(settings.material) * selection.evidence.gap[row] / per_unit,
+        np.sqrt(settings.material) * gap[row] / per_unit,
     )
     mean, covariance = reported(selection, h)
     away = (mean[0] - good) / np.sqrt(covariance[0, 0])

@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.best_numbers import relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance, scaled
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.search.stepwise import relinearised
 from jax_inertia.diagnosis.settings import Settings
 
 PASSING = frozenset({"push"})
@@ -275,7 +275,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
             continue
         if len(best) == MOST_RIVALS:
             break
-        with_it = relinearised(selection.residual, evidence, rest, c)
+        with_it = relinearised(selection.residual, evidence, (*rest.chosen, c))
         c = with_it.chosen[-1]
         if c.effect.secant:
             behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds

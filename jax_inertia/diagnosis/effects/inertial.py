@@ -10,10 +10,10 @@ from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.model.load import body_pi, set_inertials
 
-SIZE = 0.07
+SIZE = 0.1
 """A load's usual radius of gyration on such links [m]."""
 REACH = 0.06
-"""Standard deviation of a load's lever on links of 0.15 to 1 m [m]."""
+"""Standard deviation of a load's lever on links of 0.15 to 1 m whose centre of mass is at the joint [m]."""
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """A ball's inertia of one, among a body's parameters."""
 LIFTED = (
@@ -50,6 +50,8 @@ def inertia_change(pi: np.ndarray, share: float) -> np.ndarray:
     return np.array([0.0, 0.0, 0.0, 0.0, *(share * (pi[4:] - steiner(m, pi[1:4] / m)))])
 
 
+LEAST = 0.02
+"""Least mass by which a load's first and second moments are judged, of a usual one's: where none is found yet."""
 LOAD = 0.08
 """Standard deviation of a load's mass, of the robot's: arms carry 0.1 to 0.3 of their weight at most."""
 
@@ -95,13 +97,14 @@ class Payload(_Inertial):
     form_error = 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
-    prior = "0.08 of the robot's mass or 0.3 of the body's, 6 cm off; more than nothing, within a link's length"
+    prior = "0.08 of the robot's mass or 0.3 of the body's, as far off as its centre of mass and 6 cm; within a link"
 
     def shapes(self, context, place):
         pi = context.pi[place.index]
         own = pi[1:4] / pi[0] if pi[0] > 0 else np.zeros(3)
-        mass = self.usual_mass(context, place)
-        return [(mass, *(mass * own), mass * (SIZE * context.scale) ** 2)]
+        usual = self.usual_mass(context, place)
+        masses = (usual, usual / 4.0, usual / 16.0)
+        return [(m, *(m * own), m * (SIZE * context.scale) ** 2) for m in masses]
 
     def columns(self, context, place, shape):
         m, first = max(float(shape[0]), 1e-9), np.asarray(shape[1:4])
@@ -120,8 +123,13 @@ class Payload(_Inertial):
         return max(0.3 * self.mass(context, place), LOAD * whole)
 
     def scale(self, context, place, shape):
-        lever, size = REACH * context.scale, (SIZE * context.scale) ** 2
-        return self.usual_mass(context, place) * np.array([1.0, lever, lever, lever, size])
+        # As far from the joint as the body's own centre of mass; its moments by its mass: p(m c | m), p(m k² | m).
+        pi = context.pi[place.index]
+        own = float(np.linalg.norm(pi[1:4])) / self.mass(context, place)
+        lever, size = float(np.hypot(REACH * context.scale, own)), (SIZE * context.scale) ** 2
+        usual = self.usual_mass(context, place)
+        mass = max(float(shape[0]), LEAST * usual)
+        return np.array([usual, *(mass * np.array([lever, lever, lever, size]))])
 
     def possible(self, context, place, theta):
         lever = np.linalg.norm(theta[1:4]) / max(float(theta[0]), 1e-9)

@@ -5,12 +5,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, Shape
+from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place, reshaped
+from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import (
@@ -76,56 +77,10 @@ def _refined(
     for h in now.chosen:
         if h.is_odd:
             rest = now.without(h)
-            best = _at_best(residual, evidence, rest, h, every)
+            best = at_best(residual, evidence, rest, h, every)
             if best is not h:
                 now = evidence.posterior((*rest.chosen, best))
     return learned(evidence, now.chosen, 1)
-
-
-def _at_best(
-    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, every: Sequence[Hypothesis]
-) -> Hypothesis:
-    """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
-
-    `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
-    friction is the motor's or the link's, say, has its own optimum.
-    """
-    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
-    if not np.any(steps):
-        return h
-    starts = {_unmoved(h, steps): h}
-    others = [c for c in every if c.key == h.key and not h.effect.many]
-    gains = evidence.gains(rest, others) if others else []
-    for k in np.argsort(gains)[::-1]:
-        starts.setdefault(_unmoved(others[k], steps), others[k])
-    climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
-    return max(climbed, key=lambda found: found[1])[0]
-
-
-def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
-    """What of its nonlinear numbers no search between the grid's points moves."""
-    return tuple(x for x, step in zip(h.shape, steps, strict=True) if not step)
-
-
-def _between_points(
-    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
-) -> tuple[Hypothesis, float]:
-    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
-    best, gain = h, float(evidence.gains(rest, (h,))[0])
-    for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
-        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
-            # On while it leads up: an optimum may be several steps from the grid's point.
-            for _ in range(MOST_MOVES):
-                shape = list(best.shape)
-                shape[k] += float(sign * step[k])
-                if shape[k] * best.shape[k] < 0 or not h.effect.within(tuple(shape)):
-                    break
-                trial = reshaped(h, residual, tuple(shape))
-                got = float(evidence.gains(rest, (trial,))[0])
-                if not np.isfinite(got) or got <= gain:
-                    break
-                best, gain = trial, got
-    return best, gain
 
 
 def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
@@ -241,22 +196,18 @@ def _exchanged(
     return None
 
 
-MOST_MOVES = 4
-"""Steps of one length that lead up: as far as the grid's next point."""
 FAINT, MOST_FAINT = 8.0, 5
 """Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
-HALVINGS = 6
-"""Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
 
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
     best = [
-        _at_best(residual, evidence, now, c, bank.candidates)
+        at_best(residual, evidence, now, c, bank.candidates)
         for c in (h, *_other_laws(evidence, now, h, bank))
     ]
     worths = evidence.gains(now, best) - np.array([c.odds for c in best])
-    after = relinearised(residual, evidence, now, best[int(np.argmax(worths))])
+    after = relinearised(residual, evidence, (*now.chosen, best[int(np.argmax(worths))]))
     added = after.chosen[-1]
     return after if added.possible(residual, after.of(added)[0]) else None
 
@@ -277,22 +228,8 @@ def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hyp
 def _settled(residual, evidence, now: Posterior) -> Posterior:
     """Variance learned again, and without what can no longer be or has lost its evidence."""
     evidence.learn(now)
-    now = evidence.posterior(now.chosen)
+    now = relinearised(residual, evidence, now.chosen)
     return _pruned(evidence, bounded(residual, evidence, now))
-
-
-def relinearised(residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> Posterior:
-    """The posterior with one more, its secant at the value found: exact for an offset of degrees, a long delay."""
-    now = evidence.posterior((*now.chosen, h))
-    if not h.effect.secant:
-        return now
-    for _ in range(4):
-        theta = now.of(now.chosen[-1])[0]
-        if np.all(np.abs(theta - np.asarray(h.shape)) < 0.01 * h.scale):
-            break
-        h = reshaped(h, residual, tuple(float(x) for x in theta))
-        now = evidence.posterior((*now.chosen[:-1], h))
-    return now
 
 
 def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
