@@ -2,39 +2,60 @@
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
 
+LEVEL = 0.04
+"""Standard deviation of how a base that should be level stands [rad]."""
+MOUNTED = 0.5, np.pi / 2
+"""Angles of slopes and of walls from which secants start [rad]."""
+
+
+def turns(theta: Float[np.ndarray, "2"], gravity: Float[np.ndarray, "3"]) -> np.ndarray:
+    """A(θ) of `GravityTilt`: the secant of gravity's change by rotation vectors about world x and y (3, 2)."""
+    about = np.array([*theta, 0.0])
+    angle = float(np.linalg.norm(about))
+    first = np.cross(np.eye(3)[:2], gravity)
+    half = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return (np.sinc(angle / np.pi) * first + half * np.cross(about, first)).T
+
 
 class GravityTilt(Effect):
+    """Gravity turned by a rotation vector θ about world x and y, of any angle a = |θ|.
+
+        R(θ) g − g = sin(a)/a (θ × g) + (1 − cos a)/a² θ × (θ × g) = A(θ) θ        (Rodrigues)
+
+    The needed torque is linear in gravity, so the secant at θ is exact.
+    """
+
     name, equation, kind, secant = (
         "gravity_tilt",
         "gravity turned about world x and y",
         "global",
         True,
     )
-    source, advice = "a base that is not level", advice.TURNED_BASE
+    source, advice = "a base that is not level, a robot on a wall", advice.TURNED_BASE
     units = {"tilt_x": "rad", "tilt_y": "rad"}
-    prior = "0.04 rad about either axis, below 0.3 rad"
+    prior = "0.04 rad about either axis, of larger ones as large as they are; at most π"
     mjcf = "option gravity"
 
     def shapes(self, context, place):
-        return [(0.0, 0.0)]
+        about = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
+        turned = [(a * x, a * y) for a in MOUNTED for x, y in about]
+        return [(0.0, 0.0), *turned, (np.pi, 0.0)]
 
     def columns(self, context, place, shape):
         # The real robot needs more torque for its own gravity; what is missing is what it did not need to give.
-        x, y = shape
-        tx, ty, txx, txy, tyy = np.moveaxis(context.tilt, -1, 0)
-        along_x = tx + 0.5 * x * txx + 0.5 * y * txy
-        along_y = ty + 0.5 * x * txy + 0.5 * y * tyy
-        return Columns(-np.stack([along_x, along_y], axis=-1))
+        return Columns(-context.gravity_rows @ turns(np.asarray(shape), context.gravity))
 
     def scale(self, context, place, shape):
-        return np.full(2, 0.04)
+        # What is no matter of a level may be turned by anything: as far as it is.
+        return np.full(2, max(LEVEL, float(np.hypot(*shape))))
 
     def possible(self, context, place, theta):
-        return bool(np.hypot(*theta) < 0.3)
+        return bool(np.hypot(*theta) < 1.01 * np.pi)
 
     def numbers(self, context, place, shape, theta):
         return {

@@ -192,18 +192,15 @@ class Context:
         """Torque that each joint's motor takes for itself, dry friction apart (T, nv)."""
         return self.armature * self.a + self.damping * self.v
 
-    @functools.cached_property
-    def tilt(self) -> np.ndarray:
-        """∂(needed torque)/∂(rotation θ of gravity about world x and y), and ∂² by xx, xy and yy (T, nv, 5).
+    @property
+    def gravity(self) -> np.ndarray:
+        """Of the model, in the world [m/s²]."""
+        return np.asarray(self.robot.gravity)
 
-        A rotated gravity is g + θ × g + ½ θ × (θ × g), to second order.
-        """
-        g = np.asarray(self.robot.gravity)
-        x, y, _ = np.eye(3)
-        xx, yy = (np.cross(e, np.cross(e, g)) for e in (x, y))
-        xy = 0.5 * (np.cross(x, np.cross(y, g)) + np.cross(y, np.cross(x, g)))
-        turns = np.stack([np.cross(x, g), np.cross(y, g), xx, xy, yy], axis=1)
-        return -np.einsum("b,tbjc,ck->tjk", self.pi[:, 0], self.force_rows, turns)
+    @functools.cached_property
+    def gravity_rows(self) -> np.ndarray:
+        """∂(needed torque)/∂(gravity in the world), exactly: it is linear in it (T, nv, 3)."""
+        return -np.einsum("b,tbjc->tjc", self.pi[:, 0], self.force_rows)
 
     @functools.cached_property
     def force_rows(self) -> np.ndarray:

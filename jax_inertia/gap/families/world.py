@@ -12,18 +12,22 @@ class GravityTilt(Family):
     size = 2
 
     def columns(self, context, place, shape):
-        # All five of the second order, weighed at once.
-        return Columns(-context.tilt)
+        return Columns(-context.gravity_rows)
 
     def weights(self, context, place, theta):
-        x, y = theta
-        return np.array([x, y, 0.5 * x * x, x * y, 0.5 * y * y])
+        return environment.turns(theta, context.gravity) @ theta
 
     def starts(self, context, place, free):
-        return [np.zeros(2) if free is None else free[:2]]
+        if free is None:
+            return [np.zeros(2)]
+        # The rotation that takes the model's gravity to where the three numbers of themselves have it.
+        before, after = context.gravity, context.gravity + free
+        axis = np.cross(before, after)[:2]
+        angle = np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after)
+        return [angle * axis / max(float(np.hypot(*axis)), 1e-12)]
 
     def physical(self, context, place, shape, theta):
-        return np.hypot(*theta) < 0.25
+        return np.hypot(*theta) < 1.01 * np.pi
 
 
 class ContactForceScale(Family):
