@@ -19,6 +19,7 @@ from strata import STRATA
 from jax_inertia import load_model, read_log
 from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.logs.log import Log, LogError
+from jax_inertia.signals.ground_support import _solved
 from jax_inertia.signals.torque_residual import prepare
 
 FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
@@ -117,3 +118,15 @@ def test_a_robot_that_flies_has_no_feet(robot):
 def test_a_contact_without_shape_is_refused(robot, trotted):
     with pytest.raises(LogError, match=r"'trunk' has no contact_wrench, and no colliding geom"):
         prepare(robot, unmeasured(trotted, ("trunk",)))
+
+
+def test_forces_that_no_torque_tells_from_none_are_none():
+    """Two feet of which one way is the same: the least forces that do it, where the equations have many."""
+    rows = np.random.default_rng(4).normal(size=(3, 6, 10))
+    rows[1, 5] = rows[1, 2]
+    force = np.random.default_rng(5).normal(size=(3, 6))
+    size = np.linspace(0.5, 2.0, 10)
+    found = np.einsum("tmj,tj->tm", _solved(rows, size), np.einsum("tmj,tm->tj", rows, force))
+    np.testing.assert_allclose(found[[0, 2]], force[[0, 2]], rtol=1e-6)
+    shared = 0.5 * (force[1, 2] + force[1, 5])
+    np.testing.assert_allclose(found[1, [2, 5]], shared, rtol=1e-6)

@@ -213,9 +213,14 @@ def supported(
 def _solved(
     rows: Float[np.ndarray, "T m nv"], size: Float[np.ndarray, " nv"]
 ) -> Float[np.ndarray, "T m nv"]:
-    """(J W Jᵀ)⁻¹ J W, W = diag(1 / size²)."""
+    """(J W Jᵀ)⁺ J W, W = diag(1 / size²): forces that no torque tells from none are none."""
     weighted = rows / size**2
-    return np.linalg.solve(weighted @ rows.transpose(0, 2, 1), weighted)
+    gram = weighted @ rows.transpose(0, 2, 1)
+    return np.linalg.pinv(gram, rcond=SINGULAR, hermitian=True) @ weighted
+
+
+SINGULAR = 1e-9
+"""Of its largest eigenvalue: below that a direction of forces moves no joint."""
 
 
 def _ways(
