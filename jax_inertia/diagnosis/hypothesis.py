@@ -132,11 +132,10 @@ def hypothesis(
     assumed: bool = False,
 ) -> Hypothesis:
     """An effect's columns on the residual's rows, those of its `level` before them."""
-    columns, row = _columns(residual, effect, place, shape, level)
+    columns, row, cut = _seen(residual, effect, place, shape, level)
     laws = effect if level is None else level, effect
     scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
     scale = np.concatenate(scales)
-    cut = _cut(residual, effect, place, shape)
     return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut)
 
 
@@ -146,13 +145,25 @@ def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
 
 
 def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
-    """The same hypothesis on another log, with the first one's prior; made once for each log."""
-    key = h.effect, h.place, h.shape, h.level
-    if key not in residual.known:
-        columns, row = _columns(residual, *key)
-        residual.known[key] = columns, row, _cut(residual, h.effect, h.place, h.shape)
-    columns, row, cut = residual.known[key]
+    """The same hypothesis on another log, with the first one's prior."""
+    columns, row, cut = _seen(residual, h.effect, h.place, h.shape, h.level)
     return dataclasses.replace(h, columns=columns, row=row, cut=cut)
+
+
+MOST_KNOWN = 4000
+"""Columns that a log keeps: a search between a grid's points comes by the same numbers many times."""
+
+
+def _seen(
+    residual: Residual, effect: Effect, place: Place, shape: Shape, level: Effect | None
+) -> tuple[np.ndarray, int | None, Cut | None]:
+    """Columns on the residual's rows, the row that they act on, and what is cut off; the latest are kept."""
+    key, known = (effect, place, shape, level), residual.known
+    if key not in known:
+        while len(known) >= MOST_KNOWN:
+            known.pop(next(iter(known)))
+        known[key] = *_columns(residual, *key), _cut(residual, effect, place, shape)
+    return known[key]
 
 
 def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut | None:

@@ -70,7 +70,7 @@ class Residual:
         """What the calibrated model has beyond the nominal one."""
         self._replicas: tuple[Residual, ...] | None = None
         self.known: dict[tuple, tuple] = {}
-        """Columns of another log's hypotheses on this one (`hypothesis.elsewhere`)."""
+        """Columns of hypotheses on this log, made once (`hypothesis.hypothesis`)."""
 
     def calibrated(self, ordinary: Ordinary) -> "Residual":
         """The same rows, of a model that has each joint's friction and rotor inertia."""
