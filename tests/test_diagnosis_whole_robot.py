@@ -126,10 +126,18 @@ def with_load():
     return spec.compile()
 
 
-def tilted():
+def tilted(angle=0.03):
     spec = mujoco.MjSpec.from_string(NOMINAL)
-    spec.option.gravity = 9.81 * np.array([-np.sin(0.03), 0.0, -np.cos(0.03)])
+    spec.option.gravity = 9.81 * np.array([-np.sin(angle), 0.0, -np.cos(angle)])
     return spec.compile()
+
+
+def on_a_slope():
+    return tilted(0.5)
+
+
+def on_a_wall():
+    return tilted(np.pi / 2)
 
 
 def weak(model, t, q, v, a, tau):
@@ -172,6 +180,8 @@ def pushed(model, t, q, v, a, tau):
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
                 ("gravity_tilt", "global", "tilt_y", 0.03, None, tilted),
+                ("gravity_tilt", "global", "tilt_y", 0.5, None, on_a_slope),
+                ("gravity_tilt", "global", "tilt_y", np.pi / 2, None, on_a_wall),
                 ("joint_spring", "elbow", "stiffness", 1.5, sprung, None),
                 ("time_delay", "global", "delay", 0.0068, early, None),
                 ("push", "hand", "force_x", 12.0, pushed, None),
