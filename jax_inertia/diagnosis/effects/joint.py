@@ -120,7 +120,7 @@ class FrictionDrift(_AlongTheJoint):
     units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
     share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
     level = "viscous_friction"
-    prior = "0.1 of the joint's peak torque at 1 rad/s; T from 1 to 12 s"
+    prior = "d₁: 0.1 of the joint's peak torque at 1 rad/s, not below zero; T from 0.5 to 24 s"
     mjcf = "joint damping for d∞; the rest by step law"
 
     def shapes(self, context, place):
@@ -128,6 +128,14 @@ class FrictionDrift(_AlongTheJoint):
 
     def steps(self, context, place, shape):
         return (0.3 * shape[0],)
+
+    def within(self, shape):
+        # What takes longer than such a log is no drift in it but a joint's damping.
+        return 0.5 <= shape[0] <= 24.0
+
+    def lower(self, context, place):
+        # A lubricant gets thinner as it warms.
+        return 0.0
 
     def columns(self, context, place, shape):
         return of_row(-context.v[:, place.index] * np.exp(-context.time / shape[0]), place)
