@@ -52,7 +52,7 @@ class GravityTilt(Effect):
 
     def scale(self, context, place, shape):
         # What is no matter of a level may be turned by anything: as far as it is.
-        return np.full(2, max(LEVEL, float(np.hypot(*shape))))
+        return np.full(2, max(LEVEL, float(np.linalg.norm(shape))))
 
     def possible(self, context, place, theta):
         return bool(np.hypot(*theta) < 1.01 * np.pi)
