@@ -8,6 +8,7 @@ from diagnosis_made_up import diagnosis
 
 from jax_inertia.diagnosis.effects.base import Interval, Place
 from jax_inertia.diagnosis.gap_stretches import gap_stretches
+from jax_inertia.diagnosis.report.wording import named
 from jax_inertia.diagnosis.result import Found, Tie, Verdict
 
 KNEE, HIP = Place("joint", "knee", 0), Place("joint", "hip", 1)
@@ -27,6 +28,17 @@ def test_in_a_console_and_in_a_notebook():
         assert said in page
     assert "<b>" in page
     assert "<table" not in diagnosis(Verdict.NO_GAP)._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [({"x": 0.0, "y": 0.3}, "0.3 rad"), ({"x": 2.0, "y": -1.0, "z": 2.0}, "3 rad")],
+)
+def test_a_vector_is_told_by_its_length(axes, said):
+    numbers = {f"tilt_{k}": Interval(v, v - 1, v + 1, "rad") for k, v in axes.items()}
+    found = effect("gravity_tilt", Place("global", "global", -1))
+    tilt = dataclasses.replace(found, parameters=numbers)
+    assert f"gravity tilt ({said})" in named(tilt)
 
 
 @pytest.mark.parametrize(

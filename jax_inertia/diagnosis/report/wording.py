@@ -61,8 +61,9 @@ def named(f: Found) -> str:
     if p is None:
         return text
     stem, _, axis = name.rpartition("_")
-    if axis == "x" and f"{stem}_z" in f.parameters:
-        size = math.hypot(*(f.parameters[f"{stem}_{k}"].value for k in "xyz"))
+    along = [q for k in "xyz" if (q := f.parameters.get(f"{stem}_{k}"))]
+    if axis == "x" and len(along) > 1:
+        size = math.hypot(*(q.value for q in along))
         return f"{text} ({number(size)}{unit(p.unit)})"
     times = "× " if p.factor else ""
     return f"{text} ({plain(name)} {times}{number(p.value)}{unit(p.unit)})"
