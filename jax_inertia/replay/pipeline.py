@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.log import Log, LogError, TorqueKind
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, proof
+from jax_inertia.replay import checks, listing, proof, stamps
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
@@ -62,6 +62,7 @@ def diagnose(
     if torque_logged:
         loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
         test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
+    commanded = all(one.tau_kind is TorqueKind.COMMANDED for one, _ in every)
     loop = loops[0]
     wholes, records, held, of = _parts(logs, loops, test_log, test_loop, torque_logged)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
@@ -71,7 +72,8 @@ def diagnose(
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
     replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
-    table = tuple(p for p in _ordinary(plant, records, torque, loops) if p.family not in exclude)
+    table = _ordinary(plant, records, torque, loops, commanded)
+    table = tuple(p for p in table if p.family not in exclude)
     sound = listing.at_floor(replayed)
     done = _fitted(plant, table, records, held, torque, sound, exclude, progress)
     everything, found, shares = done.everything, done.found, done.shares
@@ -94,7 +96,11 @@ def diagnose(
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [*said, *listing.notes(done.stamps, loop, torque_logged), *checks.touch_note(wholes)]
+    notes = [
+        *said,
+        *stamps.notes(done.stamps, found, loop, torque_logged),
+        *checks.touch_note(wholes),
+    ]
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -165,7 +171,11 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
 
 
 def _ordinary(
-    plant: Plant, records: Sequence[Record], torque: Float[np.ndarray, " n"], loops: Sequence[Loop]
+    plant: Plant,
+    records: Sequence[Record],
+    torque: Float[np.ndarray, " n"],
+    loops: Sequence[Loop],
+    commanded: bool,
 ) -> tuple[Parameter, ...]:
     """The ordinary numbers about those of the plant's model."""
     m, dofs = plant.model, plant.dof
@@ -173,7 +183,9 @@ def _ordinary(
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
     logged = records[0].torque is not None
     period = records[0].period
-    return ordinary(plant.loop, *own, inertia, torque, period, loops, torque_logged=logged)
+    return ordinary(
+        plant.loop, *own, inertia, torque, period, loops, torque_logged=logged, commanded=commanded
+    )
 
 
 def _parts(
@@ -266,13 +278,14 @@ def _gated(
     as much as sensors resolve has no share.
     """
     nominal = np.array([p.nominal for p in found.table])
+    groups = [*odd_rows, *(x for k in range(len(nominal)) if len(x := stamps.late(found, k)) > 1)]
     run = Unseen(plant, held)
     energy = run.misses(found.table, nominal[None])[0]
-    odd_ones, dropped = {k for rows in odd_rows for k in rows}, 0
+    grouped, dropped = {k for rows in groups for k in rows}, 0
     while True:
-        away = np.flatnonzero(found.theta != nominal).tolist()
-        units = [(k,) for k in away if k not in odd_ones]
-        units += [rows for rows in odd_rows if rows[0] in away]
+        away = set(np.flatnonzero(found.theta != nominal).tolist())
+        units = [(k,) for k in sorted(away - grouped)]
+        units += [rows for rows in groups if not away.isdisjoint(rows)]
         errors = run.taken_back(found, units)
         square = run.missed_by(errors)
         each = (square[1:] - square[0]) / energy

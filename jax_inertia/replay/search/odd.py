@@ -131,7 +131,8 @@ def _judged(
         if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
             if evidence > passed.get(c, (0.0,))[0]:
                 passed[c] = evidence, tried
-        elif evidence > -AS_GOOD:
+        elif evidence > -AS_GOOD and c.family != "payload_centre":
+            # Where a load is, is no effect by itself.
             possible.append(c)
     return passed, possible
 
