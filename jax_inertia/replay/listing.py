@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.replay import checks, stamps
+from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
+from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
@@ -68,7 +69,7 @@ def known(found: Fit, k: int, loop: Loop) -> tuple[float, float]:
 
     Of the delay of all targets: the motion's, with what its torque does not have.
     """
-    rows = list(stamps.late(found, k))
+    rows = list(causal.late(found, k))
     loose = checks.loose(found.table, loop)[k]
     variance = float(found.covariance[np.ix_(rows, rows)].sum())
     return float(found.theta[rows].sum()), float(np.hypot(np.sqrt(max(variance, 0.0)), loose))

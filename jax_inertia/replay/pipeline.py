@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jax_inertia.logs.log import Log, LogError, TorqueKind
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
-from jax_inertia.replay import checks, listing, proof, stamps
+from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
@@ -62,7 +62,6 @@ def diagnose(
     if torque_logged:
         loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
         test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
-    commanded = all(one.tau_kind is TorqueKind.COMMANDED for one, _ in every)
     loop = loops[0]
     wholes, records, held, of = _parts(logs, loops, test_log, test_loop, torque_logged)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
@@ -72,8 +71,8 @@ def diagnose(
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
     replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
-    table = _ordinary(plant, records, torque, loops, commanded)
-    table = tuple(p for p in table if p.family not in exclude)
+    own = _ordinary(plant, records, torque, loops, logs)
+    table = tuple(p for p in own if p.family not in exclude)
     sound = listing.at_floor(replayed)
     done = _fitted(plant, table, records, held, torque, sound, exclude, progress)
     everything, found, shares = done.everything, done.found, done.shares
@@ -88,19 +87,14 @@ def diagnose(
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
-    kept = {
-        k: s for k, s in shares.items()
-        if s > (min(_LISTED, left) if max(k) >= len(table) else _LISTED)
-        and listing.distinct(found, min(k), loop)
-    }  # fmt: skip
+    least = {k: min(_LISTED, left) if max(k) >= len(table) else _LISTED for k in shares}
+    told = {k for k, s in shares.items() if s > least[k] and listing.distinct(found, min(k), loop)}
+    kept = {k: shares[k] for k in told}
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [
-        *said,
-        *stamps.notes(done.stamps, found, loop, torque_logged),
-        *checks.touch_note(wholes),
-    ]
+    notes = [*said, *causal.notes(done.stamps, found, loop, torque_logged)]
+    notes += checks.touch_note(wholes)
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -175,7 +169,7 @@ def _ordinary(
     records: Sequence[Record],
     torque: Float[np.ndarray, " n"],
     loops: Sequence[Loop],
-    commanded: bool,
+    logs: Sequence[Log],
 ) -> tuple[Parameter, ...]:
     """The ordinary numbers about those of the plant's model."""
     m, dofs = plant.model, plant.dof
@@ -183,6 +177,7 @@ def _ordinary(
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
     logged = records[0].torque is not None
     period = records[0].period
+    commanded = all(one.tau_kind is TorqueKind.COMMANDED for one in logs)
     return ordinary(
         plant.loop, *own, inertia, torque, period, loops, torque_logged=logged, commanded=commanded
     )
@@ -278,7 +273,7 @@ def _gated(
     as much as sensors resolve has no share.
     """
     nominal = np.array([p.nominal for p in found.table])
-    groups = [*odd_rows, *(x for k in range(len(nominal)) if len(x := stamps.late(found, k)) > 1)]
+    groups = [*odd_rows, *(x for k in range(len(nominal)) if len(x := causal.late(found, k)) > 1)]
     run = Unseen(plant, held)
     energy = run.misses(found.table, nominal[None])[0]
     grouped, dropped = {k for rows in groups for k in rows}, 0
