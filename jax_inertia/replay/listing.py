@@ -17,8 +17,6 @@ from jax_inertia.replay.search.odd import Odd, Search
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""
-RETURNS = 0.45
-"""An effect is listed whose return adds so much of the corrected replay's error (in squares: it errs a tenth more)."""
 _NEARLY, _SOME = 0.35, 0.8
 _TIED = 0.9
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")

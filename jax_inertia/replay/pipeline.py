@@ -19,14 +19,14 @@ from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
-from jax_inertia.replay.search.held_out import Unseen
+from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""
 LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
-_IDLE, _LISTED = 0.005, 0.01
+_IDLE = 0.005
 _SPARSER = 1.01
 _DROPPED = 3
 """Effects at most that are dropped because the held-out replay is worse for them."""
@@ -81,15 +81,15 @@ def diagnose(
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
         replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
-    left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
+    odd_least = least_share(total(replayed.before), total(replayed.after))
     if not sound:
         wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
-    least = {k: min(_LISTED, left) if max(k) >= len(table) else _LISTED for k in shares}
-    told = {k for k, s in shares.items() if s > least[k] and listing.distinct(found, min(k), loop)}
-    kept = {k: shares[k] for k in told}
+    least = {k: odd_least if max(k) >= len(table) else LISTED for k in shares}
+    large = {k for k, s in shares.items() if s > least[k]} | {*done.seen}
+    kept = {k: shares.get(k, 0.0) for k in large if listing.distinct(found, min(k), loop)}
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
@@ -115,6 +115,8 @@ class _Fitted(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: dict[Rows, float]
     """Of the gap, by the rows of each number or odd effect."""
+    seen: Sequence[Rows]
+    """Odd effects that the fitted logs show."""
     records: Sequence[Record]
     """That were fitted, and in which samples the robot touches something."""
 
@@ -134,7 +136,7 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
         same = everything._replace(theta=nominal)
-        return _Fitted(everything, everything, same, none, {}, {}, records)
+        return _Fitted(everything, everything, same, none, {}, {}, (), records)
     records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
@@ -148,12 +150,14 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
-    large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
+    there = [o.rows for o in search.odd if found.theta[o.rows[0]] != found.table[o.rows[0]].nominal]
+    seen = shown_in(plant, found, there, records)
+    large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])[
         :_LARGEST
     ]
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     told = causal.with_variance(search.found, everything)
-    return _Fitted(everything, told, found, search, others, shares, records)
+    return _Fitted(everything, told, found, search, others, shares, seen, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
