@@ -30,8 +30,6 @@ _IDLE = 0.005
 _SPARSER = 1.01
 _DROPPED = 3
 """Effects at most that are dropped because the held-out replay is worse for them."""
-_LARGEST = 8
-"""Effects of which it is looked at what would do in their place."""
 
 Progress = Callable[[str], None]
 
@@ -152,9 +150,7 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
     there = [o.rows for o in search.odd if found.theta[o.rows[0]] != found.table[o.rows[0]].nominal]
     seen = shown_in(plant, found, there, records)
-    large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])[
-        :_LARGEST
-    ]
+    large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     told = causal.with_variance(search.found, everything)
     return _Fitted(everything, told, found, search, others, shares, seen, records)
