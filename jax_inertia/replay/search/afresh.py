@@ -14,11 +14,11 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.parsimony import Parabola, nominal
-from jax_inertia.replay.search.tries import fitted_from, price, scaled, tried_errors
+from jax_inertia.replay.search.tries import fitted_from, price, ranked, scaled, tried_errors
 
 _JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """How many joints are looked at, and by what logarithms gains are raised."""
-_FROM_NOMINAL = 1
+_FROM_NOMINAL, _AS_SAID = 1, 2
 
 
 def from_nominal(
@@ -50,6 +50,36 @@ def from_nominal(
             new[about.go] = nominal(found)[about.go] + off
             new = np.append(new, size)
             out.append((c, fitted_from(plant, found, c, new, records, floor)))
+    return out
+
+
+def as_said(
+    plant: Plant,
+    found: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that start at gains as the log says them, what else is ordinary fitted to these.
+
+    A load is less gain, damping and friction of every joint before it, all by one factor: a number against many, but
+    given up one by one each of them is missed. What they pass for is sought where none of them is there. Torque tells
+    gains, and a model's gains are no one's word.
+    """
+    gains = [p.family in ("kp_scale", "kd_scale") for p in found.table]
+    held = np.where(gains, nominal(found), found.theta)
+    if (
+        records[0].torque is not None
+        or plant.loop.source == "model"
+        or not np.any(found.free & gains)
+    ):
+        return []
+    free = found.free & ~np.array(gains)
+    start = fitting.fit(plant, found.table, records, held, free=free, floor=floor)
+    out = []
+    for _, c, size in ranked(plant, start, pool, records)[:_AS_SAID]:
+        tried = fitted_from(plant, start, c, np.append(start.theta, size), records, floor)
+        out.append((c, fitted_from(plant, found, c, tried.theta, records, floor)))
     return out
 
 

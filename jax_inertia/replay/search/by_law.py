@@ -17,12 +17,11 @@ from jax_inertia.replay.loop import ALL, COMMAND
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.tries import AS_GOOD
 from jax_inertia.replay.simulate import misses
 
 ROUGH = 3.0
 """Error of a joint's output in units of what encoders leave, from which something of its loop is sought."""
-AS_GOOD = 2.0 * float(np.log(20.0))
-"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 _JOINTS, _MOST = 3, 2
 """Joints looked at, the worst ones, and starts that are left of each."""
 _STEPS = 8

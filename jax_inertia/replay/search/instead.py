@@ -22,9 +22,8 @@ from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate
-from jax_inertia.replay.search.tries import LOG_ODDS, tried_errors
+from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, tried_errors
 from jax_inertia.replay.search.undecided import open_between
 
 Rows = tuple[int, ...]

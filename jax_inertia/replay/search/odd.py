@@ -4,7 +4,7 @@ Each is tried at a few sizes, the ordinary numbers following along the cost's pa
 fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,9 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
-from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth
-from jax_inertia.replay.search.tries import ROUNDS, fitted, fitted_from, price, scaled, tried_errors
+from jax_inertia.replay.search.tries import AS_GOOD, ROUNDS, fitted, fitted_from, price, ranked
 
 MOST = 6
 _GAIN = 0.02
@@ -89,18 +88,13 @@ def add_odd(
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
+                fits += afresh_fits.as_said(plant, found, here, records, floor)
             passed, more = _judged(plant, found, fits, run, best)
             possible, afresh = [*possible, *more], False
         if not passed:
             break
         order = sorted(passed, key=lambda c: -passed[c][0])
-        least = _CONTENDERS * passed[order[0]][0]
-        near = [c for c in order[:_SETTLED] if passed[c][0] >= least]
-        now = Parabola(found, plant.loop, found.samples).worth()
-        for c in near:
-            tried = _settled(plant, passed[c][1], records, floor)
-            passed[c] = _evidence(plant, found, now, c, tried)[0], tried
-        first = max(near, key=lambda c: passed[c][0])
+        first, passed = _first(plant, found, passed, records, floor, run, best)
         evidence, found = passed[first]
         best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
@@ -110,8 +104,7 @@ def add_odd(
             out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
             continue
         out.append(Odd(first, rows, rivals))
-        if first.family == "payload" and (centre := centre_of(first, plant)) is not None:
-            pool.append(centre)
+        pool += _centre(plant, first, found)
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
@@ -152,6 +145,49 @@ def _is_load_of(o: Odd, centre: Candidate) -> bool:
     return o.candidate.family == "payload" and o.candidate.place == centre.place
 
 
+def _first(
+    plant: Plant,
+    found: Fit,
+    passed: Mapping[Candidate, tuple[float, Fit]],
+    records,
+    floor,
+    run: unseen.Unseen,
+    best,
+) -> tuple[Candidate, dict[Candidate, tuple[float, Fit]]]:
+    """(the one with most evidence of those that are near the best once they settle; all, with what is known then)."""
+    out = dict(passed)
+    order = sorted(out, key=lambda c: -out[c][0])
+    near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
+    now = Parabola(found, plant.loop, found.samples).worth()
+    for c in tuple(near):
+        tried = _settled(plant, out[c][1], records, floor)
+        out[c] = _evidence(plant, found, now, c, tried)[0], tried
+        for whole in _placed(plant, c, tried, records, floor):
+            out |= _judged(plant, found, [whole], run, best)[0]
+            near += [whole[0]] if whole[0] in out else []
+    return max(near, key=lambda c: out[c][0]), out
+
+
+def _placed(
+    plant: Plant, load: Candidate, tried: Fit, records: Sequence[Record], floor: np.ndarray
+) -> list[tuple[Candidate, Fit]]:
+    """A load with a place of its own on its link, which is how it competes, and the fit; none of what is no load."""
+    centre = _centre(plant, load, tried)
+    out = []
+    for _, c, start in ranked(plant, tried, centre, records)[:1]:
+        whole = Candidate(load.family, (*load.parameters, *c.parameters), ())
+        new = fitted(plant, tried, c, start, records, floor)
+        out.append((whole, _settled(plant, new, records, floor)))
+    return out
+
+
+def _centre(plant: Plant, load: Candidate, tried: Fit) -> list[Candidate]:
+    """Where a load may be, its numbers last in a fit: what a link lacks is taken from where it is, and has no place."""
+    if load.family != "payload" or len(load.parameters) > 1 or tried.theta[-1] <= 0:
+        return []
+    return [c for c in (centre_of(load, plant),) if c is not None]
+
+
 def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
     """A fit, gone on with by Jacobians of its own."""
     return fitting.fit(
@@ -168,18 +204,7 @@ def _finalists(
     floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits with the candidates that promise most."""
-    tries = [(c, s) for c in pool for s in c.starts]
-    if not tries:
-        return []
-    about = Parabola(found, plant.loop, found.samples)
-    now = about.worth().total
-    best: dict[tuple, tuple] = {}
-    for c, start, error in tried_errors(plant, found, tries, records):
-        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
-        gain, key = now - worth.total, (c.family, c.place)
-        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
-            best[key] = gain, c, tuple(share * np.array(start))
-    order = sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])[:_FINALISTS]
+    order = ranked(plant, found, pool, records)[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [
         (c, fitted(plant, found, c, start, records, floor))

@@ -6,10 +6,13 @@ import numpy as np
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import CENTRE
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.search.candidates import VARYING, Candidate
 from jax_inertia.replay.search.parsimony import Parabola, Worth
 
+AS_GOOD = 2.0 * float(np.log(20.0))
+"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 LOG_ODDS = float(np.log(20.0))
 """Against any one odd effect: one robot in twenty has it."""
 ROUNDS = 4
@@ -20,9 +23,10 @@ _AT_ONCE = 32
 def price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     if c.family == "payload_centre":
-        # Every load is somewhere, and S counts the coordinates that it needs.
         return 0.0
-    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
+    # Every load is somewhere, and S counts the coordinates that it needs.
+    numbers = sum(p.family not in CENTRE for p in c.parameters)
+    return numbers * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
 def scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
@@ -53,6 +57,24 @@ def tried_errors(
             c, start = tries[k]
             touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
+
+
+def ranked(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records
+) -> list[tuple[float, Candidate, tuple[float, ...]]]:
+    """Candidates by what they promise beyond their price, the best first: (by how much S falls, candidate, sizes)."""
+    tries = [(c, s) for c in pool for s in c.starts]
+    if not tries:
+        return []
+    about = Parabola(found, plant.loop, found.samples)
+    now = about.worth().total
+    best: dict[tuple, tuple] = {}
+    for c, start, error in tried_errors(plant, found, tries, records):
+        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+        gain, key = now - worth.total, (c.family, c.place)
+        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
+            best[key] = gain, c, tuple(share * np.array(start))
+    return sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])
 
 
 def fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
