@@ -356,6 +356,32 @@ def heavy():
     return chain(0.15)
 
 
+def clamped():
+    """0.25 kg at the end of the lower link."""
+    spec = chain()
+    ball = {
+        "mass": 0.25,
+        "inertia": np.full(3, 1e-4),
+        "ipos": np.zeros(3),
+        "explicitinertial": True,
+    }
+    spec.body("lower").add_body(name="ball", pos=[0.01, 0.0, -0.28], **ball)
+    return spec
+
+
+@pytest.mark.slow
+def test_a_load_at_the_end_of_a_link_weighs_what_it_does():
+    """Where it is is a part of what it is: as more of the link it would be 0.5 kg, and gains would not be as said."""
+    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=clamped, seed=k) for k in (4, 5)]
+    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
+    odd = odd_effects(found)
+    assert set(odd) == {("payload", "lower")}
+    sizes = dict(odd["payload", "lower"].sizes)
+    assert sizes["mass"].value == pytest.approx(0.25, rel=0.1)
+    assert sizes["z"].value == pytest.approx(-0.13, abs=0.01)
+    assert not {e.family for e in found.effects} & {"kp_scale", "kd_scale"}
+
+
 @pytest.mark.slow
 def test_a_load_on_a_joint_that_moves_alone_is_a_kp_by_the_equation():
     """kp / (mass of what moves) is one number: 0.8 of a kp is 0.8 kg (1 / 0.8 − 1) = 0.2 kg more."""

@@ -1,11 +1,12 @@
 """Loads clamped to the last link of a suspended leg or an arm that is told positions, without torque in the log.
 
-    python benchmarks/replay/loads.py draw DATA --n 12 --seed 5     folders of log.npz, test.npz, nominal.xml, truth.json
-    python benchmarks/replay/loads.py run DATA                      diagnoses each by the command, then the table
+    python benchmarks/replay/loads.py draw DATA --n 12 --seed 5
+    python benchmarks/replay/loads.py run DATA
 
-A load is a small ball at a point of the link, welded to it, so that its place is not the link's centre of mass. All else
-is as `generate.py` has it: ordinary physics at every joint that the model lacks, MuJoCo C at 0.5 ms, friction by a
-bristle. Half of the logs are of the leg and half of the arm.
+`draw` writes folders of log.npz, test.npz, nominal.xml and truth.json; `run` diagnoses each by the command and prints
+the table. A load is a small ball at a point of the link, welded to it, so that its place is not the link's centre of
+mass. All else is as `generate.py` has it: ordinary physics at every joint that the model lacks, MuJoCo C at 0.5 ms,
+friction by a bristle. Half of the logs are of the leg and half of the arm.
 """
 
 from __future__ import annotations

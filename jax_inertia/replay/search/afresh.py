@@ -14,7 +14,7 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.parsimony import Parabola, nominal
-from jax_inertia.replay.search.tries import fitted_from, price, ranked, scaled, tried_errors
+from jax_inertia.replay.search.tries import fitted_from, placed, price, ranked, scaled, tried_errors
 
 _JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """How many joints are looked at, and by what logarithms gains are raised."""
@@ -79,7 +79,8 @@ def as_said(
     out = []
     for _, c, size in ranked(plant, start, pool, records)[:_AS_SAID]:
         tried = fitted_from(plant, start, c, np.append(start.theta, size), records, floor)
-        out.append((c, fitted_from(plant, found, c, tried.theta, records, floor)))
+        best, tried = next(iter(placed(plant, c, tried, records, floor)), (c, tried))
+        out.append((best, fitted_from(plant, found, best, tried.theta, records, floor)))
     return out
 
 

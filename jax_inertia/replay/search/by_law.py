@@ -102,7 +102,7 @@ def _fitted(plant, found: Fit, c: Candidate, start, j: int, records) -> tuple[np
     # Gains that stand for the effect are no place to start from, nor is a delay that does.
     theta[rows] = [table[k].mean for k in rows]
     scale = [table[k].sd for k in rows]
-    late = _delay_of_others(found, j, len(plant.names))
+    late = delay_of_others(found, j, len(plant.names))
     if late is not None:
         k, theta[k], sd = late
         rows, scale = [*rows, k], [*scale, sd]
@@ -127,7 +127,7 @@ def _fitted(plant, found: Fit, c: Candidate, start, j: int, records) -> tuple[np
     return theta, max(float(np.mean(error(done.x) ** 2)), 1e-300)
 
 
-def _delay_of_others(found: Fit, j: int, n: int) -> tuple[int, float, float] | None:
+def delay_of_others(found: Fit, j: int, n: int) -> tuple[int, float, float] | None:
     """(row, value, deviation) of the delay of all targets, as the prior and the torques of the other joints have it."""
     for k, p in enumerate(found.table):
         if p.family == "target_delay" and p.joint == ALL and found.free[k]:

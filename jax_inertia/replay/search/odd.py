@@ -10,16 +10,24 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
-from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
+from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth
-from jax_inertia.replay.search.tries import AS_GOOD, ROUNDS, fitted, fitted_from, price, ranked
+from jax_inertia.replay.search.tries import (
+    AS_GOOD,
+    centre,
+    fitted,
+    fitted_from,
+    placed,
+    price,
+    ranked,
+    settled,
+)
 
 MOST = 6
 _GAIN = 0.02
@@ -104,7 +112,7 @@ def add_odd(
             out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
             continue
         out.append(Odd(first, rows, rivals))
-        pool += _centre(plant, first, found)
+        pool += centre(plant, first, found)
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
@@ -160,40 +168,12 @@ def _first(
     near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
     now = Parabola(found, plant.loop, found.samples).worth()
     for c in tuple(near):
-        tried = _settled(plant, out[c][1], records, floor)
+        tried = settled(plant, out[c][1], records, floor)
         out[c] = _evidence(plant, found, now, c, tried)[0], tried
-        for whole in _placed(plant, c, tried, records, floor):
+        for whole in placed(plant, c, tried, records, floor):
             out |= _judged(plant, found, [whole], run, best)[0]
             near += [whole[0]] if whole[0] in out else []
     return max(near, key=lambda c: out[c][0]), out
-
-
-def _placed(
-    plant: Plant, load: Candidate, tried: Fit, records: Sequence[Record], floor: np.ndarray
-) -> list[tuple[Candidate, Fit]]:
-    """A load with a place of its own on its link, which is how it competes, and the fit; none of what is no load."""
-    centre = _centre(plant, load, tried)
-    out = []
-    for _, c, start in ranked(plant, tried, centre, records)[:1]:
-        whole = Candidate(load.family, (*load.parameters, *c.parameters), ())
-        new = fitted(plant, tried, c, start, records, floor)
-        out.append((whole, _settled(plant, new, records, floor)))
-    return out
-
-
-def _centre(plant: Plant, load: Candidate, tried: Fit) -> list[Candidate]:
-    """Where a load may be, its numbers last in a fit: what a link lacks is taken from where it is, and has no place."""
-    if load.family != "payload" or len(load.parameters) > 1 or tried.theta[-1] <= 0:
-        return []
-    return [c for c in (centre_of(load, plant),) if c is not None]
-
-
-def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
-    """A fit, gone on with by Jacobians of its own."""
-    return fitting.fit(
-        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
-        known=(tried.error, tried.columns),
-    )  # fmt: skip
 
 
 def _finalists(

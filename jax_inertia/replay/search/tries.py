@@ -8,7 +8,8 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.joint_numbers import CENTRE
 from jax_inertia.replay.plant import Plant
-from jax_inertia.replay.search.candidates import VARYING, Candidate
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import VARYING, Candidate, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth
 
 AS_GOOD = 2.0 * float(np.log(20.0))
@@ -96,4 +97,31 @@ def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
     return fitting.fit(
         plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS, known=(error, columns),
         mended_only=True,
+    )  # fmt: skip
+
+
+def placed(
+    plant: Plant, load: Candidate, tried: Fit, records: Sequence[Record], floor: np.ndarray
+) -> list[tuple[Candidate, Fit]]:
+    """A load with a place of its own on its link, which is how it competes, and the fit; none of what is no load."""
+    out = []
+    for _, c, start in ranked(plant, tried, centre(plant, load, tried), records)[:1]:
+        whole = Candidate(load.family, (*load.parameters, *c.parameters), ())
+        new = fitted(plant, tried, c, start, records, floor)
+        out.append((whole, settled(plant, new, records, floor)))
+    return out
+
+
+def centre(plant: Plant, load: Candidate, tried: Fit) -> list[Candidate]:
+    """Where a load may be, its numbers last in a fit: what a link lacks is taken from where it is, and has no place."""
+    if load.family != "payload" or len(load.parameters) > 1 or tried.theta[-1] <= 0:
+        return []
+    return [c for c in (centre_of(load, plant),) if c is not None]
+
+
+def settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
+    """A fit, gone on with by Jacobians of its own."""
+    return fitting.fit(
+        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
+        known=(tried.error, tried.columns),
     )  # fmt: skip
