@@ -11,7 +11,7 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.replay import entry, fit, pipeline
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.listing import listed
+from jax_inertia.replay.listing import listed, size_of
 from jax_inertia.replay.loop import ORDINARY, Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
@@ -313,6 +313,16 @@ def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family,
     assert effect.size.value == pytest.approx(size)
     other = {"viscous_friction", "kd_scale"} - {family}
     assert {t.family for t in effect.ties if t.exact} == other
+
+
+@pytest.mark.parametrize(("family", "low"), [("coulomb_friction", 0.0), ("viscous_friction", -0.7)])
+def test_an_interval_holds_no_negative_friction_nor_kd(family, low):
+    """Of a kd of 0.7 N m s/rad, damping and kd together are none at least."""
+    number, wide = Parameter(family, 0, 0.0, 1.0, 0.0, 5.0), np.array([[0.04]])
+    none = np.zeros((1, 3, 2))
+    found = Fit((number,), np.array([0.1]), wide, wide, 100.0, none[0], none, None)
+    assert size_of(found, 0, LOOP).low == pytest.approx(low)
+    assert size_of(found, 0, LOOP).high > size_of(found, 0, LOOP).value
 
 
 def test_numbers_are_given_up_while_that_costs_less_than_a_number_is_worth():

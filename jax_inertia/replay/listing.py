@@ -83,9 +83,10 @@ def whole(p: Parameter, x: float, loop: Loop) -> float:
 
 
 def size_of(found: Fit, k: int, loop: Loop) -> Size:
-    """A number and its interval."""
+    """A number and its interval, which does not leave what is possible: no friction is negative, and no kd."""
     p, (x, sd) = found.table[k], known(found, k, loop)
-    ends = [whole(p, x + s * sd, loop) for s in (0.0, -1.96, 1.96)]
+    low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
+    ends = [whole(p, y, loop) for y in (x, low, high)]
     return Size(ends[0], ends[1], ends[2], UNITS[p.family])
 
 
