@@ -76,6 +76,8 @@ def add_odd(
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
     out, possible, afresh = [], [], True
+    said = afresh_fits.gains_as_said(plant, found, records, floor)
+    found = afresh_fits.simpler(plant, found, said, records, floor) if said else found
     best = run.missed(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
@@ -96,7 +98,9 @@ def add_odd(
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
-                fits += afresh_fits.as_said(plant, found, here, records, floor)
+                fits += (
+                    afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
+                )
             passed, more = _judged(plant, found, fits, run, best)
             possible, afresh = [*possible, *more], False
         if not passed:
