@@ -120,7 +120,9 @@ def main() -> None:
         for number in range(args.n):
             draw(number, args.seed, args.data)
         return
-    print("| robot | hidden kg | found kg | other odd effects | a tie of | verdict | before | after mrad |")
+    print(
+        "| robot | hidden kg | found kg | other odd effects | a tie of | verdict | before | after mrad |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for folder in sorted(x for x in args.data.iterdir() if x.is_dir()):
         truth = json.loads((folder / "truth.json").read_text())
