@@ -396,6 +396,17 @@ def test_a_late_loop_is_told_beside_a_sound_motion(tmp_path):
     assert late[0]["parameters"]["delay"]["value"] == pytest.approx(0.02, abs=3e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.is_dir(), reason="cases (../shared/cases) are not here")
+def test_a_torque_made_of_targets_that_are_late_later():
+    case = CASES / "leg_action_delay_pd"
+    found = ji.diagnose(case / "nominal.xml", ji.read_log(case / "log.npz"))
+    assert found.verdict is Verdict.EXPLAINED
+    assert [(e.family, e.name) for e in found.effects] == [("target_delay", "global")]
+    assert found.effects[0].size.value == pytest.approx(0.02, abs=5e-4)
+    assert any("commanded are made of the targets" in n for n in found.notes)
+
+
 @pytest.mark.skipif(not CASES.is_dir(), reason="cases (../shared/cases) are not here")
 def test_the_loop_of_cases_that_have_torque():
     kp, kd = np.full(3, 35.0), np.full(3, 0.8)

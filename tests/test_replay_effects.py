@@ -11,7 +11,7 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.replay import entry, fit, pipeline
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.listing import listed
+from jax_inertia.replay.listing import listed, size_of
 from jax_inertia.replay.loop import ORDINARY, Loop, Parameter
 from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
@@ -315,6 +315,16 @@ def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family,
     assert {t.family for t in effect.ties if t.exact} == other
 
 
+@pytest.mark.parametrize(("family", "low"), [("coulomb_friction", 0.0), ("viscous_friction", -0.7)])
+def test_an_interval_holds_no_negative_friction_nor_kd(family, low):
+    """Of a kd of 0.7 N m s/rad, damping and kd together are none at least."""
+    number, wide = Parameter(family, 0, 0.0, 1.0, 0.0, 5.0), np.array([[0.04]])
+    none = np.zeros((1, 3, 2))
+    found = Fit((number,), np.array([0.1]), wide, wide, 100.0, none[0], none, None)
+    assert size_of(found, 0, LOOP).low == pytest.approx(low)
+    assert size_of(found, 0, LOOP).high > size_of(found, 0, LOOP).value
+
+
 def test_numbers_are_given_up_while_that_costs_less_than_a_number_is_worth():
     """Backwards, the others following, as least squares with those numbers at 0 has it."""
     rng = np.random.default_rng(0)
@@ -354,6 +364,32 @@ def chain(load: float = 0.0):
 
 def heavy():
     return chain(0.15)
+
+
+def clamped():
+    """0.25 kg at the end of the lower link."""
+    spec = chain()
+    ball = {
+        "mass": 0.25,
+        "inertia": np.full(3, 1e-4),
+        "ipos": np.zeros(3),
+        "explicitinertial": True,
+    }
+    spec.body("lower").add_body(name="ball", pos=[0.01, 0.0, -0.28], **ball)
+    return spec
+
+
+@pytest.mark.slow
+def test_a_load_at_the_end_of_a_link_weighs_what_it_does():
+    """Where it is is a part of what it is: as more of the link it would be 0.5 kg, and gains would not be as said."""
+    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=clamped, seed=k) for k in (4, 5)]
+    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
+    odd = odd_effects(found)
+    assert set(odd) == {("payload", "lower")}
+    sizes = dict(odd["payload", "lower"].sizes)
+    assert sizes["mass"].value == pytest.approx(0.25, rel=0.1)
+    assert sizes["z"].value == pytest.approx(-0.13, abs=0.01)
+    assert not {e.family for e in found.effects} & {"kp_scale", "kd_scale"}
 
 
 @pytest.mark.slow

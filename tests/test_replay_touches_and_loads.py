@@ -64,7 +64,7 @@ def test_a_load_beside_a_body_is_the_sum_of_both():
 
     put_load(model, body, added, r)
     own = before[4:] - shape(centre, before[0])
-    both = own * (1 + added / before[0]) + shape(centre, before[0]) + shape(centre + r, added)
+    both = own + shape(centre, before[0]) + shape(centre + r, added)
     first = before[1:4] + added * (centre + r)
     expected = np.concatenate([[before[0] + added], first, both])
     np.testing.assert_allclose(body_pi(model, body), expected, atol=1e-12)

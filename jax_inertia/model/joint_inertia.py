@@ -26,17 +26,19 @@ def mass_matrix(
 def put_load(
     model: MjModel, body: int, added: float, offset: Float[np.ndarray, " 3"] | None
 ) -> None:
-    """Add a load to a body of a model, which is changed: more of the same body, off its centre of mass by `offset`.
+    """Add a load to a body of a model, which is changed: more of the same body, or a compact one off its centre.
 
     With m added at r (body's axes, m) from the centre c of a body of mass M and inertia I about c:
 
-        mass M + m,  centre c + m r / (M + m),  inertia (1 + m/M) I + M m / (M + m) (|r|² 1 − r rᵀ)
+        mass M + m,  centre c + m r / (M + m),  inertia I + M m / (M + m) (|r|² 1 − r rᵀ)
+
+    and (1 + m/M) I where there is no r. What is at one end of a link is not as long as the link.
     """
     mass = float(model.body_mass[body])
     share = max(1.0 + added / mass, _LEAST_SHARE)
     model.body_mass[body] = mass * share
-    model.body_inertia[body] *= share
     if offset is None or not np.any(offset):
+        model.body_inertia[body] *= share
         return
     more = mass * (share - 1.0)
     axes = np.zeros(9)

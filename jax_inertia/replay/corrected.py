@@ -153,6 +153,9 @@ def policy(found: Diagnosis) -> dict[str, Any]:
     shared: dict[str, dict] = {}
     fit, everything = found.found, found.everything
     for k, p in enumerate(fit.table):
+        if p.family == "torque_lead":
+            # Of the log, not of the robot.
+            continue
         number = size_of(fit, k, found.loop)
         ends = [number.low, number.high]
         if fit.sigma[k] == 0 and k < len(everything.table):

@@ -115,7 +115,7 @@ def autocorrelation_time(x: Float[np.ndarray, " N"]) -> float:
 def start(
     plant: Plant, table: Sequence[Parameter], records: Sequence[Record], guessed: bool
 ) -> Float[np.ndarray, " P"]:
-    """The nominal numbers, with the kp of each joint and the delay whose replays of the first seconds err least.
+    """The nominal numbers, with the kp of each joint and the times whose replays of the first seconds err least.
 
     A least-squares step does not find its way over an order of magnitude of kp, nor over a period of the motion.
     """
@@ -125,12 +125,14 @@ def start(
         (k for k, p in enumerate(table) if p.family == "target_delay" and p.joint == ALL), None
     )
     scales = _GUESSED if guessed else _SAID
-    delays = (0.0,) if late is None else _DELAYS
+    delays = [{}] if late is None else [{late: d} for d in _DELAYS]
+    lead = [k for k, p in enumerate(table) if p.family == "torque_lead"]
+    if late is not None and lead:
+        delays += [{lead[0]: d} for d in _DELAYS[1:]]
     tries = np.repeat(theta[None], len(scales) * len(delays), axis=0)
-    for k, (d, s) in enumerate((d, s) for d in delays for s in scales):
+    for k, (times, s) in enumerate((d, s) for d in delays for s in scales):
         tries[k, gains] = s
-        if late is not None:
-            tries[k, late] = d
+        tries[k, list(times)] = list(times.values())
     short = [r.between(0, int(np.searchsorted(r.time, _LOOK))) for r in records]
     square = np.mean(errors(plant, table, tries, short) ** 2, axis=1).reshape(
         len(delays), len(scales), -1, len(plant.names)
@@ -139,8 +141,7 @@ def start(
     relative = np.log(square + 1e-8).sum(axis=2)
     best = int(np.argmin(relative.min(axis=1).sum(axis=-1)))
     theta[gains] = scales[np.argmin(relative[best], axis=0)][[table[k].joint for k in gains]]
-    if late is not None:
-        theta[late] = delays[best]
+    theta[list(delays[best])] = list(delays[best].values())
     return theta
 
 

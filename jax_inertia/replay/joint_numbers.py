@@ -40,6 +40,8 @@ class Numbers(NamedTuple):
     offset: Float[np.ndarray, " n"]
     delay: Float[np.ndarray, " n"]
     lag: Float[np.ndarray, " n"]
+    lead: Float[np.ndarray, " n"]
+    """Of `delay`, what the torque that was logged does not have: it was made of the targets so much earlier."""
     gain: Float[np.ndarray, " n"]
     """Of the joint's torque over the one that the loop says."""
     mass: Mapping[str, float]
@@ -85,7 +87,10 @@ OF_BODIES = "mass", "centres"
 CENTRE = "payload_x", "payload_y", "payload_z"
 """Families of a load's place."""
 # Family of a parameter: the field that it is added to, or put in place of.
-_ADDED = {"encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag"}  # fmt: skip
+_ADDED = {
+    "encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag",
+    "torque_lead": "lead",
+}  # fmt: skip
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
@@ -107,7 +112,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none + 1.0, {}, {},
+        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, {}, {},
     )  # fmt: skip
 
 
@@ -116,8 +121,10 @@ def decoded(
 ) -> Numbers:
     """The numbers of a vector, those that it does not hold as in `base`; `loop`: while the record was made.
 
-    `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the loop's part is the joint's. Where
-    it has a least value, torque tells kd, and what is below kd is the hold of the loop, which acts on the motion alone.
+    `target_delay` is what torques have too, where these are logged, and `torque_lead` what motion has beyond that, so
+    that torque tells the one alone. `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the
+    loop's part is the joint's. Where it has a least value, torque tells kd, and what is below kd is the hold of the
+    loop, which acts on the motion alone.
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
@@ -145,6 +152,7 @@ def decoded(
             mass[p.body] = x
         elif p.family in CENTRE:
             centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
+    new["delay"] += new["lead"]
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, least)

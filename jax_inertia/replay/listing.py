@@ -10,14 +10,13 @@ from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
+from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""
-RETURNS = 0.45
-"""An effect is listed whose return adds so much of the corrected replay's error (in squares: it errs a tenth more)."""
 _NEARLY, _SOME = 0.35, 0.8
 _TIED = 0.9
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
@@ -28,7 +27,7 @@ PARAMETERS = {
     "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
-    "payload_x": "x", "payload_y": "y", "payload_z": "z",
+    "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",
 }  # fmt: skip
 """What the parameter of each family is called."""
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
@@ -59,8 +58,19 @@ _IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
 
 def distinct(found: Fit, k: int, loop: Loop) -> bool:
     """Whether a number's interval leaves the nominal one out; it does where that is none."""
-    p, sd = found.table[k], np.hypot(found.sigma[k], checks.loose(found.table, loop)[k])
-    return bool(abs(found.theta[k] - p.nominal) > 1.96 * sd)
+    x, sd = known(found, k, loop)
+    return bool(abs(x - found.table[k].nominal) > 1.96 * sd)
+
+
+def known(found: Fit, k: int, loop: Loop) -> tuple[float, float]:
+    """A number and its deviation, which what only the loop's own clock could tell widens.
+
+    Of the delay of all targets: the motion's, with what its torque does not have.
+    """
+    rows = list(causal.late(found, k))
+    loose = checks.loose(found.table, loop)[k]
+    variance = float(found.covariance[np.ix_(rows, rows)].sum())
+    return float(found.theta[rows].sum()), float(np.hypot(np.sqrt(max(variance, 0.0)), loose))
 
 
 def whole(p: Parameter, x: float, loop: Loop) -> float:
@@ -73,10 +83,10 @@ def whole(p: Parameter, x: float, loop: Loop) -> float:
 
 
 def size_of(found: Fit, k: int, loop: Loop) -> Size:
-    """A number and its interval; what only the loop's own clock could tell widens it."""
-    p = found.table[k]
-    sd = float(np.hypot(found.sigma[k], checks.loose(found.table, loop)[k]))
-    ends = [whole(p, float(found.theta[k] + s * sd), loop) for s in (0.0, -1.96, 1.96)]
+    """A number and its interval, which does not leave what is possible: no friction is negative, and no kd."""
+    p, (x, sd) = found.table[k], known(found, k, loop)
+    low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
+    ends = [whole(p, y, loop) for y in (x, low, high)]
     return Size(ends[0], ends[1], ends[2], UNITS[p.family])
 
 
@@ -289,20 +299,3 @@ def headline(of: Verdict, r: Replayed) -> str:
         was, now = total(r.torques.before), total(r.torques.after)
         torque = f", of torque {was:.2g} → {now:.2g} N m"
     return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks){torque}"
-
-
-def notes(everything: Fit, loop: Loop, torque_logged: bool) -> list[str]:
-    """What is to be said of stamps and gains."""
-    out = []
-    shared = [p.family == "target_delay" and p.joint == ALL for p in everything.table]
-    for late, sd in zip(everything.theta[shared], everything.sigma[shared], strict=True):
-        if late < -2.0 * np.hypot(sd, checks.LOOSE_TIME):
-            out.append(
-                f"positions lead their targets by {-1e3 * late:.1f} ms: are the stamps of targets late? "
-                "No model can hold that; other numbers take it up"
-            )
-    if loop.source == "model" and not torque_logged:
-        out.append(
-            "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
-        )
-    return out

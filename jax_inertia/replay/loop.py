@@ -139,6 +139,7 @@ UNITS: Mapping[str, str] = {
     "stribeck_velocity": "rad/s",
     "torque_gain": "1",
     "position_friction": "N m/rad",
+    "torque_lead": "s",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""
@@ -150,10 +151,11 @@ ORDINARY = (
     "kp_scale",
     "kd_scale",
     "target_delay",
+    "torque_lead",
 )
 COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
-    "dead_band",
+    "dead_band", "torque_lead",
 )  # fmt: skip
 """Families between what a joint is commanded and its torque; the others are between torque and motion."""
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
@@ -181,6 +183,7 @@ def ordinary(
     settings: Sequence[Loop] = (),
     *,
     torque_logged: bool = False,
+    commanded: bool = False,
 ) -> tuple[Parameter, ...]:
     """What every robot of this kind has: five numbers a joint and one delay of the targets.
 
@@ -188,7 +191,9 @@ def ordinary(
     where torque is logged, which says what the loop's part of damping is; the rest is the joint's, and not negative.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
-    model lacks may be. Stamps of targets may be up to one `period` of the log late.
+    model lacks may be. Stamps of targets may be up to one `period` of the log late. Torques that are `commanded` are
+    what software made of targets, and nothing says that it was made of them when they got to the robot: how much
+    later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted.
     """
     out = []
     said = _KP_GUESSED if loop.source == "model" else _KP_SAID
@@ -213,4 +218,7 @@ def ordinary(
         varies = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
         if varies or (torque_logged and loop.kd[j] > 0):
             out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
-    return (*out, Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))
+    out.append(Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))
+    if torque_logged and commanded:
+        out.append(Parameter("torque_lead", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
+    return tuple(out)

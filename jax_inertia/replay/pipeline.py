@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.logs.log import Log, LogError
+from jax_inertia.logs.log import Log, LogError, TorqueKind
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
@@ -19,19 +19,17 @@ from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
-from jax_inertia.replay.search.held_out import Unseen
+from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""
 LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
-_IDLE, _LISTED = 0.005, 0.01
+_IDLE = 0.005
 _SPARSER = 1.01
 _DROPPED = 3
 """Effects at most that are dropped because the held-out replay is worse for them."""
-_LARGEST = 8
-"""Effects of which it is looked at what would do in their place."""
 
 Progress = Callable[[str], None]
 
@@ -71,7 +69,8 @@ def diagnose(
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
     replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
-    table = tuple(p for p in _ordinary(plant, records, torque, loops) if p.family not in exclude)
+    own = _ordinary(plant, records, torque, loops, logs)
+    table = tuple(p for p in own if p.family not in exclude)
     sound = listing.at_floor(replayed)
     done = _fitted(plant, table, records, held, torque, sound, exclude, progress)
     everything, found, shares = done.everything, done.found, done.shares
@@ -80,21 +79,20 @@ def diagnose(
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
         replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
-    left = (listing.RETURNS * total(replayed.after) / total(replayed.before)) ** 2
+    odd_least = least_share(total(replayed.before), total(replayed.after))
     if not sound:
         wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
         found = _on_all(plant, found, wholes)
-    kept = {
-        k: s for k, s in shares.items()
-        if s > (min(_LISTED, left) if max(k) >= len(table) else _LISTED)
-        and listing.distinct(found, min(k), loop)
-    }  # fmt: skip
+    least = {k: odd_least if max(k) >= len(table) else LISTED for k in shares}
+    large = {k for k, s in shares.items() if s > least[k]} | {*done.seen}
+    kept = {k: shares.get(k, 0.0) for k in large if listing.distinct(found, min(k), loop)}
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [*said, *listing.notes(done.stamps, loop, torque_logged), *checks.touch_note(wholes)]
+    notes = [*said, *causal.notes(done.stamps, found, loop, torque_logged)]
+    notes += checks.touch_note(wholes)
     if not sound:
         notes += proof.creeping(bare, found, replayed)
     numbers = plant.numbers(found.table, found.theta, None)
@@ -115,6 +113,8 @@ class _Fitted(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: dict[Rows, float]
     """Of the gap, by the rows of each number or odd effect."""
+    seen: Sequence[Rows]
+    """Odd effects that the fitted logs show."""
     records: Sequence[Record]
     """That were fitted, and in which samples the robot touches something."""
 
@@ -134,7 +134,7 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
         same = everything._replace(theta=nominal)
-        return _Fitted(everything, everything, same, none, {}, {}, records)
+        return _Fitted(everything, everything, same, none, {}, {}, (), records)
     records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
@@ -148,12 +148,12 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
-    large = sorted((k for k, s in shares.items() if s > _LISTED), key=lambda k: -shares[k])[
-        :_LARGEST
-    ]
+    there = [o.rows for o in search.odd if found.theta[o.rows[0]] != found.table[o.rows[0]].nominal]
+    seen = shown_in(plant, found, there, records)
+    large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     told = causal.with_variance(search.found, everything)
-    return _Fitted(everything, told, found, search, others, shares, records)
+    return _Fitted(everything, told, found, search, others, shares, seen, records)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
@@ -165,7 +165,11 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
 
 
 def _ordinary(
-    plant: Plant, records: Sequence[Record], torque: Float[np.ndarray, " n"], loops: Sequence[Loop]
+    plant: Plant,
+    records: Sequence[Record],
+    torque: Float[np.ndarray, " n"],
+    loops: Sequence[Loop],
+    logs: Sequence[Log],
 ) -> tuple[Parameter, ...]:
     """The ordinary numbers about those of the plant's model."""
     m, dofs = plant.model, plant.dof
@@ -173,7 +177,10 @@ def _ordinary(
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
     logged = records[0].torque is not None
     period = records[0].period
-    return ordinary(plant.loop, *own, inertia, torque, period, loops, torque_logged=logged)
+    commanded = all(one.tau_kind is TorqueKind.COMMANDED for one in logs)
+    return ordinary(
+        plant.loop, *own, inertia, torque, period, loops, torque_logged=logged, commanded=commanded
+    )
 
 
 def _parts(
@@ -266,13 +273,14 @@ def _gated(
     as much as sensors resolve has no share.
     """
     nominal = np.array([p.nominal for p in found.table])
+    groups = [*odd_rows, *(x for k in range(len(nominal)) if len(x := causal.late(found, k)) > 1)]
     run = Unseen(plant, held)
     energy = run.misses(found.table, nominal[None])[0]
-    odd_ones, dropped = {k for rows in odd_rows for k in rows}, 0
+    grouped, dropped = {k for rows in groups for k in rows}, 0
     while True:
-        away = np.flatnonzero(found.theta != nominal).tolist()
-        units = [(k,) for k in away if k not in odd_ones]
-        units += [rows for rows in odd_rows if rows[0] in away]
+        away = set(np.flatnonzero(found.theta != nominal).tolist())
+        units = [(k,) for k in sorted(away - grouped)]
+        units += [rows for rows in groups if not away.isdisjoint(rows)]
         errors = run.taken_back(found, units)
         square = run.missed_by(errors)
         each = (square[1:] - square[0]) / energy

@@ -37,7 +37,7 @@ _FINE = 1e-3
 """Steps in which targets are delayed and lag [s]."""
 _SLOPE = 4e-3
 """Half of what a velocity that decides on a limit is taken over [s]."""
-_LAW = ("kp", "kd", "bias", "limit", "back", "dead", "delay", "lag")
+_LAW = ("kp", "kd", "bias", "limit", "back", "dead", "delay", "lag", "lead")
 
 
 def replay(
@@ -219,7 +219,7 @@ def _held(record: Record, what: Float[np.ndarray, " S"], x: Numbers, j: int) -> 
     period = record.period
     h = min(period, _FINE)
     steps = int(np.ceil((record.time[-1] + period) / h)) + 1
-    delay, lag = x.delay[j : j + 1], x.lag[j : j + 1]
+    delay, lag = (x.delay - x.lead)[j : j + 1], x.lag[j : j + 1]
     fine = step_means(record.commanded.time, what[:, None], h, steps, delay, lag)[:, 0]
     area, edges = np.append(0.0, np.cumsum(fine)) * h, np.arange(steps + 1) * h
     ends = (np.interp(record.time + late, edges, area) for late in (period, 0.0))

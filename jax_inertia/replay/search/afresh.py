@@ -14,11 +14,20 @@ from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.parsimony import Parabola, nominal
-from jax_inertia.replay.search.tries import fitted_from, price, scaled, tried_errors
+from jax_inertia.replay.search.tries import (
+    ROUNDS,
+    fitted_from,
+    placed,
+    price,
+    ranked,
+    scaled,
+    tried_errors,
+)
 
 _JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """How many joints are looked at, and by what logarithms gains are raised."""
-_FROM_NOMINAL = 1
+_FROM_NOMINAL, _AS_SAID, _AT_GAINS = 1, 2, 6
+"""Candidates that are fitted, and rounds of the fit that keeps the gains."""
 
 
 def from_nominal(
@@ -50,6 +59,54 @@ def from_nominal(
             new[about.go] = nominal(found)[about.go] + off
             new = np.append(new, size)
             out.append((c, fitted_from(plant, found, c, new, records, floor)))
+    return out
+
+
+def gains_as_said(
+    plant: Plant, found: Fit, records: Sequence[Record], floor: np.ndarray
+) -> Fit | None:
+    """The fit that keeps the gains which the log says; None where the simplest numbers keep them, or nobody says any.
+
+    A load is less gain, damping and friction of all joints before it, all by one factor: a number against many, but
+    given up one by one each of them is missed. What they pass for is sought where none of them is there. Torque tells
+    gains, and a model's gains are no one's word.
+    """
+    gains = np.array([p.family in ("kp_scale", "kd_scale") for p in found.table])
+    about = Parabola(found, plant.loop, found.samples)
+    needed = gains[about.go] & (about.worth().off != 0)
+    if records[0].torque is not None or plant.loop.source == "model" or not needed.any():
+        return None
+    held = np.where(gains, nominal(found), found.theta)
+    free = found.free & ~gains
+    return fitting.fit(plant, found.table, records, held, free=free, floor=floor, rounds=_AT_GAINS)
+
+
+def simpler(
+    plant: Plant, found: Fit, said: Fit, records: Sequence[Record], floor: np.ndarray
+) -> Fit:
+    """The fit that starts at gains as said, all numbers free again, where that is worth more than `found`."""
+    new = fitting.fit(
+        plant, found.table, records, said.theta, free=found.free, floor=floor, rounds=ROUNDS
+    )
+    was = Parabola(found, plant.loop, found.samples).worth()
+    now = Parabola(new, plant.loop, found.samples, found.weights).worth()
+    return new if now.total < was.total else found
+
+
+def as_said(
+    plant: Plant,
+    found: Fit,
+    said: Fit,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: np.ndarray,
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that start at gains as said, with effects that grow in proportion to their size."""
+    out, pool = [], [c for c in pool if c.scales]
+    for _, c, size in ranked(plant, said, pool, records)[:_AS_SAID]:
+        tried = fitted_from(plant, said, c, np.append(said.theta, size), records, floor)
+        best, tried = next(iter(placed(plant, c, tried, records, floor)), (c, tried))
+        out.append((best, fitted_from(plant, found, best, tried.theta, records, floor)))
     return out
 
 

@@ -13,16 +13,15 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.loop import COMMAND
+from jax_inertia.replay.loop import ALL, COMMAND
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.tries import AS_GOOD
 from jax_inertia.replay.simulate import misses
 
 ROUGH = 3.0
 """Error of a joint's output in units of what encoders leave, from which something of its loop is sought."""
-AS_GOOD = 2.0 * float(np.log(20.0))
-"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 _JOINTS, _MOST = 3, 2
 """Joints looked at, the worst ones, and starts that are left of each."""
 _STEPS = 8
@@ -90,17 +89,27 @@ def starts(
 
 
 def _fitted(plant, found: Fit, c: Candidate, start, j: int, records) -> tuple[np.ndarray, float]:
-    """(numbers, mean square of the torque's error) at the best gains of the joint and numbers of the candidate."""
+    """(numbers, mean square of the torque's error) at the best gains of the joint and numbers of the candidate.
+
+    The delay of all targets is free as far as other joints leave it: where they do not tell, half of a lag is in it.
+    """
     table = (*found.table, *c.parameters)
     rows = [
         k for k, p in enumerate(found.table)
         if p.joint == j and p.family in COMMAND and found.free[k]
     ]  # fmt: skip
-    rows += range(len(found.table), len(table))
     theta = np.append(found.theta, start)
-    # Gains that stand for the effect are no place to start from.
-    theta[rows[: -len(start)]] = [table[k].mean for k in rows[: -len(start)]]
-    low, high, sd = (np.array([getattr(table[k], x) for k in rows]) for x in ("low", "high", "sd"))
+    # Gains that stand for the effect are no place to start from, nor is a delay that does.
+    theta[rows] = [table[k].mean for k in rows]
+    scale = [table[k].sd for k in rows]
+    late = delay_of_others(found, j, len(plant.names))
+    if late is not None:
+        k, theta[k], sd = late
+        rows, scale = [*rows, k], [*scale, sd]
+    rows += range(len(found.table), len(table))
+    scale += [p.sd for p in c.parameters]
+    low, high = (np.array([getattr(table[k], x) for k in rows]) for x in ("low", "high"))
+    root = found.weights.root[len(plant.names) + j]
 
     def error(x: np.ndarray) -> np.ndarray:
         new = theta.copy()
@@ -108,7 +117,24 @@ def _fitted(plant, found: Fit, c: Candidate, start, j: int, records) -> tuple[np
         parts = [misses(plant, table, new[None], r, (j,))[0][r.settled, 0] for r in records]
         return np.concatenate(parts)
 
+    def weighed(x: np.ndarray) -> np.ndarray:
+        pull = () if late is None else (x[rows.index(late[0])] - late[1]) / late[2]
+        return np.append(root * error(x), pull)
+
     inside = np.clip(theta[rows], low + 1e-9, high - 1e-9)
-    done = least_squares(error, inside, bounds=(low, high), x_scale=sd, max_nfev=_STEPS)
+    done = least_squares(weighed, inside, bounds=(low, high), x_scale=scale, max_nfev=_STEPS)
     theta[rows] = done.x
-    return theta, max(2.0 * float(done.cost) / len(done.fun), 1e-300)
+    return theta, max(float(np.mean(error(done.x) ** 2)), 1e-300)
+
+
+def delay_of_others(found: Fit, j: int, n: int) -> tuple[int, float, float] | None:
+    """(row, value, deviation) of the delay of all targets, as the prior and the torques of the other joints have it."""
+    for k, p in enumerate(found.table):
+        if p.family == "target_delay" and p.joint == ALL and found.free[k]:
+            others = n + np.delete(np.arange(n), j)
+            root = found.weights.root[others]
+            slope, error = found.columns[k][:, others] * root, found.error[:, others] * root
+            known = float(np.sum(slope**2)) + p.sd**-2
+            pull = float(np.sum(slope * error)) + (found.theta[k] - p.mean) * p.sd**-2
+            return k, float(found.theta[k] - pull / known), known**-0.5
+    return None

@@ -14,6 +14,9 @@ from jax_inertia.replay.record import Record
 
 WORSE = 1.02
 """Of an output's error, what passes for no worse."""
+LISTED, _RETURNS = 0.01, 0.45
+"""An odd effect is listed whose return takes up so much of the gap, or adds so much of the corrected replay's error (in
+squares: it errs a tenth more)."""
 
 
 class Unseen:
@@ -71,6 +74,27 @@ class Unseen:
             return np.array([position])
         torque = square[n:] / np.maximum(self._floor, 1e-12) ** 2
         return np.array([position, max(float(np.mean(torque)), 1.0)])
+
+
+def least_share(before: float, after: float) -> float:
+    """Of a gap, what an odd effect takes that is listed; rms errors of the nominal replay and the corrected one."""
+    return min(LISTED, (_RETURNS * after / before) ** 2)
+
+
+def shown_in(
+    plant: Plant, found: Fit, effects: Sequence[tuple[int, ...]], records: Sequence[Record]
+) -> list[tuple[int, ...]]:
+    """Which odd effects show in the runs that were fitted, by what sensors resolve and by their share of the gap there.
+
+    Another motion may have no occasion for one that this log asks for: a limit, at which it hardly is.
+    """
+    run = Unseen(plant, records)
+    energy = run.misses(found.table, np.array([[p.nominal for p in found.table]]))[0]
+    errors = run.taken_back(found, effects)
+    square = run.missed_by(errors)
+    least = np.array([least_share(b, a) for b, a in np.sqrt(np.stack([energy, square[0]], 1))])
+    large = np.any((square[1:] - square[0]) / energy > least, axis=1) & run.shown(errors)
+    return [rows for rows, shown in zip(effects, large, strict=True) if shown]
 
 
 def carries_over(new: np.ndarray, old: np.ndarray, least: float) -> bool:

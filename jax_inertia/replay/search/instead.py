@@ -22,15 +22,14 @@ from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search.by_law import AS_GOOD
 from jax_inertia.replay.search.candidates import Candidate
-from jax_inertia.replay.search.tries import LOG_ODDS, tried_errors
+from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, tried_errors
 from jax_inertia.replay.search.undecided import open_between
 
 Rows = tuple[int, ...]
 _PLAIN, _FALLING = "coulomb_friction", "stribeck_friction"
-_MOST = 3
-"""That are replayed for each effect."""
+_MOST, _LARGEST = 3, 8
+"""That are replayed for each effect, and effects of which all other numbers are asked; of a friction, always."""
 
 
 class Instead(NamedTuple):
@@ -55,9 +54,10 @@ def in_place_of(
     pool: Sequence[Candidate],
     records: Sequence[Record],
 ) -> Mapping[Rows, tuple[Instead, ...]]:
-    """By the rows of each effect; `columns`: derivatives of the error by all numbers of the table."""
+    """By the rows of each effect, the largest first; `columns`: derivatives of the error by all of the table."""
     if not units:
         return {}
+    every, units = units, units[:_LARGEST]
     own = np.array([p.nominal for p in found.table])
     thetas = np.repeat(found.theta[None], len(units) + 1, axis=0)
     for theta, unit in zip(thetas[1:], units, strict=True):
@@ -85,8 +85,8 @@ def in_place_of(
         kept += [_Try(unit, k, new) for cost, k, new in ranked[:_MOST] if cost <= room]
     by_load = {u: x for u in units if (x := _by_load(plant, found, u, pool)) is not None}
     proved = _proved(plant, records, costs, away, kept, limit, each)
-    falling = _falling(plant, about, columns, away, units, pool, records)
-    return {u: (*by_load.get(u, ()), *proved.get(u, ()), *falling.get(u, ())) for u in units}
+    falling = _falling(plant, about, columns, away, every, pool, records)
+    return {u: (*by_load.get(u, ()), *proved.get(u, ()), *falling.get(u, ())) for u in every}
 
 
 def _falling(

@@ -4,23 +4,30 @@ Each is tried at a few sizes, the ordinary numbers following along the cost's pa
 fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search import held_out as unseen
-from jax_inertia.replay.search.by_law import AS_GOOD
-from jax_inertia.replay.search.candidates import Candidate, candidates, centre_of
+from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth
-from jax_inertia.replay.search.tries import ROUNDS, fitted, fitted_from, price, scaled, tried_errors
+from jax_inertia.replay.search.tries import (
+    AS_GOOD,
+    centre,
+    fitted,
+    fitted_from,
+    placed,
+    price,
+    ranked,
+    settled,
+)
 
 MOST = 6
 _GAIN = 0.02
@@ -69,6 +76,8 @@ def add_odd(
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
     out, possible, afresh = [], [], True
+    said = afresh_fits.gains_as_said(plant, found, records, floor)
+    found = afresh_fits.simpler(plant, found, said, records, floor) if said else found
     best = run.missed(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
@@ -89,18 +98,15 @@ def add_odd(
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
+                fits += (
+                    afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
+                )
             passed, more = _judged(plant, found, fits, run, best)
             possible, afresh = [*possible, *more], False
         if not passed:
             break
         order = sorted(passed, key=lambda c: -passed[c][0])
-        least = _CONTENDERS * passed[order[0]][0]
-        near = [c for c in order[:_SETTLED] if passed[c][0] >= least]
-        now = Parabola(found, plant.loop, found.samples).worth()
-        for c in near:
-            tried = _settled(plant, passed[c][1], records, floor)
-            passed[c] = _evidence(plant, found, now, c, tried)[0], tried
-        first = max(near, key=lambda c: passed[c][0])
+        first, passed = _first(plant, found, passed, records, floor, run, best)
         evidence, found = passed[first]
         best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
@@ -110,8 +116,7 @@ def add_odd(
             out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
             continue
         out.append(Odd(first, rows, rivals))
-        if first.family == "payload" and (centre := centre_of(first, plant)) is not None:
-            pool.append(centre)
+        pool += centre(plant, first, found)
     return Search(found, tuple(out), tuple(possible), tuple(pool))
 
 
@@ -131,7 +136,8 @@ def _judged(
         if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
             if evidence > passed.get(c, (0.0,))[0]:
                 passed[c] = evidence, tried
-        elif evidence > -AS_GOOD:
+        elif evidence > -AS_GOOD and c.family != "payload_centre":
+            # Where a load is, is no effect by itself.
             possible.append(c)
     return passed, possible
 
@@ -151,12 +157,27 @@ def _is_load_of(o: Odd, centre: Candidate) -> bool:
     return o.candidate.family == "payload" and o.candidate.place == centre.place
 
 
-def _settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
-    """A fit, gone on with by Jacobians of its own."""
-    return fitting.fit(
-        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
-        known=(tried.error, tried.columns),
-    )  # fmt: skip
+def _first(
+    plant: Plant,
+    found: Fit,
+    passed: Mapping[Candidate, tuple[float, Fit]],
+    records,
+    floor,
+    run: unseen.Unseen,
+    best,
+) -> tuple[Candidate, dict[Candidate, tuple[float, Fit]]]:
+    """(the one with most evidence of those that are near the best once they settle; all, with what is known then)."""
+    out = dict(passed)
+    order = sorted(out, key=lambda c: -out[c][0])
+    near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
+    now = Parabola(found, plant.loop, found.samples).worth()
+    for c in tuple(near):
+        tried = settled(plant, out[c][1], records, floor)
+        out[c] = _evidence(plant, found, now, c, tried)[0], tried
+        for whole in placed(plant, c, tried, records, floor):
+            out |= _judged(plant, found, [whole], run, best)[0]
+            near += [whole[0]] if whole[0] in out else []
+    return max(near, key=lambda c: out[c][0]), out
 
 
 def _finalists(
@@ -167,18 +188,7 @@ def _finalists(
     floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
     """Fits with the candidates that promise most."""
-    tries = [(c, s) for c in pool for s in c.starts]
-    if not tries:
-        return []
-    about = Parabola(found, plant.loop, found.samples)
-    now = about.worth().total
-    best: dict[tuple, tuple] = {}
-    for c, start, error in tried_errors(plant, found, tries, records):
-        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
-        gain, key = now - worth.total, (c.family, c.place)
-        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
-            best[key] = gain, c, tuple(share * np.array(start))
-    order = sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])[:_FINALISTS]
+    order = ranked(plant, found, pool, records)[:_FINALISTS]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [
         (c, fitted(plant, found, c, start, records, floor))

@@ -6,10 +6,14 @@ import numpy as np
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import CENTRE
 from jax_inertia.replay.plant import Plant
-from jax_inertia.replay.search.candidates import VARYING, Candidate
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.search.candidates import VARYING, Candidate, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth
 
+AS_GOOD = 2.0 * float(np.log(20.0))
+"""Of the cost: likelihoods that differ by less than twenty leave both possible."""
 LOG_ODDS = float(np.log(20.0))
 """Against any one odd effect: one robot in twenty has it."""
 ROUNDS = 4
@@ -20,9 +24,10 @@ _AT_ONCE = 32
 def price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     if c.family == "payload_centre":
-        # Every load is somewhere, and S counts the coordinates that it needs.
         return 0.0
-    return len(c.parameters) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
+    # Every load is somewhere, and S counts the coordinates that it needs.
+    numbers = sum(p.family not in CENTRE for p in c.parameters)
+    return numbers * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
 def scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
@@ -55,6 +60,24 @@ def tried_errors(
             yield c, start, np.where(touched, changed[rows[k] - first], found.error)
 
 
+def ranked(
+    plant: Plant, found: Fit, pool: Sequence[Candidate], records
+) -> list[tuple[float, Candidate, tuple[float, ...]]]:
+    """Candidates by what they promise beyond their price, the best first: (by how much S falls, candidate, sizes)."""
+    tries = [(c, s) for c in pool for s in c.starts]
+    if not tries:
+        return []
+    about = Parabola(found, plant.loop, found.samples)
+    now = about.worth().total
+    best: dict[tuple, tuple] = {}
+    for c, start, error in tried_errors(plant, found, tries, records):
+        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+        gain, key = now - worth.total, (c.family, c.place)
+        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
+            best[key] = gain, c, tuple(share * np.array(start))
+    return sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])
+
+
 def fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, floor) -> Fit:
     """A fit with a candidate, from numbers of its own; those of the candidate are last."""
     table = (*found.table, *c.parameters)
@@ -74,4 +97,31 @@ def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
     return fitting.fit(
         plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS, known=(error, columns),
         mended_only=True,
+    )  # fmt: skip
+
+
+def placed(
+    plant: Plant, load: Candidate, tried: Fit, records: Sequence[Record], floor: np.ndarray
+) -> list[tuple[Candidate, Fit]]:
+    """A load with a place of its own on its link, which is how it competes, and the fit; none of what is no load."""
+    out = []
+    for _, c, start in ranked(plant, tried, centre(plant, load, tried), records)[:1]:
+        whole = Candidate(load.family, (*load.parameters, *c.parameters), ())
+        new = fitted(plant, tried, c, start, records, floor)
+        out.append((whole, settled(plant, new, records, floor)))
+    return out
+
+
+def centre(plant: Plant, load: Candidate, tried: Fit) -> list[Candidate]:
+    """Where a load may be, its numbers last in a fit: what a link lacks is taken from where it is, and has no place."""
+    if load.family != "payload" or len(load.parameters) > 1 or tried.theta[-1] <= 0:
+        return []
+    return [c for c in (centre_of(load, plant),) if c is not None]
+
+
+def settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
+    """A fit, gone on with by Jacobians of its own."""
+    return fitting.fit(
+        plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
+        known=(tried.error, tried.columns),
     )  # fmt: skip

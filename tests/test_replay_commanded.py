@@ -1,0 +1,90 @@
+"""Torques that were commanded: made of targets before these are late, or after."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.replay.loop import Loop, Parameter, ordinary
+from jax_inertia.replay.pipeline import diagnose
+from jax_inertia.replay.plant import Plant
+from jax_inertia.replay.record import record_of
+from jax_inertia.replay.simulate import misses, replay
+
+KP, KD = 30.0, 0.8
+LOOP = Loop(np.array([KP]), np.array([KD]), np.array([np.inf]), "log")
+MODEL = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
+<inertial pos="0 0 -0.15" mass="1" diaginertia="0.006 0.006 0.001"/></body></worldbody></mujoco>"""
+
+
+def run(*, delay=0.0, damping=0.0, before=False, seconds=8.0) -> Log:
+    """The link by MuJoCo C at 0.5 ms, its targets late; `before`: torques are made of the targets as they are sent."""
+    m = mujoco.MjModel.from_xml_string(MODEL)
+    m.opt.timestep = 5e-4
+    m.dof_damping[:] += damping
+    d, rng = mujoco.MjData(m), np.random.default_rng(0)
+    at = np.arange(0, seconds, 0.02)
+    told = 0.5 * np.sin(2 * np.pi * 0.6 * at) + 0.3 * np.sin(2 * np.pi * 1.7 * at)
+    told += np.repeat(rng.normal(size=len(at) // 40 + 1) * 0.2, 40)[: len(at)]
+    d.qpos[:] = told[0]
+    rows, late = [], round(delay / m.opt.timestep)
+    for k in range(int(seconds / m.opt.timestep) - 40):
+        sent, there = (told[max(i, 0) // 40] for i in (k, k - late))
+        if k % 2 == 0:
+            seen = np.round(d.qpos[0] * 2**14 / (2 * np.pi)) * 2 * np.pi / 2**14
+            rest = -KP * seen - KD * d.qvel[0]
+            rows.append((k * m.opt.timestep, seen, sent, KP * (sent if before else there) + rest))
+            d.qfrc_applied[0] = KP * there + rest
+        mujoco.mj_step(m, d)
+    time, q, target, tau = np.array(rows).T
+    gains = {"kp": LOOP.kp, "kd": LOOP.kd}
+    q, target, tau = (x[:, None] for x in (q, target, tau))
+    kind = TorqueKind.COMMANDED
+    return Log(
+        time=time, joint_names=("hinge",), qpos=q, qpos_target=target, tau=tau, tau_kind=kind, **gains
+    )  # fmt: skip
+
+
+def named(log: Log) -> set[str]:
+    return {e.family for e in diagnose([log], lambda: mujoco.MjSpec.from_string(MODEL)).effects}
+
+
+def test_a_lead_is_of_motion_and_not_of_the_torque():
+    log = run(delay=0.02, before=True, seconds=3.0)
+    plant = Plant(mujoco.MjSpec.from_string(MODEL), log.joint_names, LOOP)
+    record = record_of(log, LOOP, torque=True)
+    table = tuple(Parameter(f, -1, 0.0, 1.0, 0.0, 1.0) for f in ("target_delay", "torque_lead"))
+    tries = np.array([[0.02, 0.0], [0.0, 0.02], [0.0, 0.0]])
+    late, lead = replay(plant, table, tries[:2], record)
+    assert np.array_equal(late, lead)
+    assert np.abs(lead - record.q).max() < 5e-3
+    torques = misses(plant, table, tries, record)[:, record.settled]
+    assert np.array_equal(torques[1], torques[2])
+    assert np.std(torques[1]) < 0.1 * np.std(torques[0])
+
+
+def test_only_a_commanded_torque_may_lead():
+    one = np.ones(1)
+    for kinds in ({}, {"torque_logged": True}, {"commanded": True}):
+        families = {p.family for p in ordinary(LOOP, *5 * [one], 0.001, **kinds)}
+        assert "torque_lead" not in families
+    families = {
+        p.family for p in ordinary(LOOP, *5 * [one], 0.001, torque_logged=True, commanded=True)
+    }
+    assert "torque_lead" in families
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("before", [True, False])
+def test_a_delay_is_named_wherever_its_torque_was_made(before):
+    log = run(delay=0.02, before=before)
+    assert named(log) == {"target_delay"}
+    measured = dataclasses.replace(log, tau_kind=TorqueKind.CURRENT)
+    assert ("target_delay" in named(measured)) == (not before)
+
+
+@pytest.mark.slow
+def test_damping_is_no_delay_of_commanded_torques():
+    assert named(run(damping=0.5)) == {"viscous_friction"}
