@@ -9,8 +9,8 @@ from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
 
 LEVEL = 0.04
 """Standard deviation of how a base that should be level stands [rad]."""
-MOUNTED = 0.5, np.pi / 2
-"""Angles of slopes and of walls from which secants start [rad]."""
+SLOPE = 0.5
+"""Angle from which secants start, too [rad]: from there they find their way to a wall."""
 
 
 def turns(theta: Float[np.ndarray, "2"], gravity: Float[np.ndarray, "3"]) -> np.ndarray:
@@ -43,8 +43,7 @@ class GravityTilt(Effect):
 
     def shapes(self, context, place):
         about = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
-        turned = [(a * x, a * y) for a in MOUNTED for x, y in about]
-        return [(0.0, 0.0), *turned, (np.pi, 0.0)]
+        return [(0.0, 0.0), *((SLOPE * x, SLOPE * y) for x, y in about)]
 
     def columns(self, context, place, shape):
         # The real robot needs more torque for its own gravity; what is missing is what it did not need to give.
