@@ -5,18 +5,14 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
+from link_log import COUNT, KD, KP, LOOP, MODEL, logged, targets
 
 from jax_inertia.logs.log import Log, TorqueKind
-from jax_inertia.replay.loop import Loop, Parameter, ordinary
+from jax_inertia.replay.loop import Parameter, ordinary
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.simulate import misses, replay
-
-KP, KD = 30.0, 0.8
-LOOP = Loop(np.array([KP]), np.array([KD]), np.array([np.inf]), "log")
-MODEL = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
-<inertial pos="0 0 -0.15" mass="1" diaginertia="0.006 0.006 0.001"/></body></worldbody></mujoco>"""
 
 
 def run(*, delay=0.0, damping=0.0, before=False, seconds=8.0) -> Log:
@@ -24,27 +20,18 @@ def run(*, delay=0.0, damping=0.0, before=False, seconds=8.0) -> Log:
     m = mujoco.MjModel.from_xml_string(MODEL)
     m.opt.timestep = 5e-4
     m.dof_damping[:] += damping
-    d, rng = mujoco.MjData(m), np.random.default_rng(0)
-    at = np.arange(0, seconds, 0.02)
-    told = 0.5 * np.sin(2 * np.pi * 0.6 * at) + 0.3 * np.sin(2 * np.pi * 1.7 * at)
-    told += np.repeat(rng.normal(size=len(at) // 40 + 1) * 0.2, 40)[: len(at)]
+    d, told = mujoco.MjData(m), targets(seconds)
     d.qpos[:] = told[0]
     rows, late = [], round(delay / m.opt.timestep)
     for k in range(int(seconds / m.opt.timestep) - 40):
         sent, there = (told[max(i, 0) // 40] for i in (k, k - late))
         if k % 2 == 0:
-            seen = np.round(d.qpos[0] * 2**14 / (2 * np.pi)) * 2 * np.pi / 2**14
+            seen = np.round(d.qpos[0] / COUNT) * COUNT
             rest = -KP * seen - KD * d.qvel[0]
             rows.append((k * m.opt.timestep, seen, sent, KP * (sent if before else there) + rest))
             d.qfrc_applied[0] = KP * there + rest
         mujoco.mj_step(m, d)
-    time, q, target, tau = np.array(rows).T
-    gains = {"kp": LOOP.kp, "kd": LOOP.kd}
-    q, target, tau = (x[:, None] for x in (q, target, tau))
-    kind = TorqueKind.COMMANDED
-    return Log(
-        time=time, joint_names=("hinge",), qpos=q, qpos_target=target, tau=tau, tau_kind=kind, **gains
-    )  # fmt: skip
+    return logged(*np.array(rows).T, tau_kind=TorqueKind.COMMANDED)
 
 
 def named(log: Log) -> set[str]:

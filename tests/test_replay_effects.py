@@ -344,12 +344,17 @@ def test_numbers_are_given_up_while_that_costs_less_than_a_number_is_worth():
 @pytest.mark.slow
 def test_a_load_stands_for_many_numbers_that_pass_for_it():
     """On the lower link of two: kp, damping and offset of both joints, a little off each, replay nearly as well."""
-    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=heavy, seed=k) for k in (4, 5)]
-    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
-    odd = odd_effects(found)
+    found, odd = of_two_links(heavy)
     assert set(odd) == {("payload", "lower")}
     assert odd["payload", "lower"].size.value == pytest.approx(0.15, rel=0.15)
     assert not {e.family for e in found.effects} & {"kp_scale", "kd_scale", "encoder_offset"}
+
+
+def of_two_links(robot):
+    """(what is found of a robot beside the plain two links, its odd effects), another motion as test log."""
+    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=robot, seed=k) for k in (4, 5)]
+    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
+    return found, odd_effects(found)
 
 
 def chain(load: float = 0.0):
@@ -382,9 +387,7 @@ def clamped():
 @pytest.mark.slow
 def test_a_load_at_the_end_of_a_link_weighs_what_it_does():
     """Where it is is a part of what it is: as more of the link it would be 0.5 kg, and gains would not be as said."""
-    logs = [made(lambda miss, v: (KP * miss - KD * v, 0.05), spec=clamped, seed=k) for k in (4, 5)]
-    found = pipeline.diagnose(logs[:1], chain, test_log=logs[1])
-    odd = odd_effects(found)
+    found, odd = of_two_links(clamped)
     assert set(odd) == {("payload", "lower")}
     sizes = dict(odd["payload", "lower"].sizes)
     assert sizes["mass"].value == pytest.approx(0.25, rel=0.1)

@@ -6,6 +6,7 @@ import functools
 import mujoco
 import numpy as np
 import pytest
+from link_log import COUNT, KD, KP, LOOP, MODEL, logged, targets
 
 import jax_inertia as ji
 from jax_inertia.diagnosis.result import Verdict
@@ -14,19 +15,13 @@ from jax_inertia.replay import checks
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.entry import left_to_torque, replayable
 from jax_inertia.replay.fit import Fit, Weights
-from jax_inertia.replay.loop import ALL, Loop, Parameter
+from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.held_out import carries_over, shown_in
 from jax_inertia.replay.simulate import misses
-
-KP, KD = 30.0, 0.8
-LOOP = Loop(np.array([KP]), np.array([KD]), np.array([np.inf]), "log")
-MODEL = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
-<inertial pos="0 0 -0.15" mass="1" diaginertia="0.006 0.006 0.001"/></body></worldbody></mujoco>"""
-COUNT = 2 * np.pi / 2**14
 
 
 def law(*, kp=KP, kd=KD, delay=0.0, limit=np.inf, bias=0.0, dead=0.0, seconds=6.0) -> Log:
@@ -49,12 +44,6 @@ def law(*, kp=KP, kd=KD, delay=0.0, limit=np.inf, bias=0.0, dead=0.0, seconds=6.
     tau = np.clip(kp * miss - kd * v + bias, -limit, limit)
     told = aim(np.floor((time + 1e-9) / 0.02) * 0.02)
     return logged(time, seen, told, tau)
-
-
-def logged(time, q, told, tau) -> Log:
-    q, told, tau = (np.reshape(x, (-1, 1)) for x in (q, told, tau))
-    gains = {"kp": LOOP.kp, "kd": LOOP.kd}
-    return Log(time=time, joint_names=("hinge",), qpos=q, qpos_target=told, tau=tau, **gains)
 
 
 def missed(log: Log, **numbers: float) -> float:
@@ -130,10 +119,7 @@ def run(*, gain=1.0, mass=0.0, lag=0.0, dry=0.0, seconds=8.0) -> Log:
     m.body_mass[1] += mass
     m.body_inertia[1] *= 1.0 + mass
     m.dof_frictionloss[:] = dry
-    d, rng = mujoco.MjData(m), np.random.default_rng(0)
-    at = np.arange(0, seconds, 0.02)
-    told = 0.5 * np.sin(2 * np.pi * 0.6 * at) + 0.3 * np.sin(2 * np.pi * 1.7 * at)
-    told += np.repeat(rng.normal(size=len(at) // 40 + 1) * 0.2, 40)[: len(at)]
+    d, told = mujoco.MjData(m), targets(seconds)
     d.qpos[:] = told[0]
     rows, tau, arrived = [], 0.0, told[0]
     keep = np.exp(-1e-3 / lag) if lag > 0 else 0.0
@@ -146,8 +132,7 @@ def run(*, gain=1.0, mass=0.0, lag=0.0, dry=0.0, seconds=8.0) -> Log:
             rows.append((t, seen, told[int((t + 1e-9) / 0.02)], tau))
         d.qfrc_applied[:] = gain * tau - 0.1 * d.qvel
         mujoco.mj_step(m, d)
-    x = np.array(rows)
-    return logged(*x.T)
+    return logged(*np.array(rows).T)
 
 
 @pytest.mark.slow

@@ -160,7 +160,7 @@ def _seen(
     """Columns on the residual's rows, the row that they act on, and what is cut off; the latest are kept."""
     key, known = (effect, place, shape, level), residual.known
     if key not in known:
-        while len(known) >= MOST_KNOWN:
+        if len(known) >= MOST_KNOWN:
             known.pop(next(iter(known)))
         known[key] = *_columns(residual, *key), _cut(residual, effect, place, shape)
     return known[key]

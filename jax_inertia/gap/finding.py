@@ -1,7 +1,6 @@
 """What a diagnosis found, and how it reads in a console and in a notebook."""
 
 import dataclasses
-import math
 
 from jax_inertia.diagnosis.effects.base import Interval, Parameter, Place
 from jax_inertia.diagnosis.effects.identified import Identified
@@ -14,7 +13,7 @@ from jax_inertia.gap.verdict import Verdict
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.text.notebook_page import line, table
-from jax_inertia.text.words import at, chance, named, number, percent, plain, unit
+from jax_inertia.text.words import at, chance, length, named, number, percent, plain, unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,11 +205,10 @@ def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
 
 def _named(f: Finding) -> str:
     """Effect, place and the first of its numbers; of a vector's, its length."""
-    name, first = next(iter(f.parameters.items()), ("", None))
+    first = next(iter(f.parameters.values()), None)
     if first is None:
         return named(f.family, f.place)
-    stem, _, axis = name.rpartition("_")
-    every = [f.parameters[f"{stem}_{k}"].value for k in "xyz" if f"{stem}_{k}" in f.parameters]
-    size = math.hypot(*every) if axis == "x" else first.value
+    vector = length(f.parameters)
+    size = first.value if vector is None else vector
     times = "× " if first.factor else ""
     return f"{named(f.family, f.place)} ({times}{number(size)}{unit(first.unit)})"

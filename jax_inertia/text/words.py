@@ -1,5 +1,7 @@
 """Names and numbers as people read them."""
 
+import math
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,6 +17,14 @@ class Placed(Protocol):
     def name(self) -> str: ...
     @property
     def other(self) -> str: ...
+
+
+@runtime_checkable
+class Valued(Protocol):
+    """A number of an effect."""
+
+    @property
+    def value(self) -> float: ...
 
 
 def plain(name: str) -> str:
@@ -35,6 +45,13 @@ def at(place: Placed) -> str:
 def named(family: str, place: Placed) -> str:
     """An effect and where it is."""
     return plain(family) + at(place)
+
+
+def length(parameters: Mapping[str, Valued]) -> float | None:
+    """Of the vector that the first numbers of an effect are, along x, y (and z); None of what is none."""
+    stem, _, axis = next(iter(parameters)).rpartition("_")
+    along = [parameters[f"{stem}_{k}"].value for k in "xyz" if f"{stem}_{k}" in parameters]
+    return math.hypot(*along) if axis == "x" and len(along) > 1 else None
 
 
 def unit(text: str) -> str:

@@ -1,7 +1,5 @@
 """What is said of a diagnosis, as an engineer would say it."""
 
-import math
-
 from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
 from jax_inertia.text import words
 from jax_inertia.text.words import number, percent, plain, unit
@@ -60,10 +58,8 @@ def named(f: Found) -> str:
     text = words.named(f.family, f.place)
     if p is None:
         return text
-    stem, _, axis = name.rpartition("_")
-    along = [q for k in "xyz" if (q := f.parameters.get(f"{stem}_{k}"))]
-    if axis == "x" and len(along) > 1:
-        size = math.hypot(*(q.value for q in along))
-        return f"{text} ({number(size)}{unit(p.unit)})"
+    vector = words.length(f.parameters)
+    if vector is not None:
+        return f"{text} ({number(vector)}{unit(p.unit)})"
     times = "× " if p.factor else ""
     return f"{text} ({plain(name)} {times}{number(p.value)}{unit(p.unit)})"
