@@ -43,16 +43,17 @@ def with_joints(viscous=VISCOUS, coulomb=COULOMB, rotor=ROTOR) -> str:
     return text
 
 
-def logged(seed: int, tau=lambda t, v: 0.0, **joints) -> object:
-    """A log of the arm with other joints than are stated, and `tau` beyond them."""
+def logged(seed: int, hidden=lambda q, v, carried: 0.0, **joints) -> object:
+    """A log of the arm with other joints than are stated, and at the elbow `hidden` beyond what it gives without."""
     t, q, v, a = motion(seed)
     d, f, i = (
         np.array(joints.get(name, own))
         for name, own in (("viscous", VISCOUS), ("coulomb", COULOMB), ("rotor", ROTOR))
     )
     bare = mujoco.MjModel.from_xml_string(NOMINAL)
-    own = d * v + f * np.tanh(v / 0.002) + i * a
-    return log_of(t, q, needed(bare, q, v, a) + own + tau(t, v), seed)
+    tau = needed(bare, q, v, a) + d * v + f * np.tanh(v / 0.002) + i * a
+    tau[:, 1] += hidden(q[:, 1], v[:, 1], tau[:, 1])
+    return log_of(t, q, tau, seed)
 
 
 @pytest.fixture(scope="module")
@@ -83,14 +84,43 @@ def test_a_rotor_inertia_far_beyond_its_tolerance_is_an_effect(robot):
 
 
 def test_friction_that_differs_by_direction_is_one_law(robot):
-    def uneven(t, v):
-        return np.stack([0 * t, 0.5 * np.tanh(v[:, 1] / 0.002) + 0.3 * (v[:, 1] != 0), 0 * t], 1)
+    def uneven(q, v, carried):
+        return 0.5 * np.tanh(v / 0.002) + 0.3 * (v != 0)
 
-    report, named = found(robot, tau=uneven)
+    report, named = found(robot, hidden=uneven)
     assert named == [("asymmetric_coulomb", "elbow")]
     numbers = report.found[0].parameters
     assert numbers["positive"].value == pytest.approx(0.8, rel=0.1)
     assert numbers["negative"].value == pytest.approx(0.2, rel=0.3)
+
+
+def test_friction_under_load_is_of_all_that_the_motor_gives(robot):
+    """The friction itself is a part of that torque, which no model has before it is found."""
+    level, share = 0.4, 0.15
+
+    def loaded(q, v, carried):
+        side = np.tanh(v / 0.002)
+        # τ = τ₀ + (F₀ + μ |τ|) s, solved for a τ of either sign.
+        both = carried + level * side
+        return both / (1 - share * side * np.sign(both)) - carried
+
+    report, named = found(robot, hidden=loaded)
+    assert named == [("load_friction", "elbow")]
+    numbers = report.found[0].parameters
+    assert numbers["load_coefficient"].value == pytest.approx(share, rel=0.05)
+    assert numbers["coulomb"].value == pytest.approx(level, rel=0.15)
+    assert numbers["of_motor"].value == 1.0
+
+
+def test_a_wave_of_teeth_and_its_harmonic_are_one_effect(robot):
+    def teeth(q, v, carried):
+        return -0.5 * np.sin(8 * q + 0.4) - 0.06 * np.sin(16 * q - 0.9)
+
+    report, named = found(robot, hidden=teeth)
+    assert named == [("cogging", "elbow")]
+    numbers = report.found[0].parameters
+    assert numbers["amplitude"].value == pytest.approx(0.5, rel=0.05)
+    assert numbers["harmonic"].value == pytest.approx(0.06, rel=0.3)
 
 
 def test_a_sound_calibrated_robot_has_no_gap(robot):
@@ -165,7 +195,7 @@ def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual
 def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):
     tolerances, rotor = (
         hypothesis(residual, effect, ELBOW, shape, 8.0)
-        for effect, shape in ((StatedNumbers(), (0.05,)), (Armature(), ()))
+        for effect, shape in ((StatedNumbers(), (0.05, 20.0)), (Armature(), ()))
     )
     parts, nothing = (slice(0, 3), slice(3, 4)), np.zeros_like(residual.y)
     now = Posterior((tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing)

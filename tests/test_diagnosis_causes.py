@@ -18,7 +18,9 @@ ROWS = 500
 
 def spring(column):
     place = Place("joint", "elbow", 0)
-    return Hypothesis(JointSpring(), place, (), column[:, None], 0, np.array([3.0]), 8.0)
+    return Hypothesis(
+        JointSpring(), place, (), column[:, None], 0, np.array([3.0]), np.zeros(1), 8.0
+    )
 
 
 def judged(y, h):

@@ -34,7 +34,8 @@ def hypotheses(rng, count):
         scale = rng.uniform(0.3, 3.0, 2)
         # One in three is all there or not at all: θ = 1, give or take.
         effect = ViscousFriction() if k % 3 else TorqueSaturation()
-        out.append(Hypothesis(effect, place, (), rng.normal(size=shape), row, scale, 0.0))
+        mean, columns = np.full(2, 0.0 if k % 3 else 1.0), rng.normal(size=shape)
+        out.append(Hypothesis(effect, place, (), columns, row, scale, mean, 0.0))
     return tuple(out)
 
 
@@ -142,7 +143,8 @@ def test_parts_that_agree_as_the_log_does_bring_the_worth(problem):
 def test_what_is_all_there_is_not_refuted_by_parts_that_find_seven_tenths_of_it():
     """By a closed form: of ẑ ± √v, prior 1 ± s against none."""
     place = Place("joint", "j0", 0)
-    h = Hypothesis(TorqueSaturation(), place, (), np.ones((ROWS, 1)), 0, np.array([0.2]), 0.0)
+    prior = np.array([0.2]), np.ones(1)
+    h = Hypothesis(TorqueSaturation(), place, (), np.ones((ROWS, 1)), 0, *prior, 0.0)
     exact, wide = np.array([[1e-6]]), np.array([[1.0]])
     mean = np.array([0.7 / 0.2])
     wanted = 0.5 * (3.5**2 / 1.0 - (3.5 - 5.0) ** 2 / 2.0 + np.log(1.0 / 2.0))
@@ -155,7 +157,7 @@ def test_a_moments_push_is_no_slow_misfit_and_a_slow_misfit_no_push():
     place = Place("body", "b", 1)
     window = np.zeros((rows, 1, 1))
     window[150:190] = 1.0
-    h = Hypothesis(ViscousFriction(), place, (), window, None, np.array([10.0]), 0.0)
+    h = Hypothesis(ViscousFriction(), place, (), window, None, np.array([10.0]), np.zeros(1), 0.0)
     weight = np.ones((rows, 1))
     slow = np.zeros(rows)
     for k in range(1, rows):
@@ -176,11 +178,13 @@ def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
     """An effect of just that size, and nothing else in the rows."""
     evidence, chosen = problem
     chosen, others = (
-        tuple(dataclasses.replace(h, effect=ViscousFriction()) for h in some)
+        tuple(
+            dataclasses.replace(h, effect=ViscousFriction(), mean=np.zeros(h.count)) for h in some
+        )
         for some in (chosen, hypotheses(np.random.default_rng(8), 4))
     )
     for h in others:
-        one = dataclasses.replace(h, columns=h.columns[..., :1], scale=h.scale[:1])
+        one = dataclasses.replace(h, columns=h.columns[..., :1], scale=h.scale[:1], mean=h.mean[:1])
         now = evidence.posterior(chosen)
         z = smallest(float(information(evidence, now, one)[0]), odds=8.0)
         evidence.y = one.torque(np.array([z]), evidence.y.shape)
@@ -231,14 +235,14 @@ def test_what_is_slow_of_a_residual_is_learned():
     assert SlowNoise(weight).likeliest(white).share <= 0.1
 
 
-def rescaled(errors):
+def rescaled(errors, counts_for=20.0, most=np.inf):
     """Scale of the centres of mass of five bodies, whose errors are given in units of the stated tolerance."""
     count = 10 * 5 + 2
     numbers = np.zeros(count)
     numbers[[10 * body + 1 + axis for body in range(5) for axis in range(3)]] = errors
-    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, 20.0)
-    columns = np.zeros((ROWS, JOINTS, count))
-    h = Hypothesis(InertialTolerances(), place, shape, columns, None, np.ones(count), 0.0)
+    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, counts_for, 1e-3, most)
+    columns, prior = np.zeros((ROWS, JOINTS, count)), (np.ones(count), np.zeros(count))
+    h = Hypothesis(InertialTolerances(), place, shape, columns, None, *prior, 0.0)
     known = np.zeros((count, count))
     now = Posterior((h,), (slice(0, count),), numbers, known, np.zeros((ROWS, JOINTS)))
     return _rescaled(now)[0].scale[1]
@@ -247,6 +251,11 @@ def rescaled(errors):
 def test_tolerances_are_as_large_as_most_numbers_say_and_not_as_one_does():
     assert rescaled(np.r_[8.0, np.zeros(14)]) < 1.0
     assert rescaled(np.full(15, 1.9)) > 1.3
+
+
+def test_a_calibrated_model_is_as_good_as_its_numbers_say_and_never_worse_than_stated():
+    assert rescaled(np.full(15, 0.1), counts_for=1.0, most=1.0) < 0.3
+    assert rescaled(np.full(15, 1.9), counts_for=1.0, most=1.0) == 1.0
 
 
 def check(before, after, noise, expected=1.0, joints=2):

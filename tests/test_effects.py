@@ -41,12 +41,12 @@ CASES = {
     "torque_bias": (ELBOW, (), [0.5], 0.01),
     "asymmetric_coulomb": (ELBOW, (0.0, 0.0), [0.3], 0.02),
     "stribeck_friction": (ELBOW, (0.0, 0.0, 0.3, 2.0), [0.5], 0.04),
-    "load_friction": (ELBOW, (0.0, 0.0, 0.0, 0.0), [0.1], 0.02),
+    "load_friction": (ELBOW, (0.0, 0.0, 0.0, 0.0, 0.1), [0.1], 0.02),
     "asymmetric_viscous": (ELBOW, (), [0.4], 0.01),
     "quadratic_viscous": (ELBOW, (), [0.3], 0.01),
     "friction_drift": (ELBOW, (3.0,), [0.5], 0.01),
     "joint_spring": (ELBOW, (), [0.8, 2.0], 0.01),
-    "cogging": (ELBOW, (8.0,), [0.2, 0.3], 0.01),
+    "cogging": (ELBOW, (8.0,), [0.2, 0.3, 0.05, -0.02], 0.01),
     "torque_gain": (ALL, (), [-0.15], 0.01),
     "torque_saturation": (ELBOW, (0.6,), [1.0], 0.01),
     "torque_speed": (ELBOW, (1.0, 2.5), [1.0], 0.01),
@@ -152,7 +152,7 @@ def test_load_is_of_the_motor_or_of_the_link():
     log = log_of(TIME, Q, motor, noise=0.0)
     residual = Residual(robot, dataclasses.replace(log, qpos=Q), Settings())
     for side, torque in ((1.0, motor), (0.0, link)):
-        columns = columns_of(residual, known("load_friction"), ELBOW, (0.0, 0.0, side, 0.0))
+        columns = columns_of(residual, known("load_friction"), ELBOW, (0.0, 0.0, side, 0.0, 0.0))
         wanted = on_rows(residual, -np.abs(torque) * np.sign(V))[:, 1]
         off = (columns[:, 1, 0] - wanted)[5:-5]
         assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(wanted**2)), side
@@ -320,3 +320,22 @@ def test_what_the_documentation_says_of_an_effect_is_there():
             for text in (effect.equation, effect.source, effect.prior, effect.mjcf):
                 assert text, effect.name
             assert effect.units, effect.name
+
+
+def test_a_motor_that_carries_its_own_friction_gives_more_and_less():
+    """τ = τ₀ + (F₀ + μ |τ|) s in closed form; the law's columns at μ, of the level and of the load."""
+    level, mu, effect = 0.4, 0.3, known("load_friction")
+    bare = needed(mujoco.MjModel.from_xml_string(NOMINAL))[:, 1]
+    both = bare + level * np.sign(V[:, 1])
+    motor = both / (1.0 - mu * np.sign(V[:, 1] * both))
+    tau = needed(mujoco.MjModel.from_xml_string(NOMINAL))
+    tau[:, 1] = motor
+    residual, shape = residual_of(tau), (0.0, 0.0, 1.0, 0.0, mu)
+    of_load = columns_of(residual, effect, ELBOW, shape)[:, 1, 0]
+    values, _ = residual.rows_of(
+        effect.of_level(known("coulomb_friction"), residual.context, ELBOW, shape)
+    )
+    said = level * values[:, 0] + mu * of_load
+    np.testing.assert_allclose(
+        said[5:-5], residual.y[5:-5, 1], atol=0.03 * np.ptp(residual.y[:, 1])
+    )

@@ -72,8 +72,8 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
     """Log evidence that each of some that are chosen brings where parts of the log have to tell the same, nats.
 
     Prior odds apart. Of an effect that happens once parts say nothing: of it, what it brings against a slow discrepancy
-    in its place (`Evidence.loss`). A calibrated model's equations are stated to be right: there the whole log pays the
-    odds, and its parts must not refute it.
+    in its place (`Evidence.loss`). A calibrated model's equations are stated to be right: as far as its residual is the
+    sensors' noise the whole log pays the odds, and its parts must not refute it.
     """
     now, evidence, out = selection.posterior, selection.evidence, []
     exact = selection.state is CalibrationState.CALIBRATED
@@ -82,9 +82,20 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
         if h.family in PASSING:
             robust = evidence.loss(now, h)
         else:
-            robust = selection.robust_worth(h) + (h.odds if exact else 0.0)
+            robust = selection.robust_worth(h)
+            if exact:
+                robust += h.odds * _by_sensors(selection, h)
         out.append(min(float(worths[id(h)]), robust))
     return out
+
+
+def _by_sensors(selection: Selection, h: Hypothesis) -> float:
+    """Share of the residual's variance that is the sensors', on the rows that show a hypothesis most."""
+    evidence, now = selection.evidence, selection.posterior
+    shown = np.sum(evidence.precision * now.torque(h) ** 2, axis=0)
+    variance = np.mean(evidence.noise.variance, axis=0)
+    shares = np.minimum(selection.residual.sensors**2 / variance, 1.0)
+    return float(shown @ shares / max(float(np.sum(shown)), 1e-300))
 
 
 def remembering(selection: Selection, now: Posterior) -> Selection:

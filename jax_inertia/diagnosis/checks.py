@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.best_numbers import relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
@@ -101,7 +101,8 @@ class _Run(abc.ABC):
         lasting = tuple(h for h in now.chosen if h.family not in PASSING)
         there = tuple(elsewhere(h, self.residual) for h in lasting)
         columns = scaled(there, np.ones_like(self.residual.y))
-        at = np.concatenate([np.arange(p.start, p.stop) for p in map(now.part, lasting)])
+        parts = map(now.part, lasting)
+        at = np.array([k for p in parts for k in range(p.start, p.stop)], int)
         unknown = np.sum((columns @ now.covariance[np.ix_(at, at)]) * columns, axis=1)
         by_form = rows(np.sqrt(form_variance(now)), self.evidence.weight)
         by_numbers = rows(np.sqrt(unknown.reshape(self.residual.y.shape)), self.residual.weight)
@@ -258,13 +259,23 @@ class Rival:
     """By how much its log evidence is lower, odds counted, nats."""
 
 
+def _at_other_places(residual: Residual, h: Hypothesis) -> tuple[Hypothesis, ...]:
+    """What happens once, at the moments found, to each other body."""
+    if h.family not in PASSING:
+        return ()
+    places = (p for p in h.effect.places(residual.context) if p != h.place)
+    return tuple(hypothesis(residual, h.effect, p, h.shape, h.odds) for p in places)
+
+
 def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
     """Best shape of each other family and place, in the place of `h`, those within reach first."""
     now, evidence = selection.posterior, selection.evidence
     rest = now.without(h)
-    others, taken = selection.named.candidates, {c.key for c in now.chosen}
+    moved = _at_other_places(selection.residual, h)
+    others, taken = (*selection.named.candidates, *moved), {c.key for c in now.chosen}
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
-    gains = evidence.gains(rest, selection.named) - np.array([c.odds for c in others])
+    gains = evidence.gains(rest, selection.named), evidence.gains(rest, moved)
+    gains = np.concatenate(gains) - np.array([c.odds for c in others])
     reach = max(settings.tie, settings.tie_share * abs(own)) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}
     for k in np.argsort(-gains):

@@ -88,7 +88,7 @@ def information(evidence: Evidence, now: Posterior, h: Hypothesis) -> Float[np.n
     """diag(AᵀA − AᵀX C XᵀA): A the hypothesis' columns per prior standard deviation, X the chosen ones', C their
     covariance, both weighed by the residual's precision."""
     root = np.sqrt(evidence.precision)
-    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
+    base = evidence.design(now.chosen).reshape(*evidence.y.shape, len(now.mean))
     if h.row is None:
         own = (h.scaled * root[..., None]).reshape(-1, h.count)
         x = base.reshape(-1, base.shape[-1])

@@ -34,6 +34,8 @@ class Hypothesis:
     row: int | None
     scale: Float[np.ndarray, " k"]
     """Prior standard deviation of each number, in its unit."""
+    mean: Float[np.ndarray, " k"]
+    """Prior mean of each number, in its unit."""
     odds: float
     """Prior log odds against it, nats."""
     level: Effect | None = None
@@ -88,8 +90,8 @@ class Hypothesis:
 
     @functools.cached_property
     def prior_mean(self) -> Float[np.ndarray, " k"]:
-        """Prior mean of each number per standard deviation: zero, or of θ = 1 where an effect is all there or not."""
-        return (1.0 if self.effect.misses else 0.0) / self.scale
+        """Prior mean of each number per standard deviation."""
+        return self.mean / self.scale
 
     def possible(self, residual: Residual, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers."""
@@ -134,9 +136,12 @@ def hypothesis(
     """An effect's columns on the residual's rows, those of its `level` before them."""
     columns, row, cut = _seen(residual, effect, place, shape, level)
     laws = effect if level is None else level, effect
-    scales = [law.scale(residual.context_of(law), place, shape) for law in dict.fromkeys(laws)]
-    scale = np.concatenate(scales)
-    return Hypothesis(effect, place, shape, columns, row, scale, odds, level, assumed, cut)
+    priors = [
+        (law.scale(context, place, shape), law.mean(context, place, shape))
+        for law, context in ((law, residual.context_of(law)) for law in dict.fromkeys(laws))
+    ]
+    scale, mean = (np.concatenate(x) for x in zip(*priors, strict=True))
+    return Hypothesis(effect, place, shape, columns, row, scale, mean, odds, level, assumed, cut)
 
 
 def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:
@@ -180,7 +185,7 @@ def _columns(
 ) -> tuple[np.ndarray, int | None]:
     columns = effect.columns(residual.context_of(effect), place, shape)
     if level is not None:
-        before = level.columns(residual.context_of(level), place, shape).values
+        before = effect.of_level(level, residual.context_of(effect), place, shape).values
         columns = Columns(np.concatenate([before, columns.values], axis=-1), columns.row)
     return residual.rows_of(columns)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.checks import rms
 from jax_inertia.diagnosis.effects.base import Interval
-from jax_inertia.diagnosis.effects.dry_friction import FORM_TOLERANCE
+from jax_inertia.diagnosis.effects.friction_forms import FORM_TOLERANCE
 from jax_inertia.diagnosis.effects.tolerances import STATED, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.motor_gains import after_gain
@@ -65,8 +65,8 @@ def nonlinear_spread(selection: Selection, h: Hypothesis) -> Iterator[tuple[int,
     """Each nonlinear number that is searched between the grid's points, and its standard deviation, in its unit.
 
     How far the evidence lets it go, and how far parts of the log disagree, as of linear numbers: its column's slope is
-    one more column (`Selection.jackknife`). Of what is there whole or not at all, also how far the number would have to
-    move to make θ one: by as much the size that it says is off.
+    one more column (`Selection.spread_with`). Of what is there whole or not at all, also how far the number would have
+    to move to make θ one: by as much the size that it says is off.
     """
     if not h.is_odd or h.effect.secant or h not in selection.posterior.chosen:
         return
@@ -76,7 +76,7 @@ def nonlinear_spread(selection: Selection, h: Hypothesis) -> Iterator[tuple[int,
         return
     own = [_by_evidence(selection, h, k, steps[k]) for k in moves]
     slopes = [_slope(selection, h, k, by) * steps[k] for k, by in zip(moves, own, strict=True)]
-    spread = selection.jackknife(np.stack(slopes, axis=-1))
+    spread = selection.spread_with(np.stack(slopes, axis=-1))
     parts = np.sqrt(np.diag(spread))[len(now.mean) :]
     for k, by, part, slope in zip(moves, own, parts, slopes, strict=True):
         off = min(float(np.hypot(part, _off_size(selection, h, slope))), 2.0)

@@ -51,6 +51,8 @@ class Settings:
     tolerance_numbers: float = 20.0
     """How many measured numbers the stated tolerance of a kind counts for, where the log says how large it is: a robot
     with many numbers further off has larger tolerances, one with a single such number has something odd."""
+    calibrated_numbers: float = 1.0
+    """The same of a calibrated model: how well one is calibrated, the log says."""
     ordinary_tolerance: float = 0.2
     """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""

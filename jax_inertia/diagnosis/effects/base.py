@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.advice import WIDE, Advice
 from jax_inertia.diagnosis.effects.identified import Identified
@@ -169,6 +169,8 @@ class Effect(abc.ABC):
     """False for a generic alternative, which competes and is not reported as a cause."""
     marginal: ClassVar[bool] = False
     """Whether it is a tolerance: in every hypothesis, integrated out, never asked whether it is there."""
+    kinds_of_size: ClassVar[tuple[int, ...]] = ()
+    """Of a tolerance, kinds of its numbers of which the log says how large they are (`kinds`)."""
     form_error: ClassVar[float] = 0.01
     """Relative error of its equation on real robots, one standard deviation."""
     secant: ClassVar[bool] = False
@@ -203,6 +205,10 @@ class Effect(abc.ABC):
         """First step of a search between the grid's points, for each nonlinear number; 0 where it stays."""
         return ()
 
+    def at_value(self, shape: Shape, theta: Float[np.ndarray, " k"]) -> Shape:
+        """The nonlinear numbers where θ is this, of those that are θ's own: all of a secant's."""
+        return tuple(float(x) for x in theta) if self.secant else shape
+
     def within(self, shape: Shape) -> bool:
         """Whether a search between the grid's points may go there."""
         return True
@@ -218,9 +224,25 @@ class Effect(abc.ABC):
     def columns(self, context: Context, place: Place, shape: Shape) -> Columns:
         """A(shape) on the fast grid [N m per unit of θ]."""
 
+    def of_level(self, level: "Effect", context: Context, place: Place, shape: Shape) -> Columns:
+        """Columns of the ordinary effect that it is one law with (`level`), where both are fitted at once."""
+        return level.columns(context, place, shape)
+
     @abc.abstractmethod
     def scale(self, context: Context, place: Place, shape: Shape) -> Float[np.ndarray, " k"]:
         """Prior standard deviation of θ: the size that the effect has on real robots, in θ's unit."""
+
+    def mean(self, context: Context, place: Place, shape: Shape) -> Float[np.ndarray, " k"]:
+        """Prior mean of θ, in its unit: zero, or one of what is all there or not at all."""
+        return np.full(len(self.scale(context, place, shape)), 1.0 if self.misses else 0.0)
+
+    def kinds(self, count: int) -> Int[np.ndarray, " k"]:
+        """Of what kind each of `count` numbers of a tolerance is."""
+        return np.zeros(count, int)
+
+    def size_prior(self, shape: Shape) -> tuple[float, float]:
+        """For how many measured numbers the stated size of a tolerance counts, and how many times it that may be."""
+        return np.inf, 1.0
 
     @abc.abstractmethod
     def numbers(
@@ -306,7 +328,9 @@ def slid(numbers: dict[str, Parameter], context: Context, place: Place) -> dict[
     if place.kind != "joint" or context.robot.topology.dof_rotates[place.index]:
         return numbers
     return {
-        name: p if name == "phase" else dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit))
+        name: p
+        if name.endswith("phase")
+        else dataclasses.replace(p, unit=OF_SLIDE.get(p.unit, p.unit))
         for name, p in numbers.items()
     }
 

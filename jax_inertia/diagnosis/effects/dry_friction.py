@@ -6,6 +6,8 @@ second is the way it turns. Extra forms are columns beside the constant level, s
 both at once has the level before them.
 """
 
+import itertools
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
@@ -43,6 +45,10 @@ class DryFriction(Effect):
 
     def shapes(self, context, place) -> list[Shape]:
         return turnings(context, place)
+
+    def steps(self, context, place, shape):
+        # Where its own; a form of a friction that is there turns round as that does.
+        return (0.3 * max(float(shape[0]), 0.0), *[0.0] * (len(shape) - 1))
 
     def direction(self, context, place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""
@@ -134,7 +140,7 @@ class StribeckFriction(DryFriction):
         return [(*x, v, 2.0) for x in super().shapes(context, place) for v in STRIBECK_SPEEDS]
 
     def steps(self, context, place, shape):
-        return (0.0, 0.0, 0.3 * shape[2], 0.0)
+        return (*super().steps(context, place, shape[:2]), 0.3 * shape[2], 0.0)
 
     def within(self, shape):
         return STRIBECK_SPEEDS[0] <= shape[2] <= STRIBECK_SPEEDS[-1]
@@ -167,41 +173,88 @@ class StribeckFriction(DryFriction):
         return applied._replace(friction=applied.friction + more)
 
 
+GROWS_FROM = 4e-4
+"""Unloaded displacement [rad] up to which it is asked whether load makes it longer: what grows does so from little."""
+FURTHER = (4e-4, 2e-3, 8e-3)
+"""How much further friction at a joint's peak torque turns over than unloaded [rad]."""
+
+
+MOST_LOAD = 0.6
+"""Largest friction under load, of the load: a worm gear that holds itself."""
+
+
 class LoadFriction(DryFriction):
     """Friction that grows with the load on the teeth.
 
-    Behind presliding and way: whether the load is the motor's torque (1) or the link's (0), and by how much more it
-    turns over with load [rad/(N m)]: teeth need not be stiffer where they are loaded. Where friction is a good part of
-    the torque, the two are zero at other moments, so both are asked; what the motor gives needs the joint's own
-    friction and rotor inertia, so columns are of the calibrated model.
+    Behind presliding and way: whether the load is the motor's torque (1) or the link's (0); by how much more it turns
+    over with load [rad/(N m)], since teeth need not be stiffer where they are loaded; μ, θ's own. Where friction is a
+    good part of the torque, motor's and link's are zero at other moments, so both are asked. The motor's has this
+    friction in it:
+
+        τ = (τ₀ + F₀ z) / (1 − μ z sign τ)
+
+    τ₀ is what it needs else, of the calibrated model, so columns need the joint's own friction and rotor inertia; the
+    logged torque tells the sign alone, since it would explain itself.
     """
 
     name, refines, rubs, level = "load_friction", True, True, "coulomb_friction"
     equation = "−(F₀ + μ |τ|) z, τ of the link or of its motor"
     source = "Hamon, Gautier and Garrec, IROS 2010"
     units = {"coulomb": "N m", "load_coefficient": "1", "of_motor": "1"}
-    prior = "μ: 0.1, not below zero"
+    prior = "μ: 0.1, not below zero, not above 0.6"
     mjcf = "joint frictionloss for F₀; the rest by step law"
     calibrated = True
 
     def shapes(self, context, place) -> list[Shape]:
-        turning = super().shapes(context, place)
-        return [(*x, side, 0.0) for side in (1.0, 0.0) for x in turning]
+        turning, peak = super().shapes(context, place), peak_of(context, place.index)
+        bending = [x for x in turning if 0.0 <= x[0] <= GROWS_FROM]
+        further = itertools.product(bending, (f / peak for f in FURTHER))
+        ways = [*((x, 0.0) for x in turning), *further]
+        return [(*x, side, f, 0.0) for side in (1.0, 0.0) for x, f in ways]
+
+    def steps(self, context, place, shape):
+        further = max(0.5 * shape[3], 0.5 * FURTHER[0] / peak_of(context, place.index))
+        return (*super().steps(context, place, shape[:3]), further, 0.0)
+
+    def within(self, shape):
+        return shape[3] >= 0.0
+
+    def at_value(self, shape, theta):
+        return (*shape[:4], float(theta[-1]))
 
     def load(self, context, place, shape) -> np.ndarray:
-        """|τ| (T,)."""
-        torque = context.inverse if shape[2] else context.link_torque
-        return np.abs(torque[:, place.index])
+        """|τ| (T,), without its level where that is part of what is sought."""
+        if not shape[2]:
+            return np.abs(context.link_torque[:, place.index])
+        side = np.sign(context.tau[:, place.index])
+        return side * context.inverse[:, place.index] * self._more(context, place, shape)
+
+    def _more(self, context, place, shape) -> np.ndarray:
+        """1 / (1 − μ z sign τ) (T,): by how much this friction raises its motor's torque."""
+        if not shape[2]:
+            return np.ones(len(context.time))
+        mu = float(np.clip(shape[4], 0.0, MOST_LOAD))
+        side = np.sign(context.tau[:, place.index])
+        return 1.0 / (1.0 - mu * side * self.direction(context, place, shape))
 
     def direction(self, context, place, shape):
         if shape[3] == 0.0:
             return super().direction(context, place, shape)
-        reach = np.maximum(shape[0] + shape[3] * self.load(context, place, shape), 1e-9)
+        torque = context.inverse if shape[2] else context.link_torque
+        reach = np.maximum(shape[0] + shape[3] * np.abs(torque[:, place.index]), 1e-9)
         return context.bristle_of_any(place.index, reach, shape[1] == STRAIGHT)
 
     def columns(self, context, place, shape):
         z = self.direction(context, place, shape)
         return of_row(-z * self.load(context, place, shape), place)
+
+    def of_level(self, level, context, place, shape):
+        # The same bristles carry both, and the level loads the motor too.
+        z = self.direction(context, place, shape)
+        return of_row(-z * self._more(context, place, shape), place)
+
+    def possible(self, context, place, theta):
+        return bool(-1e-12 <= theta[0] <= MOST_LOAD)
 
     def scale(self, context, place, shape):
         return np.array([0.1])
@@ -214,108 +267,9 @@ class LoadFriction(DryFriction):
             "of_motor": Parameter(shape[2], "1"),
         }
 
-    def lower(self, context, place):
-        return 0.0
-
     def step(self, xp, now, at, applied):
         mu, friction = at.values["load_coefficient"], applied.friction
         # What the link gets is the motor's less the friction itself.
         driven = 0.0 if at.values["of_motor"] else mu * xp.sign(now.u * now.v)
         loaded = (friction + mu * xp.abs(now.u)) / (1.0 + driven)
         return applied._replace(friction=xp.where(at.rows, loaded, friction))
-
-
-FORM_TOLERANCE = 0.05
-"""How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
-Stribeck curves and loads of a few per cent are no finding (Armstrong-Hélouvry et al. 1994, sec. 2)."""
-
-
-TURNING_TOLERANCE = 0.5
-"""How much of a joint's friction may turn round over another displacement: bristle laws differ in no other way."""
-
-
-def _beside(presliding: float) -> tuple[float, ...]:
-    """Displacements below and above one [rad]."""
-    base = presliding if presliding > 0 else 1e-4
-    return base / 2.5, base * 2.5
-
-
-class FrictionForms(Effect):
-    """Mild forms of an ordinary joint's friction, marginalised: Stribeck at two speeds, load, |q̇| q̇, direction.
-
-    Shape: presliding displacement [rad], and the rms of the joint's ordinary friction torque [N m].
-    """
-
-    name, equation, named, marginal = "friction_forms", "level (1 + a mild form)", False, True
-    form_error = 0.0
-
-    def shapes(self, context, place):
-        return []
-
-    def columns(self, context, place, shape):
-        row = place.index
-        z, v = direction(context, row, shape[0]), context.v[:, row]
-        load = np.abs(context.inverse[:, row])
-        forms = [
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
-            z * load,
-            np.abs(v) * v,
-            np.abs(z),
-            np.abs(v),
-            # How it turns round after a reversal.
-            *(direction(context, row, x) - z for x in _beside(shape[0])),
-        ]
-        return of_row(-np.stack(forms, 1), place)
-
-    def scale(self, context, place, shape):
-        size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
-        out = FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
-        out[6:] = TURNING_TOLERANCE * shape[1]
-        return out
-
-    def numbers(self, context, place, shape, theta):
-        return {}
-
-
-STATED_TOLERANCE = 0.1
-"""How far a joint's friction is from the form that its model states, relative to that: what is larger at low speed, and
-what bends away from the slope at high speed."""
-
-
-class StatedFriction(Effect):
-    """The form of a friction that the model states, marginalised: no model of two numbers states it.
-
-    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); beside it bristles over
-    other ways, Stribeck's at two speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
-    way, as of the joint's dry friction.
-    """
-
-    name, named, marginal, form_error = "stated_friction", False, True, 0.0
-    equation = "F (sign(q̇) − z) + a mild form of F z + d q̇"
-
-    def places(self, context):
-        return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
-
-    def shapes(self, context, place):
-        return turnings(context, place)
-
-    def columns(self, context, place, shape):
-        row = place.index
-        z, v = direction(context, row, *shape), context.v[:, row]
-        dry = [
-            context.side[:, row] - z,
-            *(z - direction(context, row, x) for x in _beside(shape[0])),
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
-        ]
-        top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
-        bent = float(context.damping[row]) * np.abs(v) * v / top
-        return of_row(
-            np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place
-        )
-
-    def scale(self, context, place, shape):
-        turning, form = TURNING_TOLERANCE, STATED_TOLERANCE
-        return np.array([1.0, turning, turning, form, form, form])
-
-    def numbers(self, context, place, shape, theta):
-        return {}

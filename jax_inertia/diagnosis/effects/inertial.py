@@ -122,6 +122,13 @@ class Payload(_Inertial):
         whole = float(np.sum(context.pi[:, 0]))
         return max(0.3 * self.mass(context, place), LOAD * whole)
 
+    def mean(self, context, place, shape):
+        # Of the grid's mass nearest to that by which its moments are judged: a log that shows moments alone leaves it
+        # there, and not at none.
+        masses = np.array([start[0] for start in self.shapes(context, place)])
+        nearest = np.argmin(np.abs(np.log(masses / max(float(shape[0]), 1e-9))))
+        return np.array([masses[nearest], 0.0, 0.0, 0.0, 0.0])
+
     def scale(self, context, place, shape):
         # As far from the joint as the body's own centre of mass; its moments by its mass: p(m c | m), p(m k² | m).
         pi = context.pi[place.index]

@@ -1,5 +1,8 @@
 """Effects at a joint's own axis: viscous friction and its forms, springs, rotor inertia, teeth of the motor."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
@@ -195,10 +198,19 @@ class JointSpring(_AlongTheJoint):
 
 
 class Cogging(_AlongTheJoint):
-    name, equation, form_error = "cogging", "A sin(N q + φ)", 0.1
+    """θ: sine and cosine of the wave, then those of its second harmonic."""
+
+    name, equation, form_error = "cogging", "A sin(N q + φ) + B sin(2 N q + ψ), B ≤ A", 0.05
     source = "a motor's teeth; Zhu and Howe, IEEE Trans. Energy Conversion 15(4), 2000"
-    units, advice = {"amplitude": "N m", "frequency": "1/rad", "phase": "rad"}, advice.SLOW_SWEEP
-    prior = "0.05 of the joint's peak torque, below 0.3 of it"
+    units: ClassVar[Mapping[str, str]] = {
+        "amplitude": "N m",
+        "frequency": "1/rad",
+        "phase": "rad",
+        "harmonic": "N m",
+        "harmonic_phase": "rad",
+    }
+    advice = advice.SLOW_SWEEP
+    prior = "0.05 of the joint's peak torque, below 0.3 of it; of the harmonic a fifth of that"
     mjcf = "none: step law"
 
     def shapes(self, context, place):
@@ -222,21 +234,29 @@ class Cogging(_AlongTheJoint):
         return abs(one[0] - other[0]) * span >= 2 * np.pi
 
     def columns(self, context, place, shape):
-        q = context.joint_position[:, place.index]
-        return of_row(np.stack([np.sin(shape[0] * q), np.cos(shape[0] * q)], 1), place)
+        angle = shape[0] * context.joint_position[:, place.index]
+        waves = [f(k * angle) for k in (1, 2) for f in (np.sin, np.cos)]
+        return of_row(np.stack(waves, 1), place)
 
     def scale(self, context, place, shape):
-        return np.full(2, 0.05 * peak_of(context, place.index))
+        return 0.05 * peak_of(context, place.index) * np.array([1.0, 1.0, 0.2, 0.2])
 
     def numbers(self, context, place, shape, theta):
         return {
-            "amplitude": Parameter(float(np.hypot(*theta)), "N m", 0.0),
+            "amplitude": Parameter(float(np.hypot(*theta[:2])), "N m", 0.0),
             "frequency": Parameter(shape[0], "1/rad", 0.0),
             "phase": Parameter(float(np.arctan2(theta[1], theta[0])), "rad"),
+            "harmonic": Parameter(float(np.hypot(*theta[2:])), "N m", 0.0),
+            "harmonic_phase": Parameter(float(np.arctan2(theta[3], theta[2])), "rad"),
         }
 
     def possible(self, context, place, theta):
-        return bool(np.hypot(*theta) < 0.3 * peak_of(context, place.index))
+        wave, harmonic = np.hypot(*theta[:2]), np.hypot(*theta[2:])
+        return bool(harmonic <= wave < 0.3 * peak_of(context, place.index))
 
     def torque(self, xp, now, at):
-        return at.values["amplitude"] * xp.sin(at.values["frequency"] * now.q + at.values["phase"])
+        angle = at.values["frequency"] * now.q
+        wave = at.values["amplitude"] * xp.sin(angle + at.values["phase"])
+        # Who states the wave alone states no harmonic.
+        harmonic, phase = (at.values.get(k, 0.0) for k in ("harmonic", "harmonic_phase"))
+        return wave + harmonic * xp.sin(2.0 * angle + phase)

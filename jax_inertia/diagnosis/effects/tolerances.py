@@ -13,11 +13,13 @@ class InertialTolerances(Effect):
     """y = Y Σ (one standard deviation of each number) z.
 
     Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative), and of when within its
-    period a torque acted, of the period; how many measured numbers these tolerances count for; the log's period [s].
+    period a torque acted, of the period; how many measured numbers these tolerances count for; the log's period [s];
+    how many times as large as stated the first three may be.
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
     named, marginal, form_error = False, True, 0.0
+    kinds_of_size = (0, 1, 2)
 
     def columns(self, context, place, shape):
         every, robot = context.regressor, context.robot
@@ -35,6 +37,9 @@ class InertialTolerances(Effect):
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
         """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timings."""
         return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [3, 3])
+
+    def size_prior(self, shape):
+        return shape[4], shape[6]
 
     def numbers(self, context, place, shape, theta):
         return {}
@@ -56,11 +61,18 @@ STATED = ("viscous_friction", "coulomb_friction", "armature")
 class StatedNumbers(Effect):
     """Errors of the friction and rotor inertia that the model states of a joint, relative to them; marginalised.
 
-    Shape: their standard deviation.
+    Shape: their standard deviation, and for how many measured numbers it counts.
     """
 
     name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
     named, marginal, form_error = False, True, 0.0
+    kinds_of_size = (0, 1, 2)
+
+    def kinds(self, count):
+        return np.arange(count)
+
+    def size_prior(self, shape):
+        return shape[1], 1.0
 
     def places(self, context):
         return [p for p in super().places(context) if self.own(context, p).any()]

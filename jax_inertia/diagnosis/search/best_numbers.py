@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Shape
+from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 
@@ -25,7 +26,7 @@ def at_best(
     `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
     friction is the motor's or the link's, say, has its own optimum.
     """
-    steps = () if h.effect.secant else h.effect.steps(residual.context, h.place, h.shape)
+    steps = () if h.effect.secant else _steps(residual, h)
     if not np.any(steps):
         return h
     starts = {_unmoved(h, steps): h}
@@ -35,6 +36,14 @@ def at_best(
         starts.setdefault(_unmoved(others[k], steps), others[k])
     climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
     return max(climbed, key=lambda found: found[1])[0]
+
+
+def _steps(residual, h: Hypothesis) -> Shape:
+    steps = h.effect.steps(residual.context, h.place, h.shape)
+    if isinstance(h.effect, DryFriction) and not h.fills:
+        # All forms of a friction that every hypothesis has turn round as it does.
+        return (0.0, *steps[1:])
+    return steps
 
 
 def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
@@ -75,10 +84,11 @@ def relinearised(residual, evidence: Evidence, chosen: tuple[Hypothesis, ...]) -
 
 
 def _at_its_value(residual, now: Posterior, h: Hypothesis) -> Hypothesis:
-    """A secant through the value found, where it goes elsewhere by more than a hundredth of its scale."""
-    if not h.effect.secant:
+    """Nonlinear numbers that are θ's own at the value found, where that is another by a hundredth of its scale."""
+    shape = h.effect.at_value(h.shape, now.of(h)[0])
+    if shape == h.shape:
         return h
-    theta = now.of(h)[0]
-    if np.all(np.abs(theta - np.asarray(h.shape)) < CLOSE * h.scale):
+    away = np.abs(np.subtract(shape, h.shape))
+    if np.all(away < CLOSE * (h.scale if h.effect.secant else h.scale[-1])):
         return h
-    return reshaped(h, residual, tuple(float(x) for x in theta))
+    return reshaped(h, residual, shape)

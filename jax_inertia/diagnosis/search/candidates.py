@@ -23,16 +23,16 @@ def make(
 ) -> Hypothesis:
     """An effect at a place, with the prior odds of its kind.
 
-    Of a calibrated model an ordinary effect is as rare as any other; one that is a law with it comes with it from
-    `library`, and is as much rarer as it is than the ordinary effect of a robot as it is bought.
+    Of a calibrated model an ordinary effect is as rare as any other, and so is another form of one; what is a law with
+    it comes with it from `library`, and is as much rarer as it is than the ordinary effect of a robot as it is bought.
     """
     bought = state is CalibrationState.AS_BOUGHT
     if effect.ordinary:
         odds = settings.ordinary_odds if bought else settings.odd_odds
     elif effect.refines:
         odds = settings.refinement_odds
-        if not bought and effect.level:
-            odds += settings.odd_odds - settings.ordinary_odds
+        if not bought:
+            odds += settings.odd_odds - (settings.ordinary_odds if effect.level else odds)
     else:
         odds = settings.odd_odds if effect.named else settings.generic_odds
     level = None if bought else next((e for e in library if e.name == effect.level), None)

@@ -214,7 +214,7 @@ class Evidence:
         root = np.sqrt(self.precision)
         # Asked of one posterior many times over, where numbers between a grid's points are searched.
         if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
-            base = scaled(now.chosen, root).reshape(*self.y.shape, -1)
+            base = scaled(now.chosen, root).reshape(*self.y.shape, len(now.mean))
             self._last = now, self.noise, base
         gains = bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
         return gains - np.array([self.unsaid(h) for h in bank.candidates])
@@ -234,19 +234,6 @@ class Evidence:
         each = np.log(np.maximum(h.cut.room / known, 1.0))
         rows = self.weight[:, h.row] / self.noise.repeated[h.row]
         return float(np.sum(rows * h.cut.share * each))
-
-    def relearned_gain(self, now: Posterior, after: Posterior) -> float:
-        """Change of log evidence from one set of hypotheses to another, variances learned with either, nats.
-
-        `gains` asks by the variances that are there: what explains most of a row, they take for as large as noise.
-        """
-        alone, beside = copy.copy(self), copy.copy(self)
-        alone.learn(now, memory=False)
-        for _ in range(2):
-            beside.learn(after, memory=False)
-            after = beside.posterior(after.chosen)
-        owed = sum(map(beside.unsaid, after.chosen)) - sum(map(alone.unsaid, now.chosen))
-        return after.log_evidence - alone.posterior(now.chosen).log_evidence - owed
 
     def loss(self, now: Posterior, h: Hypothesis) -> float:
         """Log evidence lost without one of the chosen, nats: what no equation says may be slow and explain as much.

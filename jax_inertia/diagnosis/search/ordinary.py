@@ -1,15 +1,18 @@
 """Ordinary physics of every joint at once, with the tolerances of the model: posterior and calibrated model."""
 
+import copy
 import dataclasses
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
-from jax_inertia.diagnosis.effects.dry_friction import (
-    CoulombFriction,
+from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
+from jax_inertia.diagnosis.effects.friction_forms import (
     FrictionForms,
+    FrictionTurning,
     StatedFriction,
 )
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances, StatedNumbers
@@ -66,10 +69,10 @@ def ordinary_physics(
 
 def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> OrdinaryPhysics:
     numbers, stated = StatedNumbers(), StatedFriction()
+    own = settings.calibrated_number, settings.calibrated_numbers
     chosen = [tolerances(residual, settings, CalibrationState.CALIBRATED)]
     chosen += [
-        hypothesis(residual, numbers, place, (settings.calibrated_number,), 0.0)
-        for place in numbers.places(residual.context)
+        hypothesis(residual, numbers, place, own, 0.0) for place in numbers.places(residual.context)
     ]
     for place in stated.places(residual.context):
         before = evidence.posterior(tuple(chosen))
@@ -92,10 +95,13 @@ def tolerances(
     com = settings.com_tolerance * residual.context.scale
     com = com if settings.com_stated is None else settings.com_stated
     own = settings.mass_tolerance, com, settings.inertia_tolerance
+    counts_for, most = settings.tolerance_numbers, np.inf
     if state is CalibrationState.CALIBRATED and settings.com_stated is None:
+        # What is further off is no calibrated model.
         own = settings.calibrated_mass, com, settings.calibrated_inertia
+        counts_for, most = settings.calibrated_numbers, 1.0
     log = residual.log
-    shape = (*own, timing_of(log).error, settings.tolerance_numbers, 1.0 / log.rate)
+    shape = (*own, timing_of(log).error, counts_for, 1.0 / log.rate, most)
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 
@@ -118,8 +124,8 @@ def _alike(residual, dry: Effect, place: Place, shape, settings) -> tuple[Hypoth
 def joined(group: tuple[Hypothesis, ...]) -> Hypothesis:
     """Hypotheses of one row as one, to be compared with another such group: named as the first of them."""
     columns = np.concatenate([h.columns for h in group], axis=1)
-    scale = np.concatenate([h.scale for h in group])
-    return dataclasses.replace(group[0], columns=columns, scale=scale)
+    scale, mean = (np.concatenate(x) for x in zip(*((h.scale, h.mean) for h in group), strict=True))
+    return dataclasses.replace(group[0], columns=columns, scale=scale, mean=mean)
 
 
 def bounded(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
@@ -147,27 +153,73 @@ FAR_OFF = 2.0
 """Tolerances from which a number's error says nothing of the others': a drawing that is further off is another one."""
 
 
+def relearned_gain(evidence: Evidence, now: Posterior, after: Posterior) -> float:
+    """Change of log evidence from one set of hypotheses to another, variances and tolerances learned with either, nats.
+
+    `Evidence.gains` asks by those that are there: what explains most of a row, they take for as large as noise.
+    """
+    alone, beside = (_likeliest(copy.copy(evidence), p) for p in (now, after))
+    return beside - alone
+
+
+def _likeliest(evidence: Evidence, now: Posterior) -> float:
+    """Log evidence of some hypotheses with variances and tolerances learned with them, their prior in it, nats."""
+    for _ in range(RELEARNING):
+        evidence.learn(now, memory=False)
+        now = evidence.posterior(_rescaled(now))
+    of_sizes = sum(
+        -0.5 * numbers * (np.log(size**2) + size**-2.0) for size, numbers, _ in _sizes(now).values()
+    )
+    return now.log_evidence + of_sizes - sum(map(evidence.unsaid, now.chosen))
+
+
+RELEARNING = 4
+"""Rounds of it."""
+
+
 def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
     """The chosen, with the model's tolerances as large as its numbers are off, kind by kind: masses, centres, inertias.
 
     λ² = (ν + Σ min(z², (c λ)²)) / (ν + Σ γ): MacKay's update (Neural Computation 4(3), 1992) with Huber's bound, so
     that one number far off is an effect's and no tolerance. z: errors in units of the stated tolerance, γ: how much of
-    each the log determines, ν: `Settings.tolerance_numbers`.
+    each the log determines, ν: how many measured numbers the stated tolerance counts for (`Settings`), which makes
+    λ's prior ∝ λ^−ν exp(−ν / 2 λ²).
     """
-    out = []
+    off, told = defaultdict(float), defaultdict(float)
     for h, part in zip(now.chosen, now.slices, strict=True):
-        if isinstance(h.effect, InertialTolerances):
-            error = now.mean[part] * h.scale
-            learned = 1.0 - np.diag(now.covariance)[part]
-            kinds, stated = h.effect.kinds(h.count), h.shape[4]
-            scale = h.scale.copy()
-            for kind in range(3):
-                of = kinds == kind
-                within = np.minimum(error[of] ** 2, (FAR_OFF * scale[of]) ** 2)
-                scale[of] = np.sqrt((stated + within.sum()) / (stated + learned[of].sum()))
-            h = dataclasses.replace(h, scale=scale)
-        out.append(h)
-    return tuple(out)
+        error, learned = now.mean[part] * h.scale, 1.0 - np.diag(now.covariance)[part]
+        within = np.minimum(error**2, (FAR_OFF * h.scale) ** 2)
+        for kind in h.effect.kinds_of_size:
+            of = h.effect.kinds(h.count) == kind
+            off[type(h.effect), kind] += float(within[of].sum())
+            told[type(h.effect), kind] += float(learned[of].sum())
+    sizes = {
+        key: min(float(np.sqrt((numbers + off[key]) / (numbers + told[key]))), most)
+        for key, (_, numbers, most) in _sizes(now).items()
+    }
+    return tuple(_of_size(h, sizes) for h in now.chosen)
+
+
+def _sizes(now: Posterior) -> dict[tuple[type, int], tuple[float, float, float]]:
+    """Of each kind of tolerance its size, of what is stated, for how many numbers that counts, and the largest."""
+    return {
+        (type(h.effect), kind): (
+            float(h.scale[h.effect.kinds(h.count) == kind][0]),
+            *h.effect.size_prior(h.shape),
+        )
+        for h in now.chosen
+        for kind in h.effect.kinds_of_size
+        if np.any(h.effect.kinds(h.count) == kind)
+    }
+
+
+def _of_size(h: Hypothesis, sizes: dict[tuple[type, int], float]) -> Hypothesis:
+    if not h.effect.kinds_of_size:
+        return h
+    scale, kinds = h.scale.copy(), h.effect.kinds(h.count)
+    for kind in h.effect.kinds_of_size:
+        scale[kinds == kind] = sizes.get((type(h.effect), kind), 1.0)
+    return dataclasses.replace(h, scale=scale)
 
 
 def reconsidered(
@@ -231,3 +283,16 @@ def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> 
             place = Place("joint", name, row)
             out.append(make(residual, effect, place, (presliding.get(row, 0.0), level), settings))
     return out
+
+
+def with_turning(residual: Residual, now: Posterior) -> tuple[Hypothesis, ...]:
+    """The chosen; with dry friction that was found beyond a calibrated model's comes how it turns round."""
+    kept = [h for h in now.chosen if not isinstance(h.effect, FrictionTurning)]
+    there = {(h.place, h.shape[:2]): h for h in now.chosen if isinstance(h.effect, FrictionTurning)}
+    for h in now.chosen:
+        if h.fills == CoulombFriction.name:
+            way = h.shape[:2]
+            level = float(np.sqrt(np.mean(now.torque(h)[:, h.place.index] ** 2)))
+            own = there.get((h.place, way))
+            kept.append(own or hypothesis(residual, FrictionTurning(), h.place, (*way, level), 0.0))
+    return tuple(kept)

@@ -32,7 +32,7 @@ def windows(
     )
     root = np.sqrt(evidence.precision)
     left = root * (evidence.y - now.fitted)
-    base = evidence.design(now.chosen).reshape(*evidence.y.shape, -1)
+    base = evidence.design(now.chosen).reshape(*evidence.y.shape, len(now.mean))
     scored = []
     for length in LENGTHS:
         half = 0.5 * length

@@ -1,7 +1,7 @@
 """Stepwise search over hypotheses by log evidence: add, delete, re-estimate, exchange; it decides nothing."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from jax_inertia.diagnosis.search.ordinary import (
     ordinary_physics,
     presliding_of,
     reconsidered,
+    relearned_gain,
+    with_turning,
 )
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
@@ -54,7 +56,7 @@ def searched(
             every = (*every, *pushes(residual, evidence, now, push, settings))
         before = now.chosen
         now = _stepwise(residual, evidence, now, Bank(every), settings.most_steps)
-        now = _refined(residual, evidence, now, every)
+        now = _refined(residual, evidence, now, Bank(every))
         now = reconsidered(residual, evidence, now, tried, settings)
         if _numbers_of(now.chosen) == _numbers_of(before):
             break
@@ -70,16 +72,14 @@ def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
     return {(h.key, h.shape) for h in chosen}
 
 
-def _refined(
-    residual, evidence: Evidence, now: Posterior, every: Sequence[Hypothesis]
-) -> Posterior:
-    """Nonlinear numbers of each odd effect between its grid's points, all else marginalised."""
-    for h in now.chosen:
-        if h.is_odd:
-            rest = now.without(h)
-            best = at_best(residual, evidence, rest, h, every)
-            if best is not h:
-                now = evidence.posterior((*rest.chosen, best))
+def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Posterior:
+    """Nonlinear numbers of each odd effect between its grid's points, and by which law of its place, all else given."""
+    for _ in [h for h in now.chosen if h.is_odd]:
+        # What was looked at goes to the end, so that the first is one that was not.
+        h = next(c for c in now.chosen if c.is_odd)
+        rest = evidence.posterior(with_turning(residual, now.without(h)))
+        again = _with(residual, evidence, rest, h, bank)
+        now = evidence.posterior((*rest.chosen, h)) if again is None else again
     return learned(evidence, now.chosen, 1)
 
 
@@ -89,7 +89,10 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
     barred, gone = set(), set()
     seen = {_odd_of(now)}
     for _ in range(most):
-        moved = _added(residual, evidence, now, bank, barred)
+        # Before more is added: what two say worse than one leaves something for a third to say.
+        moved = _merged(residual, evidence, now, bank)
+        if moved is None or _odd_of(moved[0]) in seen:
+            moved = _added(residual, evidence, now, bank, barred)
         if moved is not None and _odd_of(moved[0]) in seen:
             # What drives out what it was driven out by is not tried again: no two take turns.
             barred.add(id(moved[1]))
@@ -98,8 +101,6 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
             # One for one, and for good: that may be back to what was driven out by the way.
             moved = _exchanged(residual, evidence, now, bank, gone)
             barred |= gone
-        if moved is None:
-            moved = _merged(residual, evidence, now, bank)
         if moved is None:
             break
         now = moved[0]
@@ -140,7 +141,7 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
                 continue
             asked.add(added.key)
             after = evidence.posterior((*now.chosen, added))
-            gain = evidence.relearned_gain(now, after) - added.odds
+            gain = relearned_gain(evidence, now, after) - added.odds
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
         after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
@@ -202,32 +203,52 @@ FAINT, MOST_FAINT = 8.0, 5
 
 def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
     """One more, its secant where it belongs; None where its numbers are no robot's."""
-    best = [
-        at_best(residual, evidence, now, c, bank.candidates)
-        for c in (h, *_other_laws(evidence, now, h, bank))
-    ]
-    worths = evidence.gains(now, best) - np.array([c.odds for c in best])
-    after = relinearised(residual, evidence, (*now.chosen, best[int(np.argmax(worths))]))
-    added = after.chosen[-1]
-    return after if added.possible(residual, after.of(added)[0]) else None
+    tried = []
+    for c in (h, *_other_laws(evidence, now, h, bank)):
+        best = at_best(residual, evidence, now, c, bank.candidates)
+        after = relinearised(residual, evidence, (*now.chosen, best))
+        added = after.chosen[-1]
+        if added.possible(residual, after.of(added)[0]):
+            tried.append((evidence.posterior(with_turning(residual, after)), added))
+    if len(tried) < 2:
+        return tried[0][0] if tried else None
+    # By variances learned with each: those that are there take most of what is to be explained for noise.
+    gains = [relearned_gain(evidence, now, after) - added.odds for after, added in tried]
+    return tried[int(np.argmax(gains))][0]
 
 
 def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
     """Of each other family of which its place has but one with it, the best candidate: they compete at their best."""
-    alike = [
-        c
-        for c in bank.candidates
-        if h.effect.law and c.effect.law == h.effect.law and c.place == h.place
-    ]
+    alike = [c for c in bank.candidates if c.place == h.place and _one_law(c, h)]
     best = {h.family: h}
     for k in np.argsort(evidence.gains(now, alike))[::-1] if alike else ():
         best.setdefault(alike[k].family, alike[k])
     return [c for c in best.values() if c is not h]
 
 
+SETTLING = 3
+"""Rounds in which variances and tolerances follow what was added."""
+
+
+def _one_law(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether a place has but one of two: both make a torque late, or are the friction that a model lacks."""
+    return (bool(a.effect.law) and a.effect.law == b.effect.law) or (
+        bool(a.fills) and a.fills == b.fills
+    )
+
+
 def _settled(residual, evidence, now: Posterior) -> Posterior:
-    """Variance learned again, and without what can no longer be or has lost its evidence."""
-    evidence.learn(now)
+    """Variances and tolerances learned again, and without what can no longer be or has lost its evidence.
+
+    What was added last has its nonlinear numbers looked at once more: by variances that took it for noise, they matter
+    less.
+    """
+    now = learned(evidence, with_turning(residual, now), SETTLING)
+    added = next(h for h in reversed(now.chosen) if h.is_odd)
+    rest = now.without(added)
+    best = at_best(residual, evidence, rest, added, ())
+    if best is not added:
+        now = evidence.posterior((*rest.chosen, best))
     now = relinearised(residual, evidence, now.chosen)
     return _pruned(evidence, bounded(residual, evidence, now))
 

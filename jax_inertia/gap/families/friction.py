@@ -181,9 +181,10 @@ class _ByTheLog(dry_friction.LoadFriction):
 
     calibrated = False
 
-    def load(self, context, place, shape):
+    def columns(self, context, place, shape):
         torque = context.tau if shape[2] else context.inverse
-        return np.abs(torque[:, place.index])
+        z = self.direction(context, place, shape)
+        return Columns(-(z * np.abs(torque[:, place.index]))[:, None], place.index)
 
 
 class LoadFriction(DryFriction):

@@ -70,6 +70,15 @@ class Cogging(Family):
         # One or more periods over the motion (half of one is a spring), a quarter of a period apart.
         return (np.arange(max(4.0, 2 * np.pi / span), highest, max(0.5, 1.5 / span)),)
 
+    def columns(self, context, place, shape):
+        # The wave alone: what this search adds to it, it adds as an effect.
+        both = self.effect.columns(context, place, shape)
+        return Columns(both.values[:, :2], both.row)
+
+    def parameters(self, context, place, shape, theta):
+        found = self.effect.numbers(context, place, shape, np.array([*theta, 0.0, 0.0]))
+        return {name: found[name] for name in ("amplitude", "frequency", "phase")}
+
     def physical(self, context, place, shape, theta):
         return np.hypot(*theta) < 0.3 * context.peak[place.index]
 

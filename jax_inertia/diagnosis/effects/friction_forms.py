@@ -1,0 +1,130 @@
+"""What a joint's dry friction may be off by, marginalised: mild forms of it, how it turns round at a reversal."""
+
+import numpy as np
+
+from jax_inertia.diagnosis.effects.base import Effect, of_row
+from jax_inertia.diagnosis.effects.dry_friction import direction, turnings
+
+FORM_TOLERANCE = 0.05
+"""How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
+Stribeck curves and loads of a few per cent are no finding (Armstrong-Hélouvry et al. 1994, sec. 2)."""
+
+
+TURNING_TOLERANCE = 0.5
+"""How much of a joint's friction may turn round over another displacement: bristle laws differ in no other way."""
+
+
+def _beside(presliding: float) -> tuple[float, ...]:
+    """Displacements below and above one [rad]."""
+    base = presliding if presliding > 0 else 1e-4
+    return base / 2.5, base * 2.5
+
+
+class FrictionTurning(Effect):
+    """How a joint's friction turns round after a reversal, marginalised: bristles over other ways.
+
+    Shape: presliding displacement [rad] and way of the friction, and the rms of its torque [N m].
+    """
+
+    name, equation, named, marginal = (
+        "friction_turning",
+        "level (z of another displacement − z)",
+        False,
+        True,
+    )
+    form_error = 0.0
+
+    def shapes(self, context, place):
+        return []
+
+    def columns(self, context, place, shape):
+        z = direction(context, place.index, *shape[:2])
+        beside = [direction(context, place.index, x) - z for x in _beside(shape[0])]
+        return of_row(-np.stack(beside, 1), place)
+
+    def scale(self, context, place, shape):
+        return np.full(2, TURNING_TOLERANCE * shape[2])
+
+    def numbers(self, context, place, shape, theta):
+        return {}
+
+
+class FrictionForms(Effect):
+    """Mild forms of an ordinary joint's friction, marginalised: Stribeck at two speeds, load, |q̇| q̇, direction.
+
+    Shape: presliding displacement [rad], and the rms of the joint's ordinary friction torque [N m].
+    """
+
+    name, equation, named, marginal = "friction_forms", "level (1 + a mild form)", False, True
+    form_error = 0.0
+
+    def shapes(self, context, place):
+        return []
+
+    def columns(self, context, place, shape):
+        row = place.index
+        z, v = direction(context, row, shape[0]), context.v[:, row]
+        load = np.abs(context.inverse[:, row])
+        forms = [
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+            z * load,
+            np.abs(v) * v,
+            np.abs(z),
+            np.abs(v),
+            # How it turns round after a reversal.
+            *(direction(context, row, x) - z for x in _beside(shape[0])),
+        ]
+        return of_row(-np.stack(forms, 1), place)
+
+    def scale(self, context, place, shape):
+        size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
+        out = FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
+        out[6:] = TURNING_TOLERANCE * shape[1]
+        return out
+
+    def numbers(self, context, place, shape, theta):
+        return {}
+
+
+STATED_TOLERANCE = 0.1
+"""How far a joint's friction is from the form that its model states, relative to that: what is larger at low speed, and
+what bends away from the slope at high speed."""
+
+
+class StatedFriction(Effect):
+    """The form of a friction that the model states, marginalised: no model of two numbers states it.
+
+    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); beside it bristles over
+    other ways, Stribeck's at two speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
+    way, as of the joint's dry friction.
+    """
+
+    name, named, marginal, form_error = "stated_friction", False, True, 0.0
+    equation = "F (sign(q̇) − z) + a mild form of F z + d q̇"
+
+    def places(self, context):
+        return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
+
+    def shapes(self, context, place):
+        return turnings(context, place)
+
+    def columns(self, context, place, shape):
+        row = place.index
+        z, v = direction(context, row, *shape), context.v[:, row]
+        dry = [
+            context.side[:, row] - z,
+            *(z - direction(context, row, x) for x in _beside(shape[0])),
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+        ]
+        top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
+        bent = float(context.damping[row]) * np.abs(v) * v / top
+        return of_row(
+            np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place
+        )
+
+    def scale(self, context, place, shape):
+        turning, form = TURNING_TOLERANCE, STATED_TOLERANCE
+        return np.array([1.0, turning, turning, form, form, form])
+
+    def numbers(self, context, place, shape, theta):
+        return {}
