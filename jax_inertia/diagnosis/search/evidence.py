@@ -132,8 +132,12 @@ class Evidence:
         y: Float[np.ndarray, "R n"],
         weight: Float[np.ndarray, "R n"],
         least: Float[np.ndarray, " n"],
+        *,
+        exact: bool = False,
     ):
         self.y, self.weight, self.least = y, weight, least
+        self.exact = exact
+        """Whether equations are taken to be right, as those of a calibrated model are."""
         count = np.maximum(weight.sum(axis=0), 1.0)
         self.count = count
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)

@@ -45,9 +45,10 @@ def ordinary_physics(
         / np.maximum(residual.weight.mean(axis=0), 1e-9)
     )
     least = np.maximum(residual.sensors, settings.least_variance * gap) + 1e-9
-    evidence = Evidence(residual.y, residual.weight, least)
+    exact = state is CalibrationState.CALIBRATED
+    evidence = Evidence(residual.y, residual.weight, least, exact=exact)
     dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
-    if state is CalibrationState.CALIBRATED:
+    if exact:
         return _calibrated(residual, evidence, settings)
     chosen = [tolerances(residual, settings)]
     for effect in library:

@@ -240,15 +240,18 @@ def _one_law(a: Hypothesis, b: Hypothesis) -> bool:
 def _settled(residual, evidence, now: Posterior) -> Posterior:
     """Variances and tolerances learned again, and without what can no longer be or has lost its evidence.
 
-    What was added last has its nonlinear numbers looked at once more: by variances that took it for noise, they matter
-    less.
+    Where equations are taken to be right, until they stay, and what was added last has its nonlinear numbers looked at
+    once more: by variances that took it for noise, they matter less. Of a robot as bought both follow the misfit.
     """
-    now = learned(evidence, with_turning(residual, now), SETTLING)
-    added = next(h for h in reversed(now.chosen) if h.is_odd)
-    rest = now.without(added)
-    best = at_best(residual, evidence, rest, added, ())
-    if best is not added:
-        now = evidence.posterior((*rest.chosen, best))
+    if evidence.exact:
+        now = learned(evidence, with_turning(residual, now), SETTLING)
+        added = next(h for h in reversed(now.chosen) if h.is_odd)
+        rest = now.without(added)
+        best = at_best(residual, evidence, rest, added, ())
+        if best is not added:
+            now = evidence.posterior((*rest.chosen, best))
+    else:
+        now = learned(evidence, now.chosen, 1)
     now = relinearised(residual, evidence, now.chosen)
     return _pruned(evidence, bounded(residual, evidence, now))
 
