@@ -14,10 +14,13 @@ from diagnosis_robot import NOMINAL, log_of, motion, needed
 from jax_inertia import load_model
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.causes import strain
-from jax_inertia.diagnosis.checks import OtherRun
+from jax_inertia.diagnosis.checks import OtherRun, _at_other_places
 from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
 from jax_inertia.diagnosis.effects.external_force import Push
+from jax_inertia.diagnosis.effects.friction_forms import FrictionTurning
+from jax_inertia.diagnosis.effects.inertial import Payload
 from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.registry import effects_of
 from jax_inertia.diagnosis.effects.tolerances import StatedNumbers
@@ -26,7 +29,7 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
 from jax_inertia.diagnosis.search.evidence import Posterior
-from jax_inertia.diagnosis.search.ordinary import ordinary_physics
+from jax_inertia.diagnosis.search.ordinary import ordinary_physics, with_turning
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.maths.precision import in_double_precision
 
@@ -200,3 +203,36 @@ def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):
     parts, nothing = (slice(0, 3), slice(3, 4)), np.zeros_like(residual.y)
     now = Posterior((tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing)
     assert strain(now) == pytest.approx(5.0)
+
+
+def test_a_push_is_asked_of_every_other_body_at_its_own_moments(residual):
+    hand, lower = (
+        Place("body", name, residual.robot.body_index(name)) for name in ("hand", "lower")
+    )
+    push = hypothesis(residual, Push(), hand, (2.0, 3.0, 0.3, 0.1), 9.0)
+    moved = _at_other_places(residual, push)
+    assert lower in [h.place for h in moved]
+    assert hand not in [h.place for h in moved]
+    assert {(h.shape, h.odds) for h in moved} == {(push.shape, 9.0)}
+    assert _at_other_places(residual, hypothesis(residual, Armature(), ELBOW, (), 8.0)) == ()
+
+
+@in_double_precision
+def test_with_friction_that_a_model_lacks_comes_how_it_turns_round(residual):
+    settings = Settings()
+    evidence, now, _ = ordinary_physics(residual, (), settings, CalibrationState.CALIBRATED)
+    level = hypothesis(residual, CoulombFriction(), ELBOW, (4e-4, 0.0), 8.0)
+    beside = with_turning(residual, evidence.posterior((*now.chosen, level)))
+    (turning,) = (h for h in beside if isinstance(h.effect, FrictionTurning))
+    assert turning.place == ELBOW
+    assert not turning.is_odd
+    again = evidence.posterior(tuple(h for h in beside if h is not level))
+    assert with_turning(residual, again) == now.chosen
+
+
+def test_a_load_is_about_as_heavy_as_its_moments_are_judged_by(residual):
+    load, hand = Payload(), Place("body", "hand", residual.robot.body_index("hand"))
+    masses = [shape[0] for shape in load.shapes(residual.context, hand)]
+    for mass in masses:
+        near = (1.3 * mass, 0.0, 0.0, 0.0, 0.0)
+        assert load.mean(residual.context, hand, near) == pytest.approx([mass, 0, 0, 0, 0])

@@ -78,7 +78,9 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
         # What was looked at goes to the end, so that the first is one that was not.
         h = next(c for c in now.chosen if c.is_odd)
         rest = evidence.posterior(with_turning(residual, now.without(h)))
-        again = _with(residual, evidence, rest, h, bank)
+        # A secant at its value has nothing to search; laid once more, it drifts along what the log does not tell.
+        sought = not h.effect.secant or h.effect.law
+        again = _with(residual, evidence, rest, h, bank) if sought else None
         now = evidence.posterior((*rest.chosen, h)) if again is None else again
     return learned(evidence, now.chosen, 1)
 
