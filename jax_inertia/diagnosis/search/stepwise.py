@@ -91,8 +91,8 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
     barred, gone = set(), set()
     seen = {_odd_of(now)}
     for _ in range(most):
-        # Before more is added: what two say worse than one leaves something for a third to say.
-        moved = _merged(residual, evidence, now, bank)
+        # Where equations are right, first: what two say worse than one leaves something for a third to say.
+        moved = _merged(residual, evidence, now, bank) if evidence.exact else None
         if moved is None or _odd_of(moved[0]) in seen:
             moved = _added(residual, evidence, now, bank, barred)
         if moved is not None and _odd_of(moved[0]) in seen:
@@ -103,6 +103,8 @@ def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank
             # One for one, and for good: that may be back to what was driven out by the way.
             moved = _exchanged(residual, evidence, now, bank, gone)
             barred |= gone
+        if moved is None and not evidence.exact:
+            moved = _merged(residual, evidence, now, bank)
         if moved is None:
             break
         now = moved[0]
