@@ -183,6 +183,11 @@ MOST_LOAD = 0.6
 """Largest friction under load, of the load: a worm gear that holds itself."""
 
 
+def _raised(mu: float, side: np.ndarray) -> np.ndarray:
+    """1 / (1 − μ z sign τ) (T,): by how much friction under load raises its motor's torque."""
+    return 1.0 / (1.0 - np.clip(mu, 0.0, MOST_LOAD) * side)
+
+
 class LoadFriction(DryFriction):
     """Friction that grows with the load on the teeth.
 
@@ -223,35 +228,28 @@ class LoadFriction(DryFriction):
         return (*shape[:4], float(theta[-1]))
 
     def load(self, context, place, shape) -> np.ndarray:
-        """|τ| (T,), without its level where that is part of what is sought."""
-        if not shape[2]:
-            return np.abs(context.link_torque[:, place.index])
-        side = np.sign(context.tau[:, place.index])
-        return side * context.inverse[:, place.index] * self._more(context, place, shape)
-
-    def _more(self, context, place, shape) -> np.ndarray:
-        """1 / (1 − μ z sign τ) (T,): by how much this friction raises its motor's torque."""
-        if not shape[2]:
-            return np.ones(len(context.time))
-        mu = float(np.clip(shape[4], 0.0, MOST_LOAD))
-        side = np.sign(context.tau[:, place.index])
-        return 1.0 / (1.0 - mu * side * self.direction(context, place, shape))
+        """|τ| (T,), of the motor without this friction."""
+        torque = context.inverse if shape[2] else context.link_torque
+        return np.abs(torque[:, place.index])
 
     def direction(self, context, place, shape):
         if shape[3] == 0.0:
             return super().direction(context, place, shape)
-        torque = context.inverse if shape[2] else context.link_torque
-        reach = np.maximum(shape[0] + shape[3] * np.abs(torque[:, place.index]), 1e-9)
+        reach = np.maximum(shape[0] + shape[3] * self.load(context, place, shape), 1e-9)
         return context.bristle_of_any(place.index, reach, shape[1] == STRAIGHT)
 
     def columns(self, context, place, shape):
         z = self.direction(context, place, shape)
-        return of_row(-z * self.load(context, place, shape), place)
+        if not shape[2]:
+            return of_row(-z * self.load(context, place, shape), place)
+        side, needed = (np.sign(context.tau[:, place.index]), context.inverse[:, place.index])
+        return of_row(-z * side * needed * _raised(shape[4], z * side), place)
 
     def of_level(self, level, context, place, shape):
         # The same bristles carry both, and the level loads the motor too.
         z = self.direction(context, place, shape)
-        return of_row(-z * self._more(context, place, shape), place)
+        side = np.sign(context.tau[:, place.index])
+        return of_row(-z * (_raised(shape[4], z * side) if shape[2] else 1.0), place)
 
     def possible(self, context, place, theta):
         return bool(-1e-12 <= theta[0] <= MOST_LOAD)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from jax_inertia.diagnosis.effects import dry_friction
-from jax_inertia.diagnosis.effects.base import Columns, Parameter, Place, Shape
+from jax_inertia.diagnosis.effects.base import Columns, Parameter, Place, Shape, of_row
 from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.gap.families.base import Family
@@ -181,10 +181,13 @@ class _ByTheLog(dry_friction.LoadFriction):
 
     calibrated = False
 
-    def columns(self, context, place, shape):
+    def load(self, context, place, shape):
         torque = context.tau if shape[2] else context.inverse
+        return np.abs(torque[:, place.index])
+
+    def columns(self, context, place, shape):
         z = self.direction(context, place, shape)
-        return Columns(-(z * np.abs(torque[:, place.index]))[:, None], place.index)
+        return of_row(-z * self.load(context, place, shape), place)
 
 
 class LoadFriction(DryFriction):
