@@ -9,7 +9,6 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import CalibrationState
 
 ROWS, NOISE, DRAWS = 200, 0.3, 400
 
@@ -32,7 +31,7 @@ def spread(x: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Of a log's residual its rows alone are asked for.
     residual = Residual.__new__(Residual)
     residual.y = error[:, None]
-    selection = Selection(residual, evidence, now, (), (), CalibrationState.AS_BOUGHT)
+    selection = Selection(residual, evidence, now, (), ())
     return selection.spread, now.covariance
 
 

@@ -11,7 +11,6 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import CalibrationState
 from jax_inertia.logs.schema import TorqueKind
 
 Judges = Sequence[OtherRun | HeldOut]
@@ -52,7 +51,7 @@ def evidence_of_causes(
     discrepancy as large as an effect is no part of such a model. Nor of what happens once.
     """
     parts = by_parts(selection, asked)
-    if selection.state is CalibrationState.CALIBRATED:
+    if selection.evidence.exact:
         return parts
     lasting = [h for h in asked if h.family not in PASSING]
     now = selection.posterior
@@ -76,14 +75,13 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
     sensors' noise the whole log pays the odds, and its parts must not refute it.
     """
     now, evidence, out = selection.posterior, selection.evidence, []
-    exact = selection.state is CalibrationState.CALIBRATED
     worths = dict(zip(map(id, now.chosen), evidence.worths(now), strict=True))
     for h in asked:
         if h.family in PASSING:
             robust = evidence.loss(now, h)
         else:
             robust = selection.robust_worth(h)
-            if exact:
+            if evidence.exact:
                 robust += h.odds * _by_sensors(selection, h)
         out.append(min(float(worths[id(h)]), robust))
     return out
@@ -101,7 +99,7 @@ def _by_sensors(selection: Selection, h: Hypothesis) -> float:
 def remembering(selection: Selection, now: Posterior) -> Selection:
     """With another posterior, each uncertain gain in it, by noise that has its whole memory."""
     # A calibrated model's friction and weights were identified by these torques: its gains are calibrated with it.
-    if selection.state is CalibrationState.AS_BOUGHT:
+    if not selection.evidence.exact:
         gains = _uncertain_gains(selection.residual, now)
         now = selection.evidence.posterior((*now.chosen, *gains))
     evidence = selection.evidence.remembering(now)

@@ -169,8 +169,6 @@ class Effect(abc.ABC):
     """False for a generic alternative, which competes and is not reported as a cause."""
     marginal: ClassVar[bool] = False
     """Whether it is a tolerance: in every hypothesis, integrated out, never asked whether it is there."""
-    kinds_of_size: ClassVar[tuple[int, ...]] = ()
-    """Of a tolerance, kinds of its numbers of which the log says how large they are (`kinds`)."""
     form_error: ClassVar[float] = 0.01
     """Relative error of its equation on real robots, one standard deviation."""
     secant: ClassVar[bool] = False
@@ -237,8 +235,8 @@ class Effect(abc.ABC):
         return np.full(len(self.scale(context, place, shape)), 1.0 if self.misses else 0.0)
 
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
-        """Of what kind each of `count` numbers of a tolerance is."""
-        return np.zeros(count, int)
+        """Of each of `count` numbers, of what kind of which the log says how large they are; −1 where it does not."""
+        return np.full(count, -1)
 
     def size_prior(self, shape: Shape) -> tuple[float, float]:
         """For how many measured numbers the stated size of a tolerance counts, and how many times it that may be."""

@@ -19,7 +19,6 @@ class InertialTolerances(Effect):
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
     named, marginal, form_error = False, True, 0.0
-    kinds_of_size = (0, 1, 2)
 
     def columns(self, context, place, shape):
         every, robot = context.regressor, context.robot
@@ -35,8 +34,8 @@ class InertialTolerances(Effect):
         return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 2)
 
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
-        """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, 3 the timings."""
-        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [3, 3])
+        """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, −1 the timings."""
+        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [-1, -1])
 
     def size_prior(self, shape):
         return shape[4], shape[6]
@@ -66,7 +65,6 @@ class StatedNumbers(Effect):
 
     name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
     named, marginal, form_error = False, True, 0.0
-    kinds_of_size = (0, 1, 2)
 
     def kinds(self, count):
         return np.arange(count)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
@@ -154,17 +155,12 @@ FAR_OFF = 2.0
 """Tolerances from which a number's error says nothing of the others': a drawing that is further off is another one."""
 
 
-def relearned_gain(evidence: Evidence, now: Posterior, after: Posterior) -> float:
-    """Change of log evidence from one set of hypotheses to another, variances and tolerances learned with either, nats.
+def relearned_evidence(evidence: Evidence, now: Posterior) -> float:
+    """Log evidence of some hypotheses with variances and tolerances learned with them, their prior in it, nats.
 
     `Evidence.gains` asks by those that are there: what explains most of a row, they take for as large as noise.
     """
-    alone, beside = (_likeliest(copy.copy(evidence), p) for p in (now, after))
-    return beside - alone
-
-
-def _likeliest(evidence: Evidence, now: Posterior) -> float:
-    """Log evidence of some hypotheses with variances and tolerances learned with them, their prior in it, nats."""
+    evidence = copy.copy(evidence)
     for _ in range(RELEARNING):
         evidence.learn(now, memory=False)
         now = evidence.posterior(_rescaled(now))
@@ -190,10 +186,9 @@ def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
     for h, part in zip(now.chosen, now.slices, strict=True):
         error, learned = now.mean[part] * h.scale, 1.0 - np.diag(now.covariance)[part]
         within = np.minimum(error**2, (FAR_OFF * h.scale) ** 2)
-        for kind in h.effect.kinds_of_size:
-            of = h.effect.kinds(h.count) == kind
-            off[type(h.effect), kind] += float(within[of].sum())
-            told[type(h.effect), kind] += float(learned[of].sum())
+        for key, of in _kinds(h):
+            off[key] += float(within[of].sum())
+            told[key] += float(learned[of].sum())
     sizes = {
         key: min(float(np.sqrt((numbers + off[key]) / (numbers + told[key]))), most)
         for key, (_, numbers, most) in _sizes(now).items()
@@ -201,26 +196,29 @@ def _rescaled(now: Posterior) -> tuple[Hypothesis, ...]:
     return tuple(_of_size(h, sizes) for h in now.chosen)
 
 
-def _sizes(now: Posterior) -> dict[tuple[type, int], tuple[float, float, float]]:
+Kind = tuple[type[Effect], int]
+
+
+def _kinds(h: Hypothesis) -> list[tuple[Kind, Bool[np.ndarray, " k"]]]:
+    """Kinds of a tolerance's numbers of which the log says how large they are, and which are of each."""
+    kinds = h.effect.kinds(h.count)
+    return [((type(h.effect), int(k)), kinds == k) for k in np.unique(kinds[kinds >= 0])]
+
+
+def _sizes(now: Posterior) -> dict[Kind, tuple[float, float, float]]:
     """Of each kind of tolerance its size, of what is stated, for how many numbers that counts, and the largest."""
     return {
-        (type(h.effect), kind): (
-            float(h.scale[h.effect.kinds(h.count) == kind][0]),
-            *h.effect.size_prior(h.shape),
-        )
+        key: (float(h.scale[of][0]), *h.effect.size_prior(h.shape))
         for h in now.chosen
-        for kind in h.effect.kinds_of_size
-        if np.any(h.effect.kinds(h.count) == kind)
+        for key, of in _kinds(h)
     }
 
 
-def _of_size(h: Hypothesis, sizes: dict[tuple[type, int], float]) -> Hypothesis:
-    if not h.effect.kinds_of_size:
-        return h
-    scale, kinds = h.scale.copy(), h.effect.kinds(h.count)
-    for kind in h.effect.kinds_of_size:
-        scale[kinds == kind] = sizes.get((type(h.effect), kind), 1.0)
-    return dataclasses.replace(h, scale=scale)
+def _of_size(h: Hypothesis, sizes: dict[Kind, float]) -> Hypothesis:
+    scale = h.scale.copy()
+    for key, of in _kinds(h):
+        scale[of] = sizes[key]
+    return dataclasses.replace(h, scale=scale) if _kinds(h) else h
 
 
 def reconsidered(

@@ -34,8 +34,12 @@ class Selection:
     candidates: tuple[Hypothesis, ...]
     tried: tuple[Hypothesis, ...]
     """Ordinary effects of every joint, those included that no robot can have at their best values."""
-    state: CalibrationState
-    """Whether the model is taken to have its joints' ordinary physics."""
+
+    @property
+    def state(self) -> CalibrationState:
+        """Whether the model is taken to have its joints' ordinary physics: then its equations are taken to be right."""
+        exact = self.evidence.exact
+        return CalibrationState.CALIBRATED if exact else CalibrationState.AS_BOUGHT
 
     @functools.cached_property
     def named(self) -> Bank:
@@ -83,8 +87,7 @@ class Selection:
         """
         part = self.posterior.part(h)
         own, spread = self.posterior.covariance[part, part], self.spread[part, part]
-        exact = self.state is CalibrationState.CALIBRATED
-        wide = _larger(own, spread) if exact else own + spread
+        wide = _larger(own, spread) if self.evidence.exact else own + spread
         return bayes_factor(h, self.posterior.mean[part], own, wide)
 
     def odds_of_another(

@@ -21,7 +21,7 @@ from jax_inertia.diagnosis.search.ordinary import (
     ordinary_physics,
     presliding_of,
     reconsidered,
-    relearned_gain,
+    relearned_evidence,
     with_turning,
 )
 from jax_inertia.diagnosis.search.selection import Selection
@@ -33,7 +33,7 @@ def started(
 ) -> Selection:
     """What is there before anything is searched: tolerances and, where the model lacks it, ordinary physics."""
     evidence, now, tried = ordinary_physics(residual, library, settings, state)
-    return Selection(residual, evidence, now, (), tried, state)
+    return Selection(residual, evidence, now, (), tried)
 
 
 def searched(
@@ -55,8 +55,9 @@ def searched(
         if push is not None:
             every = (*every, *pushes(residual, evidence, now, push, settings))
         before = now.chosen
-        now = _stepwise(residual, evidence, now, Bank(every), settings.most_steps)
-        now = _refined(residual, evidence, now, Bank(every))
+        bank = Bank(every)
+        now = _stepwise(residual, evidence, now, bank, settings.most_steps)
+        now = _refined(residual, evidence, now, bank)
         now = reconsidered(residual, evidence, now, tried, settings)
         if _numbers_of(now.chosen) == _numbers_of(before):
             break
@@ -64,7 +65,7 @@ def searched(
             *(h for h in every if not isinstance(h.effect, DryFriction)),
             *candidates(residual, dry_forms, presliding_of(now.chosen), settings, state),
         )
-    return Selection(residual, evidence, now, every, tried, state)
+    return Selection(residual, evidence, now, every, tried)
 
 
 def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
@@ -77,7 +78,7 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
     for _ in [h for h in now.chosen if h.is_odd]:
         # What was looked at goes to the end, so that the first is one that was not.
         h = next(c for c in now.chosen if c.is_odd)
-        rest = evidence.posterior(with_turning(residual, now.without(h)))
+        rest = _turned(residual, evidence, now.without(h))
         # A secant at its value has nothing to search; laid once more, it drifts along what the log does not tell.
         sought = not h.effect.secant or h.effect.law
         again = _with(residual, evidence, rest, h, bank) if sought else None
@@ -136,6 +137,7 @@ def _best(
 def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
     """One more, the best there is, and which; None where nothing gains."""
     asked: set[tuple[str, str, str]] = set()
+    alone: float | None = None
     for added, gain in _best(residual, evidence, now, bank, barred):
         if gain <= -FAINT or len(asked) == MOST_FAINT:
             return None
@@ -145,7 +147,8 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
                 continue
             asked.add(added.key)
             after = evidence.posterior((*now.chosen, added))
-            gain = relearned_gain(evidence, now, after) - added.odds
+            alone = relearned_evidence(evidence, now) if alone is None else alone
+            gain = relearned_evidence(evidence, after) - alone - added.odds
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
         after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
@@ -213,12 +216,18 @@ def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Post
         after = relinearised(residual, evidence, (*now.chosen, best))
         added = after.chosen[-1]
         if added.possible(residual, after.of(added)[0]):
-            tried.append((evidence.posterior(with_turning(residual, after)), added))
+            tried.append((_turned(residual, evidence, after), added))
     if len(tried) < 2:
         return tried[0][0] if tried else None
     # By variances learned with each: those that are there take most of what is to be explained for noise.
-    gains = [relearned_gain(evidence, now, after) - added.odds for after, added in tried]
+    gains = [relearned_evidence(evidence, after) - added.odds for after, added in tried]
     return tried[int(np.argmax(gains))][0]
+
+
+def _turned(residual, evidence, now: Posterior) -> Posterior:
+    """The posterior with how friction that was found turns round, and without that of a friction that is gone."""
+    chosen = with_turning(residual, now)
+    return now if chosen == now.chosen else evidence.posterior(chosen)
 
 
 def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
