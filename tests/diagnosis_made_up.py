@@ -25,6 +25,6 @@ def diagnosis(verdict: Verdict, *found: Found) -> Diagnosis:
         share={"knee": 1.0},
         inertials={},
         notes=("of its own",),
-        trace=Trace(np.zeros(2), rows, rows, rows, ("knee",)),
+        trace=Trace(np.zeros(2), rows, rows, rows, ("knee",), {"q": rows, "v": rows, "tau": rows}),
         units={"knee": "N m"},
     )

@@ -14,7 +14,7 @@ from diagnosis_robot import NOMINAL, log_of, motion, needed
 from jax_inertia import load_model
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.causes import strain
-from jax_inertia.diagnosis.checks import OtherRun, _at_other_places
+from jax_inertia.diagnosis.checks import OtherRun, _at_other_places, rows
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
@@ -28,7 +28,7 @@ from jax_inertia.diagnosis.hypothesis import excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
-from jax_inertia.diagnosis.search.evidence import Posterior
+from jax_inertia.diagnosis.search.evidence import Posterior, form_variance
 from jax_inertia.diagnosis.search.ordinary import ordinary_physics, with_turning
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.maths.precision import in_double_precision
@@ -190,9 +190,9 @@ def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual
     away = [other.predicted(dataclasses.replace(now, mean=d)) for d in draws]
     weight = other.residual.weight
     mean = (weight * np.mean(np.square(away), axis=0)).sum(axis=0) / weight.sum(axis=0)
-    sensors = other.residual.sensors
+    by_form = rows(np.sqrt(form_variance(now)), evidence.weight) ** 2
     assert len(chosen) > 3
-    np.testing.assert_allclose(other.expected(now) ** 2 - sensors**2, mean, rtol=0.15)
+    np.testing.assert_allclose(other.expected(now) ** 2 - by_form, mean, rtol=0.15)
 
 
 def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):

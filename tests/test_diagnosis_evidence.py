@@ -279,8 +279,23 @@ def check(before, after, noise, expected=1.0, joints=2):
     ],
 )
 def test_the_verdict_is_its_table(case, listed, another, wanted):
-    tolerated = case.before
-    assert verdict(case, tolerated, listed, another, Settings()) == wanted
+    assert verdict(case, None, listed, another, Settings()) == wanted
+
+
+@pytest.mark.parametrize(
+    ("own", "other"),
+    [
+        (check(5.0, 5.0, 0.6, expected=2.0), check(1.0, 1.0, 0.6)),
+        (check(1.0, 1.0, 0.6), check(5.0, 5.0, 0.6, expected=2.0)),
+        (check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6, expected=0.2)),
+    ],
+)
+def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
+    def judged(*checks):
+        return verdict(*checks, False, 0.0, Settings())
+
+    assert judged(own, other) == Verdict.UNKNOWN
+    assert judged(check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)) == Verdict.NO_GAP
 
 
 def test_settings_are_frozen():

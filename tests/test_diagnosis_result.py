@@ -7,7 +7,7 @@ import pytest
 from diagnosis_made_up import diagnosis
 
 from jax_inertia.diagnosis.effects.base import Interval, Place
-from jax_inertia.diagnosis.gap_stretches import gap_stretches
+from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.wording import named
 from jax_inertia.diagnosis.result import Found, Tie, Verdict
 

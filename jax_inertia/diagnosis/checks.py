@@ -15,6 +15,7 @@ from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance, scaled
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.logs.schema import TorqueKind
 
 PASSING = frozenset({"push"})
 """Effects that happen once: on another run they are not there."""
@@ -29,18 +30,26 @@ class Check:
     """With the ordinary effects alone, refitted."""
     after: float
     noise: float
-    """Of the torque sensors, as stated or from samples."""
+    """Of the sensors, as stated or from samples, and of motors that miss their commands (`noise_of`)."""
     per_joint_before: Float[np.ndarray, " n"]
     per_joint_after: Float[np.ndarray, " n"]
     left: Float[np.ndarray, "R n"]
     """Residual after, along time."""
     expected: Float[np.ndarray, " n"]
     """What the sensors' noise and the equations' own errors leave of each row."""
+    interval: tuple[float, float] = (0.0, 1.0)
+    """95 % interval of 1 − after / before."""
 
     @property
     def excess(self) -> Float[np.ndarray, " n"]:
         """Residual of each row over what is expected of it."""
         return self.per_joint_after / np.maximum(self.expected, 1e-12)
+
+    @property
+    def after_excess(self) -> float:
+        """Residual of all rows over what is expected of them."""
+        whole = np.sqrt(np.mean([self.per_joint_after**2, self.expected**2], axis=1))
+        return float(whole[0] / max(whole[1], 1e-12))
 
     @property
     def unexplained(self) -> float:
@@ -93,10 +102,10 @@ class _Run(abc.ABC):
         return out
 
     def expected(self, now: Posterior) -> Float[np.ndarray, " n"]:
-        """Rms of each row that a right set of effects leaves [N m].
+        """Rms of each row that a right set of effects leaves on top of this run's noise [N m].
 
-        Noise of this run's sensors, errors of the effects' own equations, and what is not known of all numbers,
-        diag(A C Aᵀ): what the first run hardly shows, this one may show well.
+        Errors of the effects' own equations, and what is not known of all numbers, diag(A C Aᵀ): what the first run
+        hardly shows, this one may show well.
         """
         lasting = tuple(h for h in now.chosen if h.family not in PASSING)
         there = tuple(elsewhere(h, self.residual) for h in lasting)
@@ -106,23 +115,60 @@ class _Run(abc.ABC):
         unknown = np.sum((columns @ now.covariance[np.ix_(at, at)]) * columns, axis=1)
         by_form = rows(np.sqrt(form_variance(now)), self.evidence.weight)
         by_numbers = rows(np.sqrt(unknown.reshape(self.residual.y.shape)), self.residual.weight)
-        return np.sqrt(self.residual.sensors**2 + by_form**2 + by_numbers**2)
+        return np.sqrt(by_form**2 + by_numbers**2)
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""
         y, weight = self.residual.y, self.residual.weight
         left = self.left(whole)
-        noise = rms(np.broadcast_to(self.residual.sensors, y.shape), weight)
+        noise = noise_of(self.residual, left)
         return Check(
             rms(y, weight),
             self.error(ordinary),
             rms(left, weight),
-            noise,
+            rms(np.broadcast_to(noise, y.shape), weight),
             rows(y, weight),
             rows(left, weight),
             left,
-            self.expected(whole),
+            np.hypot(noise, self.expected(whole)),
+            _interval(weight * y**2, weight * left**2),
         )
+
+
+STRETCHES, DRAWS = 20, 1000
+"""Of a run, drawn again with replacement, and how often."""
+
+
+def _interval(
+    before: Float[np.ndarray, "R n"], after: Float[np.ndarray, "R n"]
+) -> tuple[float, float]:
+    """95 % interval of 1 − √(Σ after / Σ before), energies of rows, whole stretches drawn again."""
+    stretch = np.arange(len(before)) * STRETCHES // len(before)
+    sums = [np.bincount(stretch, x.sum(axis=1), STRETCHES) for x in (before, after)]
+    drawn = np.random.default_rng(0).integers(STRETCHES, size=(DRAWS, STRETCHES))
+    was, left = (x[drawn].sum(axis=1) for x in sums)
+    low, high = np.quantile(1.0 - np.sqrt(left / np.maximum(was, 1e-300)), [0.025, 0.975])
+    return float(low), float(high)
+
+
+RIPPLE = 0.01
+"""Of a joint's torque, rms: how far a motor is from its command at random. Torque ripple of servo drives: 1 to 3 %."""
+
+
+def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
+    """Standard deviation of each row's noise [N m]; `left`: what effects leave of it.
+
+    That of the sensors. A command is exact and no sensor's: what its motor makes of it moves the robot and is not in
+    the log, so there what is white of the residual is noise too, as far as motors ripple.
+    """
+    out = residual.sensors
+    if residual.log.tau_kind is not TorqueKind.COMMANDED or residual.log.sigma_tau is not None:
+        return out
+    own, most = rows(left, residual.weight), RIPPLE * rows(residual.torque, residual.weight)
+    unit = left / np.maximum(own, 1e-300)
+    fits = [SlowNoise(w).likeliest(z) for w, z in zip(residual.weight.T, unit.T, strict=True)]
+    white = own * np.sqrt([1.0 - fit.share for fit in fits])
+    return np.maximum(out, np.minimum(white, most))
 
 
 class OtherRun(_Run):

@@ -120,6 +120,11 @@ class Residual:
         return values, (columns.row if values.ndim == 2 else None)
 
     @functools.cached_property
+    def torque(self) -> Float[np.ndarray, "R n"]:
+        """What the log gives each row [N m]."""
+        return self.prepared.finish_torque(self.prepared.tau)
+
+    @functools.cached_property
     def sensors(self) -> Float[np.ndarray, " n"]:
         """Standard deviation that the sensors' noise leaves on each row [N m]: encoders' and torques' alike.
 

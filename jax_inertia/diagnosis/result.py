@@ -46,6 +46,8 @@ class Found:
     equivalent: tuple[Tie, ...]
     ordinary: bool
     equation: str
+    explained_heldout: float = 0.0
+    """Of the gap's energy above noise on stretches that its numbers were not fitted to, what returns without it."""
 
     @property
     def sizes(self) -> str:
@@ -81,6 +83,8 @@ class Shrink:
     noise: float
     per_joint: dict[str, tuple[float, float]]
     """Before and after."""
+    interval: tuple[float, float] = (0.0, 1.0)
+    """95 % interval of `share`, stretches of the run drawn again (block bootstrap; Künsch, Ann. Stat. 17(3), 1989)."""
 
     @property
     def share(self) -> float:
@@ -112,6 +116,32 @@ class Trace:
     moving: Float[np.ndarray, "R n"]
     """Weight of each row: 0 where it rests."""
     rows: tuple[str, ...]
+    state: dict[str, Float[np.ndarray, "R n"]]
+    """Each row's position, velocity and logged torque: q, v, tau."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Region:
+    """Where in a signal of one row the gap's energy lies."""
+
+    row: str
+    signal: str
+    """'q', 'v' or 'tau'."""
+    edges: Float[np.ndarray, " E"]
+    """Quintiles of the signal over the log."""
+    share: Float[np.ndarray, " B"]
+    """Of the row's energy above noise, by quintile: 0.2 each where the signal does not matter."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyForce:
+    """The torque residual projected back to one body as a world force at its centre of mass."""
+
+    body: str
+    share: float
+    """Of the gap's energy, what a force that is constant over half a second explains; 0 for no more than chance."""
+    peak: float
+    """Largest force of any half second [N]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,6 +171,10 @@ class Diagnosis:
     trace: Trace
     units: dict[str, str]
     """Of each row's torque: N m, or N of a slide."""
+    regions: tuple[Region, ...] = ()
+    """Of the row with the largest gap: at which positions, velocities and torques the gap lies."""
+    forces: tuple[BodyForce, ...] = ()
+    """What a force on each body would explain, the most telling first."""
     when: tuple[tuple[float, float], ...] = ()
     """Stretches [s] of the log in which the torque residual stands out."""
     gains: dict[str, Interval] = dataclasses.field(default_factory=dict)

@@ -2,23 +2,26 @@
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rms
+from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
-from jax_inertia.diagnosis.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects, share
 from jax_inertia.diagnosis.motor_gains import motor_gains
+from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
+from jax_inertia.diagnosis.report.where import body_forces, regions, states
 from jax_inertia.diagnosis.report.wording import headline
+from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
@@ -59,18 +62,21 @@ def summarised(
     test = None if other is None else other.check(ordinary, best)
     likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
-    # What needs no finding: tolerances, friction's mild forms, and ordinary numbers too small to be listed.
-    listed = {id(h) for h, _ in likely}
-    bare = evidence.posterior(tuple(h for h in ordinary.chosen if id(h) not in listed))
-    tolerated = rms(residual.y - bare.fitted, residual.weight)
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
-    judged = verdict(by_cause, tolerated, bool(likely), another, settings)
+    own_causes = heldout.check(ordinary, causes)
+    judged = verdict(
+        own_causes, None if other is None else by_cause, bool(likely), another, settings
+    )
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
+    returned = _heldout_shares(heldout, own_causes, causes, [h for h, _ in likely])
+    likely = [
+        (h, dataclasses.replace(f, explained_heldout=share))
+        for (h, f), share in zip(likely, returned, strict=True)
+    ]
     found = as_listed(told, likely, trust)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
-    z = np.sqrt(residual.weight) * residual.y / np.maximum(residual.sensors, 1e-12)
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints, gains = joint_numbers(told), motor_gains(told)
     return Diagnosis(
@@ -87,16 +93,36 @@ def summarised(
         heldout=shrinks[0],
         test=shrinks[1],
         remainder=remainder,
-        chi2=float(np.sum(z**2)) / max(float(residual.weight.sum()), 1.0),
-        noise_floor=1.0,
-        per_joint_rms=dict(zip(names, evidence.gap.tolist(), strict=True)),
-        share=dict(zip(names, _shares(evidence).tolist(), strict=True)),
         inertials=_inertials(told),
         notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
-        units={n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
-        when=gap_stretches(residual.time, z),
+        **_gap(residual, evidence),
     )
+
+
+def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:
+    """How large the gap is, and where it lies: fields of the diagnosis that no effect is needed for."""
+    names = residual.context.row_names
+    z = np.sqrt(residual.weight) * residual.y / np.maximum(residual.sensors, 1e-12)
+    return {
+        "chi2": float(np.sum(z**2)) / max(float(residual.weight.sum()), 1.0),
+        "noise_floor": 1.0,
+        "per_joint_rms": dict(zip(names, evidence.gap.tolist(), strict=True)),
+        "share": dict(zip(names, _shares(evidence).tolist(), strict=True)),
+        "units": {n: "N m" if residual.rotates(k) else "N" for k, n in enumerate(names)},
+        "regions": regions(residual),
+        "forces": body_forces(residual),
+        "when": gap_stretches(residual.time, z),
+    }
+
+
+def _heldout_shares(
+    heldout: HeldOut, check: Check, causes: Posterior, listed: list[Hypothesis]
+) -> list[float]:
+    """Of the gap's energy above noise on held-out stretches, what returns without each, everything else refitted."""
+    whole = max(check.before**2 - check.noise**2, 1e-300)
+    errors = heldout.errors_without(causes, listed)
+    return [float(np.clip((e**2 - check.after**2) / whole, -1.0, 1.0)) for e in errors]
 
 
 def _causes(
@@ -242,7 +268,7 @@ def _shares(evidence: Evidence) -> Float[np.ndarray, " n"]:
 
 def _trace(residual, checked: Check) -> Trace:
     names = residual.context.row_names
-    return Trace(residual.time, residual.y, checked.left, residual.weight, names)
+    return Trace(residual.time, residual.y, checked.left, residual.weight, names, states(residual))
 
 
 def _shrink(c: Check, names: tuple[str, ...]) -> Shrink:
@@ -250,4 +276,4 @@ def _shrink(c: Check, names: tuple[str, ...]) -> Shrink:
         n: (float(b), float(a))
         for n, b, a in zip(names, c.per_joint_before, c.per_joint_after, strict=True)
     }
-    return Shrink(c.before, c.ordinary, c.after, c.noise, rows_of)
+    return Shrink(c.before, c.ordinary, c.after, c.noise, rows_of, c.interval)

@@ -2,14 +2,14 @@
 
 | residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
 |---|---|---|---|
-| nothing is distinct and within `noise_ratio` | – | – | no_gap |
+| nothing is distinct, and every run and joint is quiet | – | – | no_gap |
 | else | below `explained`, or | within `noise_ratio` | explained |
 | else | below `partly` | | partly |
 | else | | | unknown |
 
-All of what the named effects leave: a generic alternative explains nothing. `explained` becomes `partly` where one
-joint keeps more than `excess` times what its sensors and the effects' own equations leave, and where it is not `likely`
-that no further effect is there.
+All of what the named effects leave: a generic alternative explains nothing. A run is quiet within `noise_ratio`, a
+joint within `excess` of what its sensors, the equations' own errors and unknown numbers leave. `explained` becomes
+`partly` where a joint is not quiet, and where it is not `likely` that no further effect is there.
 """
 
 import numpy as np
@@ -20,18 +20,28 @@ from jax_inertia.diagnosis.settings import Settings
 
 
 def verdict(
-    check: Check, tolerated: float, listed: bool, another: float, settings: Settings
+    own: Check, other: Check | None, listed: bool, another: float, settings: Settings
 ) -> Verdict:
-    """`tolerated`: residual with the model's tolerances alone, rms [N m]; `listed`: any effect is; `another`: odds."""
-    limit = settings.noise_ratio * check.noise
+    """Of the log itself, its stretches held out, and of another run.
+
+    `listed`: any effect is; `another`: odds that one more is there.
+    """
+    runs = [own] if other is None else [own, other]
     if not listed:
-        quiet = tolerated <= limit or check.before <= limit
-        return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
+        return Verdict.NO_GAP if all(_quiet(c, settings) for c in runs) else Verdict.UNKNOWN
+    check = runs[-1]
+    limit = settings.noise_ratio * check.noise
     small = check.unexplained < settings.explained or check.after <= limit
     if small and check.after < check.before:
         doubted = np.any(check.excess > settings.excess) or 1.0 / (1.0 + another) < settings.likely
         return Verdict.PARTLY if doubted else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
+
+
+def _quiet(check: Check, settings: Settings) -> bool:
+    """Whether a run shows nothing that the model's tolerances and its sensors' noise do not leave."""
+    small = check.after_excess <= settings.noise_ratio
+    return bool(small and np.all(check.excess <= settings.excess))
 
 
 def confidence(

@@ -140,8 +140,8 @@ class Bound:
 class Effect(abc.ABC):
     """A torque e = A(shape) θ on the rows of the equations of motion, linear in θ given nonlinear numbers, `shape`.
 
-    The missing torque is y = M q̈ + h − τ: what acts on the joints besides the logged torque, with its sign. Classes are
-    abstract (a name that begins with _, or `Effect`) or final.
+    The torque residual is y = M q̈ + h − τ: what acts on the joints besides the logged torque, with its sign. Classes
+    are abstract (a name that begins with _, or `Effect`) or final.
     """
 
     name: ClassVar[str]

@@ -2,7 +2,7 @@
 
 All act through one direction state z in [−1, 1], which turns over a presliding displacement after a reversal (Dahl
 1968), the first nonlinear number [rad]; below zero it is the level [N m] at which MuJoCo's friction loss creeps. The
-second is the way it turns. Extra forms are columns beside the constant level, so that levels add; a search that fits
+second is the way it turns. Extra forms are columns next to the constant level, so that levels add; a search that fits
 both at once has the level before them.
 """
 
@@ -109,7 +109,7 @@ class AsymmetricCoulomb(DryFriction):
         }
 
     def possible_with(self, context, place, level, theta):
-        # Friction that acts one way only would be a constant torque beside half of it.
+        # Friction that acts one way only would be a constant torque with half of it.
         whole = level + float(context.frictionloss[place.index])
         return bool(abs(theta[0]) <= ONE_WAY * whole + 1e-9)
 
@@ -191,10 +191,10 @@ def _raised(mu: float, side: np.ndarray) -> np.ndarray:
 class LoadFriction(DryFriction):
     """Friction that grows with the load on the teeth.
 
-    Behind presliding and way: whether the load is the motor's torque (1) or the link's (0); by how much more it turns
-    over with load [rad/(N m)], since teeth need not be stiffer where they are loaded; μ, θ's own. Where friction is a
-    good part of the torque, motor's and link's are zero at other moments, so both are asked. The motor's has this
-    friction in it:
+    Behind presliding and way: whether the load is the motor's torque (1) or the link's (0), which has neither
+    friction nor the rotor's part in it; by how much more it turns over with load [rad/(N m)], since teeth need not be
+    stiffer where they are loaded; μ, θ's own. Where friction is a good part of the torque, the two are zero at other
+    moments, so both are asked. The motor's has this friction in it:
 
         τ = (τ₀ + F₀ z) / (1 − μ z sign τ)
 

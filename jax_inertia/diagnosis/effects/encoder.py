@@ -1,6 +1,6 @@
 """Effects between a joint and its encoder: the model was moved along a wrong path, q_logged = q + δ(t).
 
-What the model needed was taken at q + δ, so the missing torque is its derivative along δ on every row that the joint
+What the model needed was taken at q + δ, so the torque residual is its derivative along δ on every row that the joint
 carries: y = ∂ID/∂q δ + ∂ID/∂q̇ δ̇ + ∂ID/∂q̈ δ̈.
 """
 
@@ -25,7 +25,7 @@ def off_path(
     delta: Float[np.ndarray, "T k"],
     rotor: tuple[float, float] = (0.0, 0.0),
 ) -> Columns:
-    """What each error δ of a joint's logged path does to the missing torque.
+    """What each error δ of a joint's logged path does to the torque residual.
 
     `rotor`: inertia and damping that turn with what the encoder saw, so that they felt no error.
     """

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, of_row
-from jax_inertia.diagnosis.effects.dry_friction import direction, turnings
+from jax_inertia.diagnosis.effects.dry_friction import BENT, PRESLIDING, direction
 
 FORM_TOLERANCE = 0.05
 """How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
@@ -14,7 +14,7 @@ TURNING_TOLERANCE = 0.5
 """How much of a joint's friction may turn round over another displacement: bristle laws differ in no other way."""
 
 
-def _beside(presliding: float) -> tuple[float, ...]:
+def _other_ways(presliding: float) -> tuple[float, ...]:
     """Displacements below and above one [rad]."""
     base = presliding if presliding > 0 else 1e-4
     return base / 2.5, base * 2.5
@@ -39,8 +39,8 @@ class FrictionTurning(Effect):
 
     def columns(self, context, place, shape):
         z = direction(context, place.index, *shape[:2])
-        beside = [direction(context, place.index, x) - z for x in _beside(shape[0])]
-        return of_row(-np.stack(beside, 1), place)
+        others = [direction(context, place.index, x) - z for x in _other_ways(shape[0])]
+        return of_row(-np.stack(others, 1), place)
 
     def scale(self, context, place, shape):
         return np.full(2, TURNING_TOLERANCE * shape[2])
@@ -72,7 +72,7 @@ class FrictionForms(Effect):
             np.abs(z),
             np.abs(v),
             # How it turns round after a reversal.
-            *(direction(context, row, x) - z for x in _beside(shape[0])),
+            *(direction(context, row, x) - z for x in _other_ways(shape[0])),
         ]
         return of_row(-np.stack(forms, 1), place)
 
@@ -94,27 +94,29 @@ what bends away from the slope at high speed."""
 class StatedFriction(Effect):
     """The form of a friction that the model states, marginalised: no model of two numbers states it.
 
-    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); beside it bristles over
-    other ways, Stribeck's at two speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
+    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); with it bristles over
+    other ways, Stribeck's at three speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
     way, as of the joint's dry friction.
     """
 
-    name, named, marginal, form_error = "stated_friction", False, True, 0.0
+    name, named, marginal, form_error = "stated_friction", False, True, 0.25
     equation = "F (sign(q̇) − z) + a mild form of F z + d q̇"
 
     def places(self, context):
         return [p for p in super().places(context) if context.frictionloss[p.index] > 0]
 
     def shapes(self, context, place):
-        return turnings(context, place)
+        # Its level is known, and so is how fast a soft constraint lets it creep.
+        own = -float(context.frictionloss[place.index])
+        return [(x, BENT) for x in (*PRESLIDING, own)]
 
     def columns(self, context, place, shape):
         row = place.index
         z, v = direction(context, row, *shape), context.v[:, row]
         dry = [
             context.side[:, row] - z,
-            *(z - direction(context, row, x) for x in _beside(shape[0])),
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+            *(z - direction(context, row, x) for x in _other_ways(shape[0])),
+            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.02, 0.05, 0.2)),
         ]
         top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
         bent = float(context.damping[row]) * np.abs(v) * v / top
@@ -124,7 +126,8 @@ class StatedFriction(Effect):
 
     def scale(self, context, place, shape):
         turning, form = TURNING_TOLERANCE, STATED_TOLERANCE
-        return np.array([1.0, turning, turning, form, form, form])
+        # What happens slower than a joint is seen to move is a way to turn round, too.
+        return np.array([1.0, turning, turning, turning, form, form, form])
 
     def numbers(self, context, place, shape, theta):
         return {}

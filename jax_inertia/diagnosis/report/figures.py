@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from jax_inertia.diagnosis.report.drawing import BLUE, GREY, ORANGE, STYLE, embedded
 from jax_inertia.diagnosis.result import Diagnosis
@@ -31,6 +31,31 @@ def joints(found: Diagnosis) -> str:
         axes.invert_yaxis()
         axes.set_xlabel("torque error, rms of moving rows [N m]")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return embedded(figure)
+
+
+def along_state(found: Diagnosis, joint: str) -> str:
+    """Torque residual of one joint against its position, velocity and torque, before and after."""
+    trace = found.trace
+    row = trace.rows.index(joint)
+    moves = trace.moving[:, row] >= 0.5
+    slides = found.units[joint] == "N"
+    angle = "m" if slides else "rad"
+    labels = {
+        "q": f"position [{angle}]",
+        "v": f"velocity [{angle}/s]",
+        "tau": f"torque [{found.units[joint]}]",
+    }
+    with rc_context(STYLE):
+        figure = Figure((WIDTH, 2.6), layout="constrained")
+        every = figure.subplots(1, len(labels), sharey=True)
+        for axes, (signal, label) in zip(every, labels.items(), strict=True):
+            x = trace.state[signal][moves, row]
+            for values, colour, size in ((trace.before, ORANGE, 2.6), (trace.after, BLUE, 1.3)):
+                axes.plot(x, values[moves, row], ".", ms=size, color=colour, rasterized=True)
+            axes.set_xlabel(label)
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+        every[0].set_ylabel(f"torque residual [{found.units[joint]}]")
     return embedded(figure)
 
 

@@ -49,6 +49,7 @@ def to_report(
             "where": found.remainder.where,
             "resembles": "; ".join(found.remainder.resembles),
         },
+        "where": _where(found),
         "when": [list(stretch) for stretch in found.when],
         "undetectable_below": [
             {"family": family, "location": located(place), "value": p.value, "unit": p.unit}
@@ -72,10 +73,25 @@ def _effect(f: Found) -> dict[str, Any]:
         "equation": f.equation,
         "parameters": {name: _number(p) for name, p in f.parameters.items()},
         "share": f.share,
+        "explained_heldout": f.explained_heldout,
         "evidence": f.evidence,
         "probability": f.probability,
         "equivalent": [
             {"family": t.family, "location": located(t.place), "kind": t.kind} for t in f.equivalent
+        ],
+    }
+
+
+def _where(found: Diagnosis) -> dict[str, Any]:
+    base = sum(share for row, share in found.share.items() if row.startswith("base["))
+    return {
+        "rows": {"base": base, "joints": sum(found.share.values()) - base},
+        "bodies": [
+            {"body": f.body, "share": f.share, "peak_force_N": f.peak} for f in found.forces
+        ],
+        "regions": [
+            {"row": r.row, "signal": r.signal, "edges": r.edges.tolist(), "share": r.share.tolist()}
+            for r in found.regions
         ],
     }
 
@@ -98,5 +114,6 @@ def _shrink(s: Shrink) -> dict[str, Any]:
         "after": s.after,
         "noise": s.noise,
         "unit": "N m",
+        "ci95": list(s.interval),
         "per_joint": {n: {"before": b, "after": a} for n, (b, a) in s.per_joint.items()},
     }

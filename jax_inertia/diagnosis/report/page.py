@@ -46,6 +46,7 @@ def page(
         joints_figure=figures.joints(found),
         worst=worst,
         worst_figure=figures.along_time(found, worst),
+        state_figure=figures.along_state(found, worst),
         wanted=to_record(found, correction.extra),
         rolled=rolled,
         fan=None if rolled is None else fan(rolled),

@@ -14,8 +14,10 @@ MOST_MOVES = 4
 """Steps of one length that lead up: as far as the grid's next point."""
 HALVINGS = 6
 """Of a pattern search's steps: to a sixtieth of the grid's spacing, less than what the log tells."""
-CLOSE, ROUNDS = 0.01, 4
-"""Prior standard deviations by which a secant may be off, and how often it is laid again."""
+CLOSE, ROUNDS = 0.01, 20
+"""Prior standard deviations by which a secant may be off, and how often it is laid again at most."""
+FURTHEST = 3.0
+"""Times its last move that one secant goes beyond its own value, where moves point one way."""
 
 
 def at_best(
@@ -35,7 +37,19 @@ def at_best(
     for k in np.argsort(gains)[::-1]:
         starts.setdefault(_unmoved(others[k], steps), others[k])
     climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
-    return max(climbed, key=lambda found: found[1])[0]
+    return max(
+        (_laid(residual, evidence, rest, *found) for found in climbed), key=lambda found: found[1]
+    )[0]
+
+
+def _laid(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, gain: float
+) -> tuple[Hypothesis, float]:
+    """With nonlinear numbers that are θ's own at the value found: forms that are alike at none differ there."""
+    if h.effect.at_value(h.shape, h.scale) == h.shape:
+        return h, gain
+    laid = relinearised(residual, evidence, (*rest.chosen, h)).chosen[-1]
+    return laid, float(evidence.gains(rest, (laid,))[0])
 
 
 def _steps(residual, h: Hypothesis) -> Shape:
@@ -73,22 +87,48 @@ def _between_points(
 
 
 def relinearised(residual, evidence: Evidence, chosen: tuple[Hypothesis, ...]) -> Posterior:
-    """The posterior with every secant at the value found: exact for an offset of degrees, a long delay."""
+    """The posterior with every secant at the value found: exact for an offset of degrees, a long delay.
+
+    Laid again and again where it is found, g(x) → x, it may come nearer by a tenth each time, from either side. So two
+    moves tell where the next one ends (Anderson, J. ACM 12(4), 1965, of depth one).
+    """
     now = evidence.posterior(chosen)
+    before: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for _ in range(ROUNDS):
-        moved = tuple(_at_its_value(residual, now, h) for h in now.chosen)
-        if moved == now.chosen:
+        moved = list(now.chosen)
+        for k, h in enumerate(now.chosen):
+            value = h.effect.at_value(h.shape, now.of(h)[0])
+            if value == h.shape:
+                continue
+            at, found = np.array(h.shape), np.array(value)
+            if _close(h, at, found) or not np.all(np.isfinite(found)):
+                continue
+            ahead = _extrapolated(h, at, found, *before[k]) if k in before else found
+            before[k] = at, found
+            ahead = ahead if _possible(residual, h, ahead) else found
+            moved[k] = reshaped(h, residual, tuple(ahead.tolist()))
+        if tuple(moved) == now.chosen:
             break
-        now = evidence.posterior(moved)
+        now = evidence.posterior(tuple(moved))
     return now
 
 
-def _at_its_value(residual, now: Posterior, h: Hypothesis) -> Hypothesis:
-    """Nonlinear numbers that are θ's own at the value found, where that is another by a hundredth of its scale."""
-    shape = h.effect.at_value(h.shape, now.of(h)[0])
-    if shape == h.shape:
-        return h
-    away = np.abs(np.subtract(shape, h.shape))
-    if np.all(away < CLOSE * (h.scale if h.effect.secant else h.scale[-1])):
-        return h
-    return reshaped(h, residual, shape)
+def _possible(residual, h: Hypothesis, shape: np.ndarray) -> bool:
+    """Whether a robot can have θ where nonlinear numbers that are its own are these."""
+    own = shape if h.effect.secant else shape[-1:]
+    return h.effect.possible(residual.context, h.place, own)
+
+
+def _extrapolated(h: Hypothesis, at, found, at_before, found_before) -> np.ndarray:
+    """Where g(x) = x by the last two values, x and g each."""
+    unit = h.scale if h.effect.secant else h.scale[-1]
+    last, before = (found - at) / unit, (found_before - at_before) / unit
+    turned = last - before
+    share = float(turned @ last) / max(float(turned @ turned), 1e-300)
+    return found - np.clip(share, -FURTHEST, 1.0) * (found - found_before)
+
+
+def _close(h: Hypothesis, at: np.ndarray, found: np.ndarray) -> bool:
+    """Whether nonlinear numbers that are θ's own are at the value found."""
+    away = np.abs(found - at)
+    return bool(np.all(away < CLOSE * (h.scale if h.effect.secant else h.scale[-1])))
