@@ -55,7 +55,7 @@ def _vote(
     """v of one number."""
     row = h.place.index
     own = float(getattr(selection.residual.context, NUMBERS[h.family])[row])
-    per_unit = max(float(rms(h.columns, selection.residual.weight[:, [row]])), 1e-12)
+    per_unit = max(float(rms(h.own_columns, selection.residual.weight[:, [row]])), 1e-12)
     good = max(
         settings.ordinary_tolerance * own,
         np.sqrt(settings.material) * gap[row] / per_unit,

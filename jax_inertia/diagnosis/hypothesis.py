@@ -103,6 +103,11 @@ class Hypothesis:
         return both and effect.possible_with(context, self.place, float(level[0]), own)
 
     @property
+    def own_columns(self) -> Float[np.ndarray, "R k"]:
+        """Of a joint's effect, on the joint's own row: forces of the ground may spread it over all."""
+        return self.columns if self.row is not None else self.columns[:, self.place.index]
+
+    @property
     def scaled(self) -> np.ndarray:
         """Columns per prior standard deviation."""
         return self.columns * self.scale

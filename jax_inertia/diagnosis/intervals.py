@@ -154,8 +154,8 @@ def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarr
     """Change of `h`'s number per unit of each mild form, level and slope fitted to the form together (1, k)."""
     both = [c for c in selection.ordinary if c.family in FRICTION and c.place == h.place]
     root = np.sqrt(selection.residual.weight[:, h.place.index])[:, None]
-    columns = np.concatenate([c.columns for c in both], axis=1)
-    solved = np.linalg.lstsq(columns * root, forms.columns * root, rcond=None)[0]
+    columns = np.concatenate([c.own_columns for c in both], axis=1)
+    solved = np.linalg.lstsq(columns * root, forms.own_columns * root, rcond=None)[0]
     return solved[[both.index(h)]]
 
 
@@ -171,7 +171,7 @@ def _systematic(selection: Selection, h: Hypothesis) -> np.ndarray:
     laws = (*FRICTION, "friction_forms")
     own = [now.torque(c) for c in now.chosen if c.family in laws and c.place == h.place]
     whole = rms(np.sum(own, axis=0)[:, [row]], weight)
-    per_unit = max(rms(h.columns, weight), 1e-12)
+    per_unit = max(rms(h.own_columns, weight), 1e-12)
     return np.diag([(FORM_TOLERANCE * whole / per_unit) ** 2])
 
 

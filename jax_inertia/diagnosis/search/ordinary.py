@@ -125,7 +125,7 @@ def _alike(residual, dry: Effect, place: Place, shape, settings) -> tuple[Hypoth
 
 def joined(group: tuple[Hypothesis, ...]) -> Hypothesis:
     """Hypotheses of one row as one, to be compared with another such group: named as the first of them."""
-    columns = np.concatenate([h.columns for h in group], axis=1)
+    columns = np.concatenate([h.columns for h in group], axis=-1)
     scale, mean = (np.concatenate(x) for x in zip(*((h.scale, h.mean) for h in group), strict=True))
     return dataclasses.replace(group[0], columns=columns, scale=scale, mean=mean)
 
@@ -291,7 +291,8 @@ def with_turning(residual: Residual, now: Posterior) -> tuple[Hypothesis, ...]:
     for h in now.chosen:
         if h.fills == CoulombFriction.name:
             way = h.shape[:2]
-            level = float(np.sqrt(np.mean(now.torque(h)[:, h.place.index] ** 2)))
+            # Rms over rows, since forces of the ground may take it from the joint's own.
+            level = float(np.sqrt(np.mean(np.sum(now.torque(h) ** 2, axis=1))))
             own = there.get((h.place, way))
             kept.append(own or hypothesis(residual, FrictionTurning(), h.place, (*way, level), 0.0))
     return tuple(kept)

@@ -138,7 +138,7 @@ def _normal(
     columns: Float[np.ndarray, "t n q"], y: Float[np.ndarray, "t n"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, " q"]]:
     """XᵀX and Xᵀy of some rows."""
-    x = columns.reshape(-1, columns.shape[-1])
+    x = columns.reshape(y.size, columns.shape[-1])
     return x.T @ x, x.T @ y.ravel()
 
 
