@@ -42,12 +42,13 @@ ORDER: dict[str, str] = {
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis search
         detectability checks causes verdict report motor_gains intervals calibration_state listing
-        gap_stretches summary pipeline""",
+        summary pipeline""",
     "diagnosis.features": "derivatives band two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction friction_forms
         encoder environment external_force generic inertial tolerances transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
-    "diagnosis.report": "wording next_motion detectable_sizes drawing figures json_values json_report page",
+    "diagnosis.report": """gap_stretches where wording next_motion detectable_sizes drawing figures json_values
+        json_report page""",
     "diagnosis.search": """bank discrepancy evidence best_numbers sensor_noise pushes candidates ordinary selection
         stepwise""",
 }

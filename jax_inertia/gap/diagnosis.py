@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES
-from jax_inertia.diagnosis.gap_stretches import gap_stretches
+from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.gap.candidate import Candidate, effect_torque
 from jax_inertia.gap.conventions import require_conventions
 from jax_inertia.gap.doubt import better_than
