@@ -361,6 +361,17 @@ def test_a_report_is_json_of_the_contract(plain):
     assert all(e["ordinary"] for e in report["effects"])
     assert report["shrink"]["test_log"]["after"] < report["shrink"]["test_log"]["before"]
     assert set(report["remainder"]["where"]) == set(report["joints"])
+    assert [e["explained_heldout"] for e in report["effects"]] == pytest.approx(
+        [e["share"] for e in report["effects"]], abs=0.1
+    )
+    low, high = report["shrink"]["heldout"]["ci95"]
+    whole = report["shrink"]["heldout"]
+    assert low <= 1.0 - whole["after"] / whole["before"] <= high
+    assert [r["signal"] for r in report["where"]["regions"]] == ["q", "v", "tau"]
+    assert all(sum(r["share"]) == pytest.approx(1.0) for r in report["where"]["regions"])
+    assert sum(report["where"]["rows"].values()) == pytest.approx(1.0)
+    shares = [b["share"] for b in report["where"]["bodies"]]
+    assert shares == sorted(shares, reverse=True)
     assert report["remainder"]["after"] < report["shrink"]["test_log"]["before"]
     # Friction of tanh turns round at once: the smallest displacement there is.
     assert report["joints"]["elbow"]["coulomb_friction"]["presliding"]["value"] < 2e-4

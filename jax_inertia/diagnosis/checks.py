@@ -235,6 +235,17 @@ class HeldOut(_Run):
         fits = self._fits(now)
         return (self._left([fit.without(h) for fit in fits]) for h in asked)
 
+    def shares(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
+        """Of the gap's energy, what returns without each of some that are chosen, by numbers of other stretches."""
+        fits, weight = self._fits(now), self.residual.weight
+        left, at = self._left(fits), np.arange(len(self.fold))
+        whole = max(float(np.sum(weight * self.residual.y**2)), 1e-300)
+        out = []
+        for h in asked:
+            torque = np.array([fit.torque(h) for fit in fits])[self.fold, at]
+            out.append(float(np.sum(weight * ((left + torque) ** 2 - left**2))) / whole)
+        return out
+
     def _fits(self, now: Posterior) -> list[Posterior]:
         """To all stretches but one, for each."""
         folds = range(int(self.fold[-1]) + 1)

@@ -47,7 +47,7 @@ class Found:
     ordinary: bool
     equation: str
     explained_heldout: float = 0.0
-    """Of the gap's energy above noise on stretches that its numbers were not fitted to, what returns without it."""
+    """`share` on held-out stretches, by numbers that were fitted to the others."""
 
     @property
     def sizes(self) -> str:

@@ -68,7 +68,7 @@ def summarised(
         own_causes, None if other is None else by_cause, bool(likely), another, settings
     )
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
-    returned = _heldout_shares(heldout, own_causes, causes, [h for h, _ in likely])
+    returned = heldout.shares(causes, [h for h, _ in likely])
     likely = [
         (h, dataclasses.replace(f, explained_heldout=share))
         for (h, f), share in zip(likely, returned, strict=True)
@@ -114,15 +114,6 @@ def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:
         "forces": body_forces(residual),
         "when": gap_stretches(residual.time, z),
     }
-
-
-def _heldout_shares(
-    heldout: HeldOut, check: Check, causes: Posterior, listed: list[Hypothesis]
-) -> list[float]:
-    """Of the gap's energy above noise on held-out stretches, what returns without each, everything else refitted."""
-    whole = max(check.before**2 - check.noise**2, 1e-300)
-    errors = heldout.errors_without(causes, listed)
-    return [float(np.clip((e**2 - check.after**2) / whole, -1.0, 1.0)) for e in errors]
 
 
 def _causes(
