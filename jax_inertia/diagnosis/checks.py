@@ -237,14 +237,10 @@ class HeldOut(_Run):
 
     def shares(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
         """Of the gap's energy, what returns without each of some that are chosen, by numbers of other stretches."""
-        fits, weight = self._fits(now), self.residual.weight
-        left, at = self._left(fits), np.arange(len(self.fold))
-        whole = max(float(np.sum(weight * self.residual.y**2)), 1e-300)
-        out = []
-        for h in asked:
-            torque = np.array([fit.torque(h) for fit in fits])[self.fold, at]
-            out.append(float(np.sum(weight * ((left + torque) ** 2 - left**2))) / whole)
-        return out
+        fits, at = self._fits(now), np.arange(len(self.fold))
+        left = self._left(fits)
+        torques = (np.array([fit.torque(h) for fit in fits])[self.fold, at] for h in asked)
+        return [share(self.residual, left, torque) for torque in torques]
 
     def _fits(self, now: Posterior) -> list[Posterior]:
         """To all stretches but one, for each."""
@@ -254,6 +250,15 @@ class HeldOut(_Run):
     def _left(self, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
         fitted = np.array([fit.fitted for fit in fits])[self.fold, np.arange(len(self.fold))]
         return self.residual.y - fitted
+
+
+def share(
+    residual: Residual, left: Float[np.ndarray, "R n"], torque: Float[np.ndarray, "R n"]
+) -> float:
+    """Of the gap's energy, what returns to a residual when a torque is no longer taken from it."""
+    whole = float((residual.weight * residual.y**2).sum())
+    back = residual.weight * ((left + torque) ** 2 - left**2)
+    return float(back.sum() / max(whole, 1e-300))
 
 
 def rms(e: Float[np.ndarray, "R n"], weight: Float[np.ndarray, "R n"]) -> float:

@@ -81,15 +81,6 @@ def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Foun
     )
 
 
-def share(selection: Selection, h: Hypothesis) -> float:
-    """Of the gap's energy, what returns when it alone is left out."""
-    now, residual = selection.posterior, selection.residual
-    left = residual.y - now.fitted
-    whole = float((residual.weight * residual.y**2).sum())
-    back = residual.weight * ((left + now.torque(h)) ** 2 - left**2)
-    return float(back.sum() / max(whole, 1e-300))
-
-
 def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
     """'exact' where the two torques are one along this motion to a part in ten thousand of their energy."""
     a = selection.posterior.torque(h).ravel()

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun
+from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
-from jax_inertia.diagnosis.listing import as_listed, effects, share
+from jax_inertia.diagnosis.listing import as_listed, effects
 from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.where import body_forces, regions, states
@@ -50,7 +50,8 @@ def summarised(
     now, evidence, residual = selection.posterior, selection.evidence, selection.residual
     names = residual.context.row_names
     ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
-    shares = {id(h): share(selection, h) for h in now.chosen}
+    left = residual.y - now.fitted
+    shares = {id(h): share(residual, left, now.torque(h)) for h in now.chosen}
     likely, doubtful = effects(selection, shares, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
     judge = heldout if other is None else other
@@ -58,22 +59,19 @@ def summarised(
     by_cause = judge.check(ordinary, causes)
     # Shapes are there to predict: where the causes do it better, they are not.
     best = min(everything, causes, key=judge.error)
-    own = heldout.check(ordinary, best)
-    test = None if other is None else other.check(ordinary, best)
+    own_causes = by_cause if other is None else heldout.check(ordinary, causes)
+    own = own_causes if best is causes else heldout.check(ordinary, best)
+    test = None
+    if other is not None:
+        test = by_cause if best is causes else other.check(ordinary, best)
     likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
-    own_causes = heldout.check(ordinary, causes)
     judged = verdict(
         own_causes, None if other is None else by_cause, bool(likely), another, settings
     )
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
-    returned = heldout.shares(causes, [h for h, _ in likely])
-    likely = [
-        (h, dataclasses.replace(f, explained_heldout=share))
-        for (h, f), share in zip(likely, returned, strict=True)
-    ]
-    found = as_listed(told, likely, trust)
+    found = as_listed(told, _by_other_stretches(heldout, causes, likely), trust)
     odd = [f.probability for f in found if not f.ordinary]
     sure = confidence(by_cause, judged, odd, another, settings)
     remainder = _remainder(by_cause, names, generic)
@@ -98,6 +96,17 @@ def summarised(
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         **_gap(residual, evidence),
     )
+
+
+def _by_other_stretches(
+    heldout: HeldOut, causes: Posterior, listed: list[tuple[Hypothesis, Found]]
+) -> list[tuple[Hypothesis, Found]]:
+    """What is listed, with what each explains of stretches that its numbers were not fitted to."""
+    returned = heldout.shares(causes, [h for h, _ in listed])
+    return [
+        (h, dataclasses.replace(f, explained_heldout=back))
+        for (h, f), back in zip(listed, returned, strict=True)
+    ]
 
 
 def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:

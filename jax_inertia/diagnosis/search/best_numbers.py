@@ -121,7 +121,7 @@ def _possible(residual, h: Hypothesis, shape: np.ndarray) -> bool:
 
 def _extrapolated(h: Hypothesis, at, found, at_before, found_before) -> np.ndarray:
     """Where g(x) = x by the last two values, x and g each."""
-    unit = h.scale if h.effect.secant else h.scale[-1]
+    unit = _unit(h)
     last, before = (found - at) / unit, (found_before - at_before) / unit
     turned = last - before
     share = float(turned @ last) / max(float(turned @ turned), 1e-300)
@@ -130,5 +130,9 @@ def _extrapolated(h: Hypothesis, at, found, at_before, found_before) -> np.ndarr
 
 def _close(h: Hypothesis, at: np.ndarray, found: np.ndarray) -> bool:
     """Whether nonlinear numbers that are θ's own are at the value found."""
-    away = np.abs(found - at)
-    return bool(np.all(away < CLOSE * (h.scale if h.effect.secant else h.scale[-1])))
+    return bool(np.all(np.abs(found - at) < CLOSE * _unit(h)))
+
+
+def _unit(h: Hypothesis) -> np.ndarray:
+    """Prior standard deviation of those numbers."""
+    return h.scale if h.effect.secant else h.scale[-1:]
