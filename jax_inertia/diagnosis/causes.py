@@ -51,7 +51,7 @@ def evidence_of_causes(
     discrepancy as large as an effect is no part of such a model. Nor of what happens once.
     """
     parts = by_parts(selection, asked)
-    if selection.evidence.exact:
+    if _exact(selection):
         return parts
     lasting = [h for h in asked if h.family not in PASSING]
     now = selection.posterior
@@ -81,10 +81,15 @@ def by_parts(selection: Selection, asked: Sequence[Hypothesis]) -> list[float]:
             robust = evidence.loss(now, h)
         else:
             robust = selection.robust_worth(h)
-            if evidence.exact:
+            if _exact(selection):
                 robust += h.odds * _by_sensors(selection, h)
         out.append(min(float(worths[id(h)]), robust))
     return out
+
+
+def _exact(selection: Selection) -> bool:
+    """Whether equations are right: a calibrated model's, but forces of the ground that are not measured have none."""
+    return selection.evidence.exact and selection.residual.prepared.support is None
 
 
 def _by_sensors(selection: Selection, h: Hypothesis) -> float:

@@ -107,12 +107,16 @@ class _Run(abc.ABC):
         Errors of the effects' own equations, and what is not known of all numbers, diag(A C Aᵀ): what the first run
         hardly shows, this one may show well.
         """
-        lasting = tuple(h for h in now.chosen if h.family not in PASSING)
+        own = tuple(h for h in now.chosen if h.effect.of_log)
+        lasting = tuple(h for h in now.chosen if h.family not in PASSING and h not in own)
         there = tuple(elsewhere(h, self.residual) for h in lasting)
         columns = scaled(there, np.ones_like(self.residual.y))
         parts = map(now.part, lasting)
         at = np.array([k for p in parts for k in range(p.start, p.stop)], int)
         unknown = np.sum((columns @ now.covariance[np.ix_(at, at)]) * columns, axis=1)
+        # Of numbers that each log has its own of, the prior is all that is known.
+        anew = tuple(hypothesis(self.residual, h.effect, h.place, h.shape, h.odds) for h in own)
+        unknown = unknown + np.sum(scaled(anew, np.ones_like(self.residual.y)) ** 2, axis=1)
         by_form = rows(np.sqrt(form_variance(now)), self.evidence.weight)
         by_numbers = rows(np.sqrt(unknown.reshape(self.residual.y.shape)), self.residual.weight)
         return np.sqrt(by_form**2 + by_numbers**2)
@@ -213,7 +217,7 @@ class OtherRun(_Run):
         """Torque of everything chosen on this run, at numbers from the first."""
         out = np.zeros_like(self.residual.y)
         for h, part in zip(now.chosen, now.slices, strict=True):
-            if h.family in PASSING:
+            if h.family in PASSING or h.effect.of_log:
                 continue
             out += elsewhere(h, self.residual).torque(now.mean[part], out.shape)
         return out

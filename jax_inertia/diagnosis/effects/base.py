@@ -238,6 +238,9 @@ class Effect(abc.ABC):
         """Of each of `count` numbers, of what kind of which the log says how large they are; −1 where it does not."""
         return np.full(count, -1)
 
+    of_log: ClassVar[bool] = False
+    """Whether its numbers are one log's, so that another log has its own."""
+
     def size_prior(self, shape: Shape) -> tuple[float, float]:
         """For how many measured numbers the stated size of a tolerance counts, and how many times it that may be."""
         return np.inf, 1.0

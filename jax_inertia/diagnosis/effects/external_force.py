@@ -71,6 +71,10 @@ class Drag(_Force):
     source, advice = "air, water: Newton's quadratic drag", advice.WIDE
     units, prior = {"coefficient": "N s²/m²"}, "6 N s²/m² on a robot of usual size, not below zero"
 
+    def places(self, context):
+        # Where only changes of the base's velocity are known, a drag is anything that changes as slowly.
+        return super().places(context) if context.prepared.knows_velocity else []
+
     def columns(self, context, place, shape):
         v = context.com_velocity[:, place.index]
         f = -np.linalg.norm(v, axis=1, keepdims=True) * v

@@ -23,6 +23,7 @@ def make(
 ) -> Hypothesis:
     """An effect at a place, with the prior odds of its kind.
 
+    Where forces of the ground are not measured, all but ordinary physics is rarer.
     Of a calibrated model an ordinary effect is as rare as any other, and so is another form of one; what is a law with
     it comes with it from `library`, and is as much rarer as it is than the ordinary effect of a robot as it is bought.
     """
@@ -35,6 +36,8 @@ def make(
             odds += settings.odd_odds - (settings.ordinary_odds if effect.level else odds)
     else:
         odds = settings.odd_odds if effect.named else settings.generic_odds
+    if residual.prepared.support is not None and not (bought and effect.ordinary):
+        odds = max(odds, settings.unmeasured_odds)
     level = None if bought else next((e for e in library if e.name == effect.level), None)
     assumed = bought and effect.ordinary
     return hypothesis(residual, effect, place, shape, odds, level, assumed=assumed)

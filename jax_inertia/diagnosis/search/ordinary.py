@@ -16,6 +16,7 @@ from jax_inertia.diagnosis.effects.friction_forms import (
     FrictionTurning,
     StatedFriction,
 )
+from jax_inertia.diagnosis.effects.ground import places_of_ground
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Ordinary, Residual
@@ -51,7 +52,8 @@ def ordinary_physics(
     dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
     if exact:
         return _calibrated(residual, evidence, settings)
-    chosen = [tolerances(residual, settings)]
+    never_exact = [tolerances(residual, settings), *_ground(residual)]
+    chosen = list(never_exact)
     for effect in library:
         if effect.ordinary and effect is not dry:
             chosen += [
@@ -66,13 +68,13 @@ def ordinary_physics(
     now = bounded(residual, evidence, now)
     forms = _forms(residual, now, presliding_of(chosen), settings)
     now = learned(evidence, (*now.chosen, *forms), 2)
-    return OrdinaryPhysics(evidence, now, tuple(chosen[1:]))
+    return OrdinaryPhysics(evidence, now, tuple(chosen[len(never_exact) :]))
 
 
 def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> OrdinaryPhysics:
     numbers, stated = StatedNumbers(), StatedFriction()
     own = settings.calibrated_number, settings.calibrated_numbers
-    chosen = [tolerances(residual, settings, CalibrationState.CALIBRATED)]
+    chosen = [tolerances(residual, settings, CalibrationState.CALIBRATED), *_ground(residual)]
     chosen += [
         hypothesis(residual, numbers, place, own, 0.0) for place in numbers.places(residual.context)
     ]
@@ -105,6 +107,12 @@ def tolerances(
     log = residual.log
     shape = (*own, timing_of(log).error, counts_for, 1.0 / log.rate, most)
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
+
+
+def _ground(residual: Residual) -> list[Hypothesis]:
+    """What is never exact of forces of the ground."""
+    every = places_of_ground(residual.context, 1.0 / residual.log.rate)
+    return [hypothesis(residual, *one, 0.0) for one in every]
 
 
 def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[Hypothesis, ...]:

@@ -48,7 +48,8 @@ def by_noise(
     numbers = np.concatenate([np.zeros(h.count), now.mean])
     parts = []
     for again in residual.replicas:
-        there = tuple(elsewhere(c, again) for c in every)
+        # When a joint is held is not told anew by every replica.
+        there = tuple(c if c.effect.of_log else elsewhere(c, again) for c in every)
         change = scaled(there, root) - here
         left = (root * (again.y - residual.y)).ravel() - change @ numbers
         parts.append(change.T @ left)

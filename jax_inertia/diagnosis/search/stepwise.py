@@ -86,37 +86,48 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
     return learned(evidence, now.chosen, 1)
 
 
-def _stepwise(residual: Residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
+def _stepwise(residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
     # What is not added to some may do better in the place of one of them.
-    barred, gone = set(), set()
-    seen = {_odd_of(now)}
-    for _ in range(most):
+    barred: set[int] = set()
+    gone: set[int] = set()
+    ways = [
+        lambda now: _added(residual, evidence, now, bank, barred),
+        # One for one, and for good: that may be back to what was driven out by the way.
+        lambda now: _exchanged(residual, evidence, now, bank, gone),
+        lambda now: _merged(residual, evidence, now, bank),
+    ]
+    if evidence.exact:
         # Where equations are right, first: what two say worse than one leaves something for a third to say.
-        moved = _merged(residual, evidence, now, bank) if evidence.exact else None
-        if moved is None or _odd_of(moved[0]) in seen:
-            moved = _added(residual, evidence, now, bank, barred)
-        if moved is not None and _odd_of(moved[0]) in seen:
-            # What drives out what it was driven out by is not tried again: no two take turns.
-            barred.add(id(moved[1]))
-            continue
-        if moved is None:
-            # One for one, and for good: that may be back to what was driven out by the way.
-            moved = _exchanged(residual, evidence, now, bank, gone)
-            barred |= gone
-        if moved is None and not evidence.exact:
-            moved = _merged(residual, evidence, now, bank)
+        ways = [ways[-1], *ways[:-1]]
+    for _ in range(most):
+        moved = next((m for m in (way(now) for way in ways) if m is not None), None)
         if moved is None:
             break
-        now = moved[0]
-        seen.add(_odd_of(now))
+        barred |= gone
+        now = moved
     now = learned(evidence, now.chosen, 2)
     return _pruned(evidence, bounded(residual, evidence, now))
 
 
-def _odd_of(now: Posterior) -> frozenset[tuple]:
-    """Families and places of the odd effects, and which of a grid's numbers."""
-    return frozenset((h.key, () if h.effect.secant else h.shape) for h in now.chosen if h.is_odd)
+def _raised(residual, evidence: Evidence, now: Posterior, after: Posterior) -> Posterior | None:
+    """What comes of a move once it is settled, if the log is likelier by it, prior odds counted; else None, all as before.
+
+    Each by variances and tolerances learned with it: with one more, others may be driven out.
+    """
+    noise = evidence.noise
+    before = _likely(evidence, now)
+    settled = _settled(residual, evidence, after)
+    learned_noise, evidence.noise = evidence.noise, noise
+    if _likely(evidence, settled) <= before:
+        return None
+    evidence.noise = learned_noise
+    return settled
+
+
+def _likely(evidence: Evidence, now: Posterior) -> float:
+    """Log evidence and prior odds of some hypotheses, nats."""
+    return relearned_evidence(evidence, now) - sum(h.odds for h in now.chosen)
 
 
 EXCHANGE = 2.0
@@ -134,13 +145,17 @@ def _best(
             yield h, float(gains[k])
 
 
-def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypothesis] | None:
-    """One more, the best there is, and which; None where nothing gains."""
+def _added(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
+    """One more, the best there is; None where nothing gains."""
     asked: set[tuple[str, str, str]] = set()
+    failed: set[tuple[str, str, str]] = set()
     alone: float | None = None
     for added, gain in _best(residual, evidence, now, bank, barred):
         if gain <= -FAINT or len(asked) == MOST_FAINT:
             return None
+        # Its nonlinear numbers were looked at from each of its starts.
+        if added.key in failed:
+            continue
         if gain <= 0:
             # By variances that are there it does not pay: it may explain most of what they were learned from.
             if added.key in asked:
@@ -152,12 +167,15 @@ def _added(residual, evidence, now, bank: Bank, barred) -> tuple[Posterior, Hypo
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
         after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
-            return _settled(residual, evidence, after), added
+            raised = _raised(residual, evidence, now, after)
+            if raised is not None:
+                return raised
+            failed |= {h.key for h in after.chosen} - {h.key for h in now.chosen} | {added.key}
         barred.add(id(added))
     return None
 
 
-def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis] | None:
+def _merged(residual, evidence, now, bank: Bank) -> Posterior | None:
     """One odd effect for two of a place that together say the same; None where none does it as well.
 
     A friction that differs by direction is a friction and a constant torque, say.
@@ -175,14 +193,13 @@ def _merged(residual, evidence, now, bank: Bank) -> tuple[Posterior, Hypothesis]
         if better is None or better[1] <= both:
             continue
         after = _with(residual, evidence, rest, better[0], bank)
-        if after is not None:
-            return _settled(residual, evidence, after), better[0]
+        raised = None if after is None else _raised(residual, evidence, now, after)
+        if raised is not None:
+            return raised
     return None
 
 
-def _exchanged(
-    residual, evidence, now, bank: Bank, gone: set[int]
-) -> tuple[Posterior, Hypothesis] | None:
+def _exchanged(residual, evidence, now, bank: Bank, gone: set[int]) -> Posterior | None:
     """One odd effect for a better one that is not `gone`, everything else given; None where none is better."""
     worths = evidence.worths(now)
     for h, worth in zip(now.chosen, worths, strict=True):
@@ -196,11 +213,12 @@ def _exchanged(
             and better[1] > worth - h.odds + EXCHANGE
             and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
         ):
-            # Once exchanged, it does not come back: no two take turns.
-            gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             after = _with(residual, evidence, rest, better[0], bank)
-            if after is not None:
-                return _settled(residual, evidence, after), better[0]
+            raised = None if after is None else _raised(residual, evidence, now, after)
+            if raised is not None:
+                # Once exchanged, it does not come back: no two take turns.
+                gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+                return raised
     return None
 
 
