@@ -24,11 +24,11 @@ from jax_inertia.diagnosis.effects.inertial import Payload
 from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.registry import effects_of
 from jax_inertia.diagnosis.effects.tolerances import StatedNumbers
-from jax_inertia.diagnosis.hypothesis import excluded, hypothesis
+from jax_inertia.diagnosis.hypothesis import elsewhere, excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
-from jax_inertia.diagnosis.search.evidence import Posterior, form_variance
+from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.ordinary import ordinary_physics, with_turning
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.maths.precision import in_double_precision
@@ -190,9 +190,19 @@ def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual
     away = [other.predicted(dataclasses.replace(now, mean=d)) for d in draws]
     weight = other.residual.weight
     mean = (weight * np.mean(np.square(away), axis=0)).sum(axis=0) / weight.sum(axis=0)
-    by_form = rows(np.sqrt(form_variance(now)), evidence.weight) ** 2
+    by_form = rows(np.sqrt(_by_form(other, now)), weight) ** 2
     assert len(chosen) > 3
     np.testing.assert_allclose(other.expected(now) ** 2 - by_form, mean, rtol=0.15)
+
+
+def _by_form(other: OtherRun, now: Posterior) -> np.ndarray:
+    """Variance that errors of the equations leave of another run: of its own torques."""
+    shape = other.residual.y.shape
+    errors = (
+        h.form_error * elsewhere(h, other.residual).torque(now.mean[now.part(h)], shape)
+        for h in now.chosen
+    )
+    return np.sum([e**2 for e in errors], axis=0)
 
 
 def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):

@@ -4,8 +4,8 @@
 
 DATA holds 00042/{nominal.xml, log.npz, test.npz, truth.json}. The report of log 42 is DIR/00042/report.json (DIR is
 DATA where none is named; 00042/out/report.json is found too). `--run` first diagnoses what has no report yet, each in
-a fresh process of its own whose seconds are kept. Only this file reads both truth and report. Writes results.json (a
-row per log) and RESULTS.md.
+a fresh process of its own whose seconds are kept, `--jobs` of them at a time. Only this file reads both truth and
+report. Writes results.json (a row per log) and RESULTS.md.
 
 An odd effect counts as found where a listed effect that is not ordinary, or one stated equivalent to it, is the true
 one or one that the truth states equivalent. It is asked for where it changes the log's torque by three sigma of what
@@ -27,7 +27,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -370,9 +370,10 @@ def main() -> None:
     reports = args.reports or args.data
     names = sorted(p.parent.name for p in args.data.glob("[0-9]*/truth.json"))
     if args.run:
-        for k, name in enumerate(names):
-            diagnose(args.data / name, reports / name, args.python)
-            print(f"\rdiagnosed {k + 1} of {len(names)}", end="", flush=True)
+        with ThreadPoolExecutor(args.jobs) as pool:
+            asked = [pool.submit(diagnose, args.data / n, reports / n, args.python) for n in names]
+            for k, _ in enumerate(as_completed(asked), start=1):
+                print(f"\rdiagnosed {k} of {len(names)}", end="", flush=True)
     jobs = [(str(args.data), str(reports), name) for name in names]
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         rows = list(pool.map(score, jobs))

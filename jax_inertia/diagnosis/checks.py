@@ -12,7 +12,7 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.best_numbers import relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
-from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, form_variance, scaled
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.schema import TorqueKind
@@ -117,9 +117,11 @@ class _Run(abc.ABC):
         # Of numbers that each log has its own of, the prior is all that is known.
         anew = tuple(hypothesis(self.residual, h.effect, h.place, h.shape, h.odds) for h in own)
         unknown = unknown + np.sum(scaled(anew, np.ones_like(self.residual.y)) ** 2, axis=1)
-        by_form = rows(np.sqrt(form_variance(now)), self.evidence.weight)
-        by_numbers = rows(np.sqrt(unknown.reshape(self.residual.y.shape)), self.residual.weight)
-        return np.sqrt(by_form**2 + by_numbers**2)
+        unknown = unknown.reshape(self.residual.y.shape)
+        for h, c in zip(lasting, there, strict=True):
+            if h.form_error:
+                unknown += (h.form_error * c.torque(now.mean[now.part(h)], unknown.shape)) ** 2
+        return rows(np.sqrt(unknown), self.residual.weight)
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""

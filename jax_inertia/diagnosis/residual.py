@@ -138,8 +138,7 @@ class Residual:
     def _noisy(self) -> tuple[Prepared, ...]:
         rng = np.random.default_rng(0)
         return tuple(
-            prepare(self.robot, perturbed(self.log, rng), self.band, rng)
-            for _ in range(REPLICAS)
+            prepare(self.robot, perturbed(self.log, rng), self.band, rng) for _ in range(REPLICAS)
         )
 
     @property

@@ -33,8 +33,8 @@ class Settings:
     generic_odds: float = 10.0
     """The same against a generic alternative, which names no cause, nats. Prior."""
     unmeasured_odds: float = 25.0
-    """The same of a robot on forces that are not measured, nats: what its feet do is in no equation and comes again with
-    every step. Measured on quadrupeds: 15 had four false alarms in 18 logs, 40 missed effects."""
+    """The same of a robot on forces that are not measured, nats: what its feet do is in no equation and comes again
+    with every step. Measured on quadrupeds: 15 had four false alarms in 18 logs, 40 missed effects."""
     least_variance: float = 0.01
     """Least residual standard deviation of a row, share of its gap's rms: filters and differences are no better."""
     mass_tolerance: float = 0.02

@@ -1,4 +1,4 @@
-"""What is never exact of forces of the ground, marginalised: feet that give, legs that friction holds, wrenches' stamps.
+"""What is never exact of forces of the ground, marginalised: feet that give, friction at rest, stamps of wrenches.
 
 Where no contact wrench is measured, legs' torques and feet say what the ground does (`signals.ground_support`).
 """
@@ -6,7 +6,7 @@ Where no contact wrench is measured, legs' torques and feet say what the ground 
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
 from jax_inertia.diagnosis.features.context import Context
@@ -101,6 +101,7 @@ class WrenchTiming(_Ground):
 
     def columns(self, context, place, shape):
         late, most = SAMPLED * shape[0], 0.5 * shape[0]
+        assert context.wrench is not None
         slope = derivative(context.time, context.wrench)
         shifts = late * slope, 0.5 * late * most * derivative(context.time, slope)
         return Columns(np.stack([context.contact_torques(x).sum(axis=1) for x in shifts], axis=2))

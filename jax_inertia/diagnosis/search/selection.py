@@ -153,7 +153,7 @@ def _unbiased(
 ) -> Float[np.ndarray, " q"]:
     """A part's score, as large as it was before its rows were fitted: Xᵀ (1 − X C Xᵀ)^−½ e of G = XᵀX and Xᵀe."""
     energy, axes = linalg.eigh(gram)
-    seen = energy > SEEN * max(float(energy[-1]), 1e-300)
+    seen = energy > SEEN * max(float(energy.max(initial=0.0)), 1e-300)
     root = axes[:, seen] * np.sqrt(energy[seen])
     share, turn = linalg.eigh(root.T @ covariance @ root)
     own = turn.T @ (axes[:, seen].T @ score / np.sqrt(energy[seen]))

@@ -111,22 +111,25 @@ def _stepwise(residual, evidence: Evidence, now: Posterior, bank: Bank, most: in
 
 
 def _raised(residual, evidence: Evidence, now: Posterior, after: Posterior) -> Posterior | None:
-    """What comes of a move once it is settled, if the log is likelier by it, prior odds counted; else None, all as before.
+    """What comes of a move once it is settled, if the log is likelier by it, prior odds counted; None, all as before.
 
-    Each by variances and tolerances learned with it: with one more, others may be driven out.
+    With one more, others may be driven out. By how much it is likelier depends on how slow the discrepancy is, which is
+    learned with each of the two: the mean of both.
     """
-    noise = evidence.noise
-    before = _likely(evidence, now)
+    noises = [evidence.noise]
     settled = _settled(residual, evidence, after)
-    learned_noise, evidence.noise = evidence.noise, noise
-    if _likely(evidence, settled) <= before:
+    noises.append(evidence.noise)
+    gained = 0.0
+    for evidence.noise in noises:
+        gained += _likely(evidence, settled) - _likely(evidence, now)
+    if gained <= 0.0:
+        evidence.noise = noises[0]
         return None
-    evidence.noise = learned_noise
     return settled
 
 
 def _likely(evidence: Evidence, now: Posterior) -> float:
-    """Log evidence and prior odds of some hypotheses, nats."""
+    """Log evidence and prior odds of some hypotheses, variances and tolerances learned with them, nats."""
     return relearned_evidence(evidence, now) - sum(h.odds for h in now.chosen)
 
 
@@ -214,11 +217,10 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int]) -> Posterior
             and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
         ):
             after = _with(residual, evidence, rest, better[0], bank)
-            raised = None if after is None else _raised(residual, evidence, now, after)
-            if raised is not None:
-                # Once exchanged, it does not come back: no two take turns.
-                gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-                return raised
+            # Once exchanged, it does not come back: no two take turns.
+            gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+            if after is not None:
+                return _settled(residual, evidence, after)
     return None
 
 
