@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jax_inertia import load_model
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.priors import Load
-from jax_inertia.gap import Verdict, diagnose
 from jax_inertia.logs.log import LogError
 from jax_inertia.robots.pendulum import double_pendulum, swing
 from jax_inertia.signals.bands import (
@@ -130,6 +131,6 @@ def test_noise_is_told_from_motion_at_every_rate(rate):
 def test_a_load_is_named_at_30_hz(robot):
     found = diagnose(robot, swing(load=0.5, seconds=12.0, rate=30.0))
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("payload", "lower")
     assert effect.parameters["mass"].value == pytest.approx(0.5, abs=0.02)

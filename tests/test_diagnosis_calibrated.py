@@ -24,7 +24,7 @@ from jax_inertia.diagnosis.effects.inertial import Payload
 from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.registry import effects_of
 from jax_inertia.diagnosis.effects.tolerances import StatedNumbers
-from jax_inertia.diagnosis.hypothesis import elsewhere, excluded, hypothesis
+from jax_inertia.diagnosis.hypothesis import excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
@@ -187,22 +187,13 @@ def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual
     other = OtherRun(Residual(robot, logged(2), settings), evidence)
     rng, chosen = np.random.default_rng(0), now.chosen
     draws = rng.multivariate_normal(np.zeros(len(now.mean)), now.covariance, 400)
-    away = [other.predicted(dataclasses.replace(now, mean=d)) for d in draws]
+    away = [other.residual.y - other.left(dataclasses.replace(now, mean=d)) for d in draws]
     weight = other.residual.weight
     mean = (weight * np.mean(np.square(away), axis=0)).sum(axis=0) / weight.sum(axis=0)
-    by_form = rows(np.sqrt(_by_form(other, now)), weight) ** 2
+    by_form = [(h.form_error * torque) ** 2 for h, torque in other.torques(now)]
+    by_form = rows(np.sqrt(np.sum(by_form, axis=0)), weight) ** 2
     assert len(chosen) > 3
     np.testing.assert_allclose(other.expected(now) ** 2 - by_form, mean, rtol=0.15)
-
-
-def _by_form(other: OtherRun, now: Posterior) -> np.ndarray:
-    """Variance that errors of the equations leave of another run: of its own torques."""
-    shape = other.residual.y.shape
-    errors = (
-        h.form_error * elsewhere(h, other.residual).torque(now.mean[now.part(h)], shape)
-        for h in now.chosen
-    )
-    return np.sum([e**2 for e in errors], axis=0)
 
 
 def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):

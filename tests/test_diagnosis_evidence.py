@@ -310,6 +310,9 @@ class Predicted(_Run):
         self.residual = SimpleNamespace(weight=np.ones(with_it.shape), sensors=np.zeros(2))
         self._left, self._without = with_it, without
 
+    def torques(self, now):
+        return iter(())
+
     def left(self, now):
         return self._left
 

@@ -31,6 +31,7 @@ ALL, HAND, LOWER = (
     Place("body", "hand", 2),
     Place("body", "lower", 1),
 )
+PULL, POINT = (5.0, -3.0, 8.0), (0.02, -0.03, 0.05)
 CARRIED = (0.6, 0.6 * 0.03, 0.6 * -0.02, 0.6 * -0.1, 0.6 * 0.05**2)
 """m, m c and m k² of a load."""
 # Effect: place, nonlinear numbers, θ, and how far simulation and columns may be apart, as a share of the effect.
@@ -60,7 +61,7 @@ CASES = {
     "payload": (HAND, CARRIED, [*CARRIED], 0.01),
     "com_shift": (HAND, (0.01, 0.005, -0.02), [0.01, 0.005, -0.02], 0.01),
     "link_inertia": (LOWER, (), [0.7], 0.01),
-    "constant_force": (HAND, (), [5.0, -3.0, 8.0], 0.01),
+    "constant_force": (HAND, (*PULL, *POINT), [*PULL, *POINT], 0.01),
     "drag": (HAND, (), [4.0], 0.01),
     "push": (HAND, (2.0, 3.0, 0.3, 0.2), [20.0, 0.0, -10.0], 0.01),
 }

@@ -9,14 +9,12 @@ import pytest
 from arm_log import ARM, loaded, nothing, simulate
 
 from jax_inertia import load_model
-from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.simulate import plant
-from jax_inertia.diagnosis.simulate.corrected import corrected
-from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.families import LIBRARY
-from jax_inertia.gap.finding import effects_of
-from jax_inertia.gap.report import to_report
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
+from jax_inertia.text.words import length
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +25,7 @@ def robot():
 def test_a_true_model_has_no_gap(robot):
     found = diagnose(robot, simulate(nothing))
     assert found.verdict is Verdict.NO_GAP
-    assert found.findings == ()
+    assert found.odd == ()
 
 
 def viscous(t, q, v, u):
@@ -43,7 +41,7 @@ def with_friction(robot):
 def test_viscous_friction_is_named_placed_and_sized(with_friction):
     found = with_friction
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("viscous_friction", "elbow")
     assert effect.parameters["damping"].value == pytest.approx(0.15, rel=0.05)
     assert found.heldout.share > 0.8
@@ -60,8 +58,8 @@ def test_dry_friction_with_another_law(robot):
         return np.array([-0.6 * state[0], 0.0])
 
     found = diagnose(robot, simulate(torque))
-    assert found.findings[0].family in ("coulomb_friction", "stribeck_friction")
-    assert found.findings[0].place.name == "shoulder"
+    assert found.odd[0].family in ("coulomb_friction", "stribeck_friction")
+    assert found.odd[0].place.name == "shoulder"
 
 
 @pytest.mark.slow
@@ -72,7 +70,7 @@ def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
         return np.array([0.0, -(0.3 + 0.35 * slow) * np.tanh(v[1] / 0.002)])
 
     # Slow enough for the curve to last longer than the filters.
-    (effect,) = diagnose(robot, simulate(torque, pace=0.2, seconds=12.0)).findings
+    (effect,) = diagnose(robot, simulate(torque, pace=0.2, seconds=12.0)).odd
     assert (effect.family, effect.place.name) == ("stribeck_friction", "elbow")
     assert effect.parameters["exponent"].value == exponent
     assert effect.parameters["stribeck_velocity"].value == pytest.approx(0.15, rel=0.1)
@@ -80,13 +78,21 @@ def test_either_curve_of_stribeck_is_told_from_the_other(robot, exponent):
 
 
 @pytest.mark.parametrize("of_motor", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor):
+def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(of_motor):
+    """Of a shoulder whose motor takes nothing for itself: what the link carries is all that the motor gives."""
+    robot = load_model(
+        mujoco.MjModel.from_xml_string(ARM.replace(' damping="0.3" armature="0.05"', ""))
+    )
+
+    def rotorless(model):
+        model.dof_armature[0] = model.dof_damping[0] = 0.0
+
     def torque(t, q, v, u):
         # f = F + μ|u| of the motor's torque u, and of the link's, u − f s: with the motion, or against it.
         s, mu = np.tanh(v[0] / 0.002), 0.0 if of_motor else 0.15 * np.sign(u[0] * v[0])
         return np.array([-(0.2 + 0.15 * abs(u[0])) / (1.0 + mu) * s, 0.0])
 
-    (effect,) = diagnose(robot, simulate(torque)).findings
+    (effect,) = diagnose(robot, simulate(torque, rotorless)).odd
     assert (effect.family, effect.place.name) == ("load_friction", "shoulder")
     assert effect.parameters["of_motor"].value == of_motor
     assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.03)
@@ -97,9 +103,11 @@ def test_what_loads_the_teeth_is_the_links_torque_or_the_motors(robot, of_motor)
 def test_an_encoder_that_is_degrees_off_is_all_there_is(robot, joint):
     """To first order in the angle two per cent of it would be left, for a force or a shifted mass to explain."""
     wrong = 0.08 * np.eye(2)[joint]
-    (effect,) = diagnose(robot, simulate(encoder=lambda q: q + wrong, noise=0.1, seed=3)).findings
-    assert (effect.family, effect.place.name) == ("encoder_offset", ("shoulder", "elbow")[joint])
-    assert effect.parameters["offset"].value == pytest.approx(0.08, rel=0.005)
+    (effect,) = diagnose(robot, simulate(encoder=lambda q: q + wrong, noise=0.1, seed=3)).odd
+    # About the shoulder's own axis it is a tilt of gravity, exactly.
+    names = {(x.family, x.place.name) for x in (effect, *effect.equivalent)}
+    assert ("encoder_offset", ("shoulder", "elbow")[joint]) in names
+    assert length(effect.parameters) == pytest.approx(0.08, rel=0.005)
 
 
 def test_gravity_that_is_degrees_off_is_all_there_is(robot):
@@ -107,17 +115,17 @@ def test_gravity_that_is_degrees_off_is_all_there_is(robot):
         model.opt.gravity[:] = 9.81 * np.array([-np.sin(0.07), 0.0, -np.cos(0.07)])
 
     # About the shoulder's own axis it is an offset of that joint's encoder, exactly.
-    (effect,) = diagnose(robot, simulate(edit=tilt, noise=0.1, seed=3)).findings
+    (effect,) = diagnose(robot, simulate(edit=tilt, noise=0.1, seed=3)).odd
     assert {effect.family, *(tie.family for tie in effect.equivalent)} >= {
         "encoder_offset",
         "gravity_tilt",
     }
-    assert effect.parameters["offset"].value == pytest.approx(0.07, rel=0.005)
+    assert length(effect.parameters) == pytest.approx(0.07, rel=0.005)
 
 
 def test_payload_is_found_on_its_body(robot):
     found = diagnose(robot, simulate(edit=loaded(0.4, (0.0, 0.0, -0.3))))
-    effect = found.findings[0]
+    effect = found.odd[0]
     names = {
         (effect.family, effect.place.name),
         *((t.family, t.place.name) for t in effect.equivalent),
@@ -130,7 +138,7 @@ def test_payload_is_found_on_its_body(robot):
 def test_excluded_families_are_not_found(robot):
     log = simulate(viscous)
     found = diagnose(robot, log, exclude=["viscous_friction"])
-    assert all(f.family != "viscous_friction" for f in found.findings)
+    assert all(f.family != "viscous_friction" for f in found.odd)
     with pytest.raises(ValueError, match="valid: actuator_lag"):
         diagnose(robot, log, exclude=["viscosity"])
 
@@ -142,22 +150,16 @@ def test_report_is_plain_json(with_friction):
     assert report["effects"][0]["location"] == {"kind": "joint", "name": "elbow"}
 
 
-def test_every_plan_of_search_is_for_an_effect_of_the_registry():
-    names = [f.name for f in LIBRARY]
-    assert len(set(names)) == len(names)
-    assert set(names) <= set(NAMES)
-
-
 def test_too_short_a_log_is_refused(robot):
     log = simulate(nothing, seconds=1.0)
-    with pytest.raises(ValueError, match="at least 100 are needed"):
+    with pytest.raises(ValueError, match="moving rows at most; at least 20 are needed"):
         diagnose(robot, log)
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 def test_torques_in_another_unit_are_refused(robot, factor):
     log = simulate(nothing)
-    with pytest.raises(ValueError, match=r"times what the model needs.*expected N m"):
+    with pytest.raises(ValueError, match="times what the model needs"):
         diagnose(robot, dataclasses.replace(log, tau=factor * np.asarray(log.tau)))
 
 
@@ -166,8 +168,8 @@ def test_who_asks_for_one_effect_of_two_is_told(robot):
     log = simulate(lambda t, q, v, u: np.array([0.5, -0.15 * v[1]]))
     found = diagnose(robot, log, max_effects=1)
     assert found.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
-    assert "no more than 1 effect was looked for" in found.doubts[-1]
-    assert diagnose(robot, log).doubts == ()
+    assert len(found.odd) == 1
+    assert len(diagnose(robot, log).odd) == 2
 
 
 def test_a_simulation_that_bursts_leaves_nothing_in_the_user_s_folder(tmp_path, monkeypatch):
@@ -180,22 +182,3 @@ def test_a_simulation_that_bursts_leaves_nothing_in_the_user_s_folder(tmp_path, 
     assert len(said) == 1
     assert any(data.warning[kind].number for kind in plant._UNSTABLE)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_what_a_model_lifts_is_no_gap():
-    """Torques logged without what carries the lower arm, as some drives report them and `gravcomp` says."""
-    lifted = ARM.replace('<body name="lower"', '<body name="lower" gravcomp="1"')
-    robot = load_model(mujoco.MjModel.from_xml_string(lifted))
-
-    def log(**more):
-        carries = np.array([0.0, 0.0, 1.2 * 9.81])
-        return simulate(force=lambda t: carries, at=np.array([0.02, 0.0, -0.15]), **more)
-
-    assert diagnose(robot, log()).verdict is Verdict.NO_GAP
-    found = diagnose(robot, log(edit=loaded(0.25, (0.02, 0.03, -0.3))))
-    (effect,) = found.findings
-    assert (effect.family, effect.place.name) == ("payload", "lower")
-    body = corrected(mujoco.MjSpec.from_string(lifted), effects_of(found)).spec.body("lower")
-    assert body.mass == pytest.approx(1.45, abs=0.02)
-    assert body.gravcomp * body.mass == pytest.approx(1.2, rel=1e-9)

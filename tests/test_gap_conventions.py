@@ -1,7 +1,6 @@
 """Logs that mean by a joint, a torque or an angle another thing than the model: one line; arms by MuJoCo C."""
 
 import dataclasses
-import re
 
 import mujoco
 import numpy as np
@@ -11,8 +10,8 @@ from chain_log import JOINTS, chain_xml
 from chain_log import simulate as simulate_chain
 
 from jax_inertia import load_model
-from jax_inertia.gap.conventions import require_conventions
-from jax_inertia.signals.torque_residual import prepare
+from jax_inertia.logs.log import LogError
+from jax_inertia.preflight.preflight import preflight
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +26,8 @@ def chain():
 
 
 def refused(robot, log) -> str:
-    with pytest.raises(ValueError, match=r"^.+$") as caught:
-        require_conventions(prepare(robot, log))
+    with pytest.raises(LogError) as caught:
+        preflight(log, robot).raise_for_errors()
     message = str(caught.value)
     assert "\n" not in message
     return message
@@ -37,7 +36,7 @@ def refused(robot, log) -> str:
 def test_a_log_and_its_model_that_agree_pass(arm, chain):
     """And the same two with a torque turned do not: what passes is not all that comes."""
     for robot, log in (arm, chain):
-        require_conventions(prepare(robot, log))
+        preflight(log, robot).raise_for_errors()
         assert "tau" in refused(robot, dataclasses.replace(log, tau=-log.tau))
 
 
@@ -51,15 +50,14 @@ def test_one_torque_with_its_sign_turned_is_named(chain):
     robot, log = chain
     sign = np.array([1.0, 1.0, -1.0, 1.0, 1.0])
     message = refused(robot, dataclasses.replace(log, tau=sign * log.tau))
-    assert message.startswith("tau of 'axis3' is minus")
+    assert message.startswith("tau of axis3 is minus")
 
 
 def test_torques_in_another_order_are_told_joint_by_joint(chain):
     robot, log = chain
     message = refused(robot, dataclasses.replace(log, tau=log.tau[:, [0, 2, 1, 3, 4]]))
-    assert re.search(
-        "tau of 'axis2' is what 'axis3' needs; tau of 'axis3' is what 'axis2' needs", message
-    )
+    assert "tau of 'axis2' is what 'axis3' needs" in message
+    assert "tau of 'axis3' is what 'axis2' needs" in message
 
 
 def test_degrees_are_no_radians(arm):

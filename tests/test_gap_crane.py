@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.signals.spikes import torque_spikes
 
@@ -112,7 +113,7 @@ def test_a_soft_gear_is_named_on_a_log_that_begins_amid_the_motion(robot):
     """It rings at 1.5 Hz, in the motion's own band, on the other motion as well."""
     found = diagnose(robot, simulate(soft=True), test_log=simulate(soft=True, seed=2))
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("joint_elasticity", "luff")
     assert effect.parameters["stiffness"].value == pytest.approx(GEAR, rel=0.1)
     assert found.test is not None
@@ -127,7 +128,7 @@ def test_a_sliding_joints_friction_is_in_newtons_and_glitches_are_left_out(robot
     assert torque_spikes(log).sum() == 6
     found = diagnose(robot, log)
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("coulomb_friction", "extend")
     level = effect.parameters["coulomb"]
     assert (level.value, level.unit) == (pytest.approx(120.0, rel=0.1), "N")

@@ -8,8 +8,8 @@ import pytest
 from chain_log import JOINTS, TAU, chain_xml, simulate
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
-from jax_inertia.gap.motors import with_torque_noise
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.signals.sensor_noise import sensor_noise
 
 MISSED = np.array([0.3, 0.3, 0.15, 0.05, 0.03])
@@ -24,7 +24,7 @@ def robot():
 
 def assert_only_a_gain(found, joint, gain):
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("torque_gain", joint)
     number = effect.parameters["gain"]
     assert number.low < gain < number.high
@@ -52,7 +52,7 @@ def test_what_motors_miss_is_told_beside_a_push(robot):
     """A push does not look like noise, and all else does: a log of such commands had been told to lack a cause."""
     found = diagnose(robot, simulate(motors=12 * MISSED, braking=SOFT, push=(40.0, -25.0, 15.0)))
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("push", "segment3")
     assert effect.parameters["start"].value == pytest.approx(3.05, abs=0.1)
     assert found.trace.torque_noise[:4] == pytest.approx(12 * MISSED[:4], rel=0.25)
@@ -106,11 +106,3 @@ def test_noise_that_samples_do_not_show_is_a_gap(robot):
     stated = dataclasses.replace(log, sigma_qpos=np.full(JOINTS, 2e-5), sigma_tau=TAU)
     assert np.all(sensor_noise(log.tau) < 0.3 * MISSED)
     assert diagnose(robot, stated).verdict is Verdict.UNKNOWN
-
-
-def test_what_a_log_states_is_no_less():
-    log = simulate(seconds=2.0)
-    robot = load_model(mujoco.MjModel.from_xml_string(chain_xml(np.zeros(JOINTS))))
-    assert with_torque_noise(log, robot, None) is log
-    louder = with_torque_noise(log, robot, MISSED)
-    assert louder.sigma_tau == pytest.approx(np.maximum(log.sigma_tau, MISSED))

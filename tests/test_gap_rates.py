@@ -8,7 +8,8 @@ import pytest
 from arm_log import ARM, simulate
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,6 @@ def test_a_fast_motion_seldom_sampled_is_no_gap(robot, every):
 def test_a_weak_motor_is_sized_in_a_log_of_100_hz(robot):
     found = diagnose(robot, seldom(lambda t, q, v, u: np.array([0.0, -0.03 * u[1]]), 5))
     assert found.verdict is Verdict.EXPLAINED
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("torque_gain", "elbow")
     assert effect.parameters["gain"].value == pytest.approx(0.97, abs=1e-3)

@@ -6,7 +6,8 @@ import pytest
 from arm_log import loaded, simulate, sized
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 
 # Links of 4.8 m and 3 t, and of 24 mm and 0.4 g.
 CRANE, FINGER = 12.0, 0.06
@@ -16,7 +17,7 @@ def the_one(size, **hidden):
     """The effect that explains a log of an arm of some size."""
     found = diagnose(load_model(sized(size)), simulate(size=size, **hidden))
     assert found.verdict is Verdict.EXPLAINED, found.headline
-    (effect,) = found.findings
+    (effect,) = found.odd
     return effect, {name: p.value for name, p in effect.parameters.items()}
 
 

@@ -6,7 +6,7 @@ import pytest
 from arm_log import ARM, TORQUE, asked, loaded, logged, simulate, wave
 
 from jax_inertia import load_model
-from jax_inertia.gap import diagnose
+from jax_inertia.diagnosis.entry import diagnose
 
 ENCODER = 1e-4
 
@@ -49,17 +49,17 @@ def late(lag=0.0, delay=0, seed=0, seconds=8.0, wave=wave, encoder=ENCODER):
 
 
 @pytest.mark.parametrize(
-    ("how", "family", "parameter"),
+    ("how", "family"),
     [
-        ({"lag": 0.006}, "actuator_lag", "time_constant"),
-        ({"delay": 6}, "time_delay", "delay"),
+        ({"lag": 0.006}, "actuator_lag"),
+        ({"delay": 6}, "time_delay"),
     ],
 )
-def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family, parameter):
+def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family):
     """A delay passes on more of that noise, and by it a lag would be taken for one."""
-    (effect,) = diagnose(robot, late(**how, seed=1)).findings
-    assert (effect.family, effect.place.kind) == (family, "global")
-    assert effect.parameters[parameter].value == pytest.approx(0.006, rel=0.05)
+    (effect,) = diagnose(robot, late(**how, seed=1)).odd
+    assert (family, "global") in {(x.family, x.place.kind) for x in (effect, *effect.equivalent)}
+    assert next(iter(effect.parameters.values())).value == pytest.approx(0.006, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family, p
 def test_a_lag_and_a_delay_of_a_slow_motion(robot, how, family):
     """They part where the motion is quick, however little of it is."""
     found = diagnose(robot, late(**how, seed=4, wave=quick_and_slow, encoder=2e-5))
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.kind) == (family, "global")
     assert effect.probability > 0.9
 
@@ -88,7 +88,7 @@ def test_a_little_more_friction_when_slow_is_stribecks(robot, more, family, numb
         stick = 1.0 + more * np.exp(-((v[1] / 0.06) ** 2))
         return np.array([0.0, -0.05 * stick * np.tanh(v[1] / 0.003)])
 
-    (effect,) = diagnose(robot, simulate(friction, seed=1)).findings
+    (effect,) = diagnose(robot, simulate(friction, seed=1, pace=0.3)).odd
     assert (effect.family, effect.place.name) == (family, "elbow")
     for name, value in numbers.items():
         assert effect.parameters[name].value == pytest.approx(value, rel=0.15)
@@ -118,7 +118,7 @@ def springy(level, more, slow, reach):
 def test_a_spring_that_slips_at_once_is_no_stribeck_curve(robot, more, family, numbers):
     """Drawn by bristles that bend over, its sharp knee would look like friction that is more when slow."""
     log = simulate(springy(1.0, more, slow=0.03, reach=1.1e-3), seed=1)
-    (effect,) = diagnose(robot, log).findings
+    (effect,) = diagnose(robot, log).odd
     assert (effect.family, effect.place.name) == (family, "elbow")
     for name, value in numbers.items():
         assert effect.parameters[name].value == pytest.approx(value, rel=0.2)
@@ -142,7 +142,7 @@ def toothed(level, share, stiffness):
 @pytest.mark.slow
 def test_friction_that_grows_with_the_load_on_teeth_as_stiff_as_before(robot):
     """It turns round the further the more they carry; drawn over one displacement it would be two causes or more."""
-    (effect,) = diagnose(robot, simulate(toothed(0.05, 0.15, stiffness=60.0), seed=1)).findings
+    (effect,) = diagnose(robot, simulate(toothed(0.05, 0.15, stiffness=60.0), seed=1)).odd
     assert (effect.family, effect.place.name) == ("load_friction", "elbow")
     assert effect.parameters["load_coefficient"].value == pytest.approx(0.15, rel=0.05)
 
@@ -153,7 +153,7 @@ def test_a_load_is_of_the_link_that_a_joint_carries():
     frames = '<body name="flange" pos="0.02 0.05 -0.3"/><body name="tool" pos="0 0.3 -0.3"/></body></body>'
     model = mujoco.MjModel.from_xml_string(ARM.replace("</body></body>", frames))
     log = simulate(edit=loaded(0.3, (0.02, 0.05, -0.3)), seed=4)
-    (effect,) = diagnose(load_model(model), log).findings
+    (effect,) = diagnose(load_model(model), log).odd
     assert (effect.family, effect.place.name) == ("payload", "lower")
     twins = {e.place.name for e in effect.equivalent if e.kind == "exact"}
     assert twins == {"flange", "tool"}
@@ -162,7 +162,7 @@ def test_a_load_is_of_the_link_that_a_joint_carries():
 def test_a_load_of_some_size_is_one_load(robot):
     """Its own inertia is no error of a link's."""
     found = diagnose(robot, simulate(edit=loaded(1.0, (0.02, 0.05, -0.3), radius=0.1), seed=4))
-    (effect,) = found.findings
+    (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("payload", "lower")
     values = {"mass": 1.0, "com_x": 0.02, "com_y": 0.05, "com_z": -0.3, "gyration_radius": 0.1}
     for name, value in values.items():

@@ -6,7 +6,8 @@ import pytest
 from arm_log import ARM, loaded, simulate
 
 from jax_inertia import load_model
-from jax_inertia.gap import Verdict, diagnose
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 
 CENTRE = (0.02, 0.0, -0.15)
 
@@ -51,7 +52,7 @@ def test_a_little_more_is_found_and_far_less_is_not(robot, smallest, family, pla
     seen = diagnose(robot, simulate(**hidden(1.2 * size.value)))
     assert seen.verdict is Verdict.EXPLAINED
     # A small load is mostly its weight, as a force is.
-    names = {seen.findings[0].family, *(t.family for t in seen.findings[0].equivalent)}
+    names = {seen.odd[0].family, *(t.family for t in seen.odd[0].equivalent)}
     assert family in names
     assert diagnose(robot, simulate(**hidden(0.1 * size.value))).verdict is Verdict.NO_GAP
 

@@ -14,8 +14,8 @@ from walking_log import Quadruped, shifts, trot, walked
 
 import jax_inertia as ji
 from jax_inertia.cli.main import main
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.dynamics.rigid_body import resolve_bodies
-from jax_inertia.gap.verdict import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.readers import Options
 from jax_inertia.logs.schema import SHAPES
@@ -262,14 +262,14 @@ def test_a_bag_s_imu(tmp_path):
 
 
 def told(log: Log, check: str) -> tuple[Severity, str]:
-    (found,) = [f for f in preflight(log, model_of(SMALL)).findings if f.check == check]
+    (found,) = [f for f in preflight(log, model_of(SMALL)).odd if f.check == check]
     assert "\n" not in found.message
     return found.severity, found.message
 
 
 def test_a_sound_log_of_an_imu_is_only_noted():
     for left_out in ((), ("base_linacc",)):
-        found = preflight(log_of(stood(), *left_out), model_of(SMALL)).findings
+        found = preflight(log_of(stood(), *left_out), model_of(SMALL)).odd
         assert [f.check for f in found if f.severity is Severity.ERROR] == []
         assert told(log_of(stood(), *left_out), "base")[0] is Severity.NOTE
 
@@ -360,8 +360,8 @@ def test_estimate_weighs_a_trunk_by_its_imu():
 
 def payload(found, robot, load: float) -> None:
     """The only effect is this load on the trunk."""
-    assert [(f.family, f.place.name) for f in found.findings] == [("payload", "trunk")]
-    assert found.findings[0].parameters["mass"].value == pytest.approx(load, rel=0.05)
+    assert [(f.family, f.place.name) for f in found.odd] == [("payload", "trunk")]
+    assert found.odd[0].parameters["mass"].value == pytest.approx(load, rel=0.05)
 
 
 @pytest.mark.slow

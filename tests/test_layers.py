@@ -8,9 +8,9 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # Folder: its modules and folders from the ground up; each may use those before it. A folder stands for all that is in
-# it. `gap` has no order of its own: it goes once `diagnosis` has replaced it.
+# it.
 ORDER: dict[str, str] = {
-    "": """text maths logs model dynamics signals preflight estimation diagnosis gap replay fleet
+    "": """text maths logs model dynamics signals preflight estimation diagnosis replay fleet
         control robots cli __main__""",
     "text": "closest_names notebook_page report_page words",
     "maths": """argument_checks precision over_samples row_runs batch_last scalar_program scalar_trace lanes spatial
@@ -26,7 +26,7 @@ ORDER: dict[str, str] = {
         wrench_axes spikes outliers creep dry_friction torque_residual window_mean errors_in_variables holds misfit
         corrections sensor_noise""",
     "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
-        preflight""",
+        preflight drive_gains""",
     "estimation": """priors physical_estimate filter_settings inertial_filter fused_update online
         innovation_tests batch_rows wrist_sensor batch_solve batch_fit log_filter stream checkpoint
         identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
@@ -37,13 +37,13 @@ ORDER: dict[str, str] = {
         command pipeline figures varying_friction late_targets corrected report entry""",
     "replay.search": "parsimony causal held_out candidates tries by_law afresh odd undecided instead",
     "fleet": "numbers drift page jobs",
-    "cli": """console gains conventions convert command_page replay_run replay diagnose_whole diagnose_run diagnose
+    "cli": """console gains conventions convert command_page replay_run replay diagnose_output diagnose_run diagnose
         plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects result simulate settings residual hypothesis search
         detectability checks causes verdict report motor_gains intervals calibration_state listing
-        summary pipeline""",
-    "diagnosis.features": "derivatives band two_mass context",
+        summary pipeline entry""",
+    "diagnosis.features": "derivatives two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction friction_forms
         encoder environment external_force generic inertial ground tolerances transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
@@ -52,7 +52,6 @@ ORDER: dict[str, str] = {
     "diagnosis.search": """bank discrepancy evidence best_numbers sensor_noise pushes candidates ordinary selection
         stepwise""",
 }
-UNORDERED = {"gap"}
 RANK = {folder: {n: i for i, n in enumerate(text.split())} for folder, text in ORDER.items()}
 # Leaves: nothing but the command line may need a controller or a robot made up for a demonstration.
 LEAVES = {"control": {"control", "cli"}, "robots": {"robots", "cli"}}
@@ -125,10 +124,7 @@ GRAPH = {name: path.read_text() for name, path in MODULES.items() if name}
 def test_every_module_has_its_place():
     for name in GRAPH:
         folder, _, last = name.rpartition(".")
-        if folder.partition(".")[0] not in UNORDERED:
-            assert last in RANK[folder], (
-                f"give {name} a place in the order of {folder or PACKAGE.name}"
-            )
+        assert last in RANK[folder], f"give {name} a place in the order of {folder or PACKAGE.name}"
     every = {f"{f}.{n}".strip(".") for f, names in RANK.items() for n in names}
     assert sorted(every - GRAPH.keys()) == [], "these are gone"
 
@@ -165,7 +161,6 @@ def test_no_function_is_long():
     long = {
         f"{name}.{node.name}": count
         for name, source in GRAPH.items()
-        if name.partition(".")[0] not in UNORDERED
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.FunctionDef)
         and (count := code_lines(node, source.splitlines())) > MOST_LINES
@@ -190,13 +185,13 @@ def test_the_rules_can_fail():
         return upward(name, imports_of(name, source))
 
     assert says("maths.kalman", "from jax_inertia.model import robot")
-    assert says("dynamics.rigid_body", "def f():\n    from jax_inertia.gap.pool import A")
+    assert says("dynamics.rigid_body", "def f():\n    from jax_inertia.diagnosis.pipeline import A")
     assert says("maths.spatial", "from jax_inertia.maths.kalman import update")
     assert says("logs.log", "from jax_inertia.logs.readers.options import Options")
-    assert says("gap.pool", "import jax_inertia.robots.arm")
-    assert not says("gap.pool", "import jax_inertia.dynamics.rigid_body")
+    assert says("diagnosis.pipeline", "import jax_inertia.robots.arm")
+    assert not says("diagnosis.pipeline", "import jax_inertia.dynamics.rigid_body")
     assert not says("logs.log_files", "from jax_inertia.logs.readers.bag import read")
     with pytest.raises(AssertionError, match="import from modules"):
-        imports_of("gap.pool", "from jax_inertia import load_model")
+        imports_of("diagnosis.pipeline", "from jax_inertia import load_model")
     with pytest.raises(AssertionError, match="relative"):
-        imports_of("gap.pool", "from . import context")
+        imports_of("diagnosis.pipeline", "from . import context")

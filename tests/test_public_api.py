@@ -17,10 +17,10 @@ from diagnosis_made_up import diagnosis
 
 import jax_inertia as ji
 from jax_inertia.cli import estimate as command
+from jax_inertia.diagnosis import entry
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.estimate_inputs import CHARTS, Settings
-from jax_inertia.gap import either
 from jax_inertia.robots.pendulum import double_pendulum, swing
 
 GUESSED = [
@@ -208,47 +208,48 @@ def test_whole_logs_are_computed_in_double_precision(found):
 
 
 @pytest.fixture
-def both(monkeypatch, request):
-    """Which of the two ways was taken, without the minutes that they take."""
+def asked(monkeypatch):
+    """What the search is asked, without the minutes that it takes."""
     taken = []
 
-    def one_effect(robot, logs, asked, max_effects):
-        options = {"exclude": asked.exclude, "max_effects": max_effects}
-        taken.append(("one effect", logs[0], options))
+    def search(robot, log, **options):
+        taken.append((log, options))
         return diagnosis(Verdict.EXPLAINED)
 
-    def every_joint(robot, log, **options):
-        taken.append(("every joint", log, options))
-        return diagnosis(Verdict.EXPLAINED) if getattr(request, "param", True) else None
-
-    monkeypatch.setattr(either, "single_effects", one_effect)
-    monkeypatch.setattr(either.pipeline, "diagnose_as_bought", every_joint)
+    monkeypatch.setattr(entry.pipeline, "diagnose", search)
     return taken
 
 
-@pytest.mark.parametrize(("both", "missing"), [(True, True), (False, False)], indirect=["both"])
-def test_diagnose_takes_the_way_that_serves_the_model(both, missing):
+def test_diagnose_passes_on_what_a_user_states(asked):
     robot, log = ji.load_model(double_pendulum()), swing(load=0.5)
     found = ji.diagnose(robot, log, test_log=log, exclude=["backlash"], max_effects=2)
-    assert [way for way, *_ in both] == ["every joint"] + ["one effect"] * (not missing)
-    assert all(options["exclude"] == ["backlash"] for *_, options in both)
-    assert both[-1][2].get("max_effects", 2) == 2
+    ((_, options),) = asked
+    assert options["exclude"] == ["backlash"]
+    assert options["settings"].most_effects == 2
     assert str(found.verdict) == "explained"
     assert ji.to_report(found)["notes"][-1] == "of its own"
     assert repr(found).splitlines()[:2] == [
         "explained (confidence 0.90)",
         "  The model lacks friction.",
     ]
+    entry.diagnose(robot, log, nominal_uncertainty=(0.03, 0.002, 0.1))
+    settings = asked[-1][1]["settings"]
+    assert settings.most_effects is None
+    assert (settings.mass_tolerance, settings.com_stated, settings.inertia_tolerance) == (
+        0.03,
+        0.002,
+        0.1,
+    )
 
 
-def test_diagnose_reads_currents_by_gains_of_the_log(both):
+def test_diagnose_reads_currents_by_gains_of_the_log(asked):
     log = swing(load=0.5)
     current = dataclasses.replace(log, tau=log.tau / 4.0, tau_unit="A", tau_unit_text="A")
     found = ji.diagnose(ji.load_model(double_pendulum()), current)
     assert any(
         note.startswith("log: tau is in 'A': drive gains were taken") for note in found.notes
     )
-    assert np.std(both[0][1].tau) > 2.0 * np.std(current.tau)
+    assert np.std(asked[0][0].tau) > 2.0 * np.std(current.tau)
 
 
 def test_diagnose_refuses_what_it_does_not_know():

@@ -15,6 +15,7 @@ import pytest
 from excitation import compiled, loaded, motion_of, torques
 
 import jax_inertia as ji
+from jax_inertia.diagnosis.entry import diagnose
 from jax_inertia.estimation import log_filter
 from jax_inertia.estimation.checkpoint import (
     StateError,
@@ -26,7 +27,6 @@ from jax_inertia.estimation.checkpoint import (
 from jax_inertia.estimation.inertial_filter import Estimator, make_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.estimation.stream import Part, Stream, StreamState
-from jax_inertia.gap import diagnose
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths import charts
 from jax_inertia.maths.gates import ChiSquaredGate

@@ -10,8 +10,11 @@ import numpy as np
 
 import jax_inertia as ji
 from jax_inertia.diagnosis.effects.identified import effects_in
-from jax_inertia.diagnosis.simulate.corrected import corrected
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.result import Diagnosis, Verdict
 from jax_inertia.diagnosis.simulate.step_law import callback
+from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.estimation import batch_fit, log_filter
 from jax_inertia.estimation.checkpoint import load_stream, save_stream
 from jax_inertia.estimation.excitation import suggest_motion
@@ -22,9 +25,6 @@ from jax_inertia.estimation.motion_limits import Limits
 from jax_inertia.estimation.online.slew import Slew
 from jax_inertia.estimation.priors import Load
 from jax_inertia.estimation.stream import Stream
-from jax_inertia.gap import Diagnosis, Tolerance, Verdict, diagnose
-from jax_inertia.gap.finding import effects_of
-from jax_inertia.gap.report import to_report
 from jax_inertia.logs.readers import Options
 from jax_inertia.maths import charts
 from jax_inertia.maths.gates import ChiSquaredGate
@@ -107,16 +107,16 @@ def stream(robot: ji.Robot, chunks: Iterator[ji.Log], path: Path) -> None:
 
 
 def gap(robot: ji.Robot, log: ji.Log, folder: Path) -> Diagnosis:
-    found = diagnose(robot, log, exclude=["backlash"], nominal_uncertainty=Tolerance())
+    found = diagnose(robot, log, exclude=["backlash"], nominal_uncertainty=(0.01, 0.001, 0.02))
     if found.verdict is Verdict.EXPLAINED:
-        for finding in found.findings:
-            for name, p in finding.parameters.items():
-                print(finding.family, finding.place.name, name, p.value, p.low, p.high, p.unit)
+        for effect in found.found:
+            for name, p in effect.parameters.items():
+                print(effect.family, effect.place.name, name, p.value, p.low, p.high, p.unit)
     report = to_report(found)
     (folder / "report.json").write_text(json.dumps(report))
-    correction = corrected(load_spec(folder / "arm.xml"), effects_of(found))
-    correct = callback(correction.spec.compile(), effects_in(report))
-    print(correct, found.headline, correction.notes)
+    done = correction(load_spec(folder / "arm.xml"), robot, found)
+    correct = callback(done.spec.compile(), effects_in(report))
+    print(correct, found.headline, done.notes)
     return found
 
 

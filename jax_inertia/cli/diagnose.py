@@ -63,8 +63,8 @@ def add_parser(subparsers) -> None:
     )
     exclude_help = "families of effects that are out of the question"
     add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
-    effects_help = "look for so many effects at most (default 3)"
-    add("--max-effects", type=_count, default=3, metavar="N", help=effects_help)
+    effects_help = "look for so many odd effects at most (default: as many as LOG supports)"
+    add("--max-effects", type=_count, metavar="N", help=effects_help)
     uncertain_help = (
         "standard deviations of the model's masses (relative), centres of mass [m] and inertias (relative); "
         "default: what drawings of built arms are off by"

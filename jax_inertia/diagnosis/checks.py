@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.search.best_numbers import relinearised
+from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
@@ -65,6 +65,10 @@ class _Run(abc.ABC):
     evidence: Evidence
 
     @abc.abstractmethod
+    def torques(self, now: Posterior) -> Iterator[tuple[Hypothesis, Float[np.ndarray, "R n"]]]:
+        """Torque of each of the chosen on this run [N m]."""
+
+    @abc.abstractmethod
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of every row after everything chosen [N m]."""
 
@@ -117,11 +121,9 @@ class _Run(abc.ABC):
         # Of numbers that each log has its own of, the prior is all that is known.
         anew = tuple(hypothesis(self.residual, h.effect, h.place, h.shape, h.odds) for h in own)
         unknown = unknown + np.sum(scaled(anew, np.ones_like(self.residual.y)) ** 2, axis=1)
-        unknown = unknown.reshape(self.residual.y.shape)
-        for h, c in zip(lasting, there, strict=True):
-            if h.form_error:
-                unknown += (h.form_error * c.torque(now.mean[now.part(h)], unknown.shape)) ** 2
-        return rows(np.sqrt(unknown), self.residual.weight)
+        by_form = [(h.form_error * torque) ** 2 for h, torque in self.torques(now) if h.form_error]
+        variance = unknown.reshape(self.residual.y.shape) + np.sum(by_form, axis=0)
+        return rows(np.sqrt(variance), self.residual.weight)
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
         """Before, with the ordinary effects, after."""
@@ -185,15 +187,24 @@ class OtherRun(_Run):
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
-        """Residual of this run at numbers from the first.
+        """Residual of this run at numbers from the first."""
+        return self.residual.y - np.sum([torque for _, torque in self.torques(now)], axis=0)
+
+    def torques(self, now):
+        """At numbers from the first run.
 
         What happens once and was found in the first may happen in this one too: when, and how hard, this one tells.
         """
-        left = self.residual.y - self.predicted(now)
-        passing = {h.key: h for h in now.chosen if h.family in PASSING}
-        for h in passing.values():
-            left = left - self._once_more(left, h)
-        return left
+        left = self.residual.y.copy()
+        for h in now.chosen:
+            if h.family not in PASSING and not h.effect.of_log:
+                torque = elsewhere(h, self.residual).torque(now.mean[now.part(h)], left.shape)
+                left -= torque
+                yield h, torque
+        for h in {h.key: h for h in now.chosen if h.family in PASSING}.values():
+            torque = self._once_more(left, h)
+            left = left - torque
+            yield h, torque
 
     def _once_more(self, left: Float[np.ndarray, "R n"], h: Hypothesis) -> Float[np.ndarray, "R n"]:
         """Torque of the same in this run, zero where its evidence does not pay its odds."""
@@ -210,19 +221,14 @@ class OtherRun(_Run):
         gains = evidence.gains(nothing, moments) - [c.odds for c in moments]
         if not np.any(gains > 0):
             return np.zeros_like(left)
-        return evidence.posterior((moments[int(np.argmax(gains))],)).fitted
+        likeliest = moments[int(np.argmax(gains))]
+        best = at_best(self.residual, evidence, nothing, likeliest, ())
+        if best is not likeliest:
+            self._moments[h.key] = (*moments, best)
+        return evidence.posterior((best,)).fitted
 
     def left_without(self, now, asked):
         return (self.left(now.without(h)) for h in asked)
-
-    def predicted(self, now: Posterior) -> Float[np.ndarray, "R n"]:
-        """Torque of everything chosen on this run, at numbers from the first."""
-        out = np.zeros_like(self.residual.y)
-        for h, part in zip(now.chosen, now.slices, strict=True):
-            if h.family in PASSING or h.effect.of_log:
-                continue
-            out += elsewhere(h, self.residual).torque(now.mean[part], out.shape)
-        return out
 
 
 class HeldOut(_Run):
@@ -232,6 +238,9 @@ class HeldOut(_Run):
         self.evidence, self.residual = selection.evidence, selection.residual
         count = len(self.residual.y)
         self.fold = np.minimum(np.arange(count) * settings.folds // count, settings.folds - 1)
+
+    def torques(self, now):
+        return ((h, now.torque(h)) for h in now.chosen)
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of each stretch, fitted to the others."""

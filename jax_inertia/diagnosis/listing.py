@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from jax_inertia.diagnosis.checks import rivals, rows
+from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import ORDINARY_NUMBERS, added, intervals, reported
@@ -82,7 +83,15 @@ def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Foun
 
 
 def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
-    """'exact' where the two torques are one along this motion to a part in ten thousand of their energy."""
+    """'exact' where the two torques are one along this motion to a part in ten thousand of their energy.
+
+    A friction is a constant torque until its joint turns round.
+    """
+    side = selection.residual.context.side
+    for one in (h, other):
+        own = side[:, one.place.index]
+        if isinstance(one.effect, DryFriction) and own.min() * own.max() >= 0.0:
+            return "motion_limited"
     a = selection.posterior.torque(h).ravel()
     columns = np.zeros((a.size, other.count))
     if other.row is None:

@@ -43,6 +43,9 @@ def diagnose(
     """
     library, residual = _begun(robot, log, exclude, extra, settings, progress)
     selection, as_bought = None, np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
+    if state is None and residual.prepared.support is not None:
+        # Forces of the ground use up what legs' torques would say of their joints' ordinary physics.
+        state = CalibrationState.CALIBRATED
     if state is None:
         selection, as_bought = _selected_as_bought(residual, library, settings, progress)
         state = CalibrationState.CALIBRATED
@@ -50,24 +53,6 @@ def diagnose(
         selection = searched(
             started(residual, library, settings, state), library, settings, progress
         )
-    return _judged(robot, test_log, selection, as_bought, settings, progress)
-
-
-def diagnose_as_bought(
-    robot: Robot,
-    log: Log,
-    *,
-    test_log: Log | None = None,
-    exclude: Sequence[str] = (),
-    extra: Sequence[Effect] = (),
-    settings: Settings = Settings(),  # noqa: B008 (frozen)
-    progress: Progress = lambda stage: None,
-) -> Diagnosis | None:
-    """What `diagnose` finds of a model that is as bought; None, without a search, of one that is calibrated."""
-    library, residual = _begun(robot, log, exclude, extra, settings, progress)
-    selection, as_bought = _selected_as_bought(residual, library, settings, progress)
-    if selection is None:
-        return None
     return _judged(robot, test_log, selection, as_bought, settings, progress)
 
 
@@ -106,8 +91,20 @@ def _judged(
     fast = np.percentile(np.abs(context.v), 99, axis=0)
     return dataclasses.replace(
         found,
+        notes=(*selection.residual.log.notes, *_of_the_ground(selection.residual), *found.notes),
         undetectable_below=undetectable(selection),
         speed=dict(zip(context.row_names, fast.tolist(), strict=True)),
+    )
+
+
+def _of_the_ground(residual: Residual) -> tuple[str, ...]:
+    """What a log without contact wrenches can tell."""
+    if residual.prepared.support is None:
+        return ()
+    bodies = ", ".join(residual.prepared.support.bodies)
+    return (
+        f"no contact wrench is measured: forces at {bodies} are taken from their legs' own torques, so that an effect "
+        "is seen by what it does to the base's balance alone",
     )
 
 

@@ -91,6 +91,8 @@ class Settings:
     seeds 1 and 2."""
     likely: float = 0.5
     """Probability from which an odd effect is stated as a cause: less is a stand-in. Decision: more likely than not."""
+    most_effects: int | None = None
+    """How many odd effects are looked for; as many as the log supports, where it is left out."""
     most_steps: int = 30
     """Bound of the search's moves, a safeguard where equations are wrong everywhere (LWR4+): what comes later predicts
     nothing. None of 60 development logs keeps more than four odd effects."""

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from jax_inertia.diagnosis import entry as by_torque
 from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.report import json_report
 from jax_inertia.diagnosis.result import Diagnosis as ByTorque
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.estimation import log_estimate
 from jax_inertia.estimation.log_estimate import LogEstimate
-from jax_inertia.gap import either
-from jax_inertia.gap.finding import Diagnosis as OfOne
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.mujoco_types import MjSpec
@@ -61,24 +62,24 @@ def diagnose(
     more_logs: Sequence[Log] = (),
     test_log: Log | None = None,
     exclude: Sequence[str] = (),
-    max_effects: int = 3,
+    max_effects: int | None = None,
     kp: Sequence[float] | None = None,
     kd: Sequence[float] | None = None,
     fix_base: bool = False,
     progress: Callable[[str], None] = lambda stage: None,
-) -> OfOne | ByTorque | Diagnosis:
+) -> ByTorque | Diagnosis:
     """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds.
 
     `robot` is a loaded model, or the path of its file, which a log of targets needs: they are replayed, through the
     loop whose gains are known, where the base is fixed; torques of that loop are a further output of the replays.
     All results have `verdict`, `confidence`, `headline` and `notes`, and `to_report` makes report.json of each.
     `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
-    effects. Of logs with torque: `max_effects` holds where single effects are sought; torques that are no N m get one
-    drive gain per joint from the log itself, and a note says so; computed in double precision, whatever JAX is set to.
-    Of logs of targets: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the
-    position loop (one or each) and `fix_base` as in the command. Of a base that floats, the torque is what that loop
-    makes of the targets. Raises ValueError for an unknown family or an argument
-    of the other kind of log, and LogError for a log that cannot be used.
+    effects. Of logs with torque: `max_effects`, how many odd ones at most; torques that are no N m get one drive gain
+    per joint from the log itself, and a note says so; computed in double precision, whatever JAX is set to. Of logs of
+    targets: `more_logs` are fitted too, and may be of other gains; `kp` [N m/rad], `kd` [N m s/rad] of the position
+    loop (one or each) and `fix_base` as in the command. Of a base that floats, the torque is what that loop makes of
+    the targets. Raises ValueError for an unknown family or an argument of the other kind of log, and LogError for a log
+    that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -112,7 +113,7 @@ def diagnose(
                 f"{name} is for logs of targets that are replayed; this log is diagnosed by its torque"
             )
     loaded = robot if isinstance(robot, Robot) else load_model(robot)
-    return either.diagnose(
+    return by_torque.diagnose(
         loaded,
         log,
         test_log=test_log,
@@ -203,7 +204,7 @@ def by_replays(
     )
 
 
-def to_report(found: OfOne | ByTorque | LogEstimate | Diagnosis) -> dict[str, Any]:
+def to_report(found: ByTorque | LogEstimate | Diagnosis) -> dict[str, Any]:
     """report.json of what `diagnose` or `estimate` found: only JSON's own types, no NaN.
 
     >>> import jax_inertia as ji
@@ -214,4 +215,6 @@ def to_report(found: OfOne | ByTorque | LogEstimate | Diagnosis) -> dict[str, An
     """
     if isinstance(found, Diagnosis):
         return report.to_report(found)
-    return either.to_report(found)
+    if isinstance(found, LogEstimate):
+        return log_estimate.to_report(found)
+    return json_report.to_report(found)

@@ -74,19 +74,20 @@ def run(args: argparse.Namespace) -> int:
         inputs = diagnose_run.read(
             folder / "model.xml", folder / "hidden.npz", folder / "hidden_test.npz", []
         )
-        diagnosed = diagnose_run.single_effects(inputs, [], 3, stage)
-        diagnose_run.write(folder, inputs, diagnosed)
+        found, report = diagnose_run.by_torque(folder, inputs, [], None, stage)
     if args.json:
-        print(json.dumps(_numbers(compared, case.secret, diagnosed), indent=1, allow_nan=False))
+        hidden_was = {**dataclasses.asdict(case.secret), "judged": judged(case.secret, found)}
+        told = {**_numbers(compared), "hidden": hidden_was, "diagnosis": report}
+        print(json.dumps(told, indent=1, allow_nan=False))
     else:
         _print(compared, args.out)
-        _print_diagnosis(case.secret, diagnosed, args.out)
+        _print_diagnosis(case.secret, found, report, args.out)
     if args.show:
         _show(compared)
     return 0
 
 
-def _numbers(compared, secret, diagnosed) -> dict:
+def _numbers(compared) -> dict:
     scenario = compared.scenario
     return {
         "schema": 1,
@@ -106,8 +107,6 @@ def _numbers(compared, secret, diagnosed) -> dict:
             }
             for one in compared.runs
         ],
-        "hidden": {**dataclasses.asdict(secret), "judged": judged(secret, diagnosed.found)},
-        "diagnosis": diagnosed.report,
     }
 
 
@@ -148,15 +147,15 @@ def _print(compared, out: Path) -> None:
     console.print(f"The same log through the main command:\n  {again}", soft_wrap=True)
 
 
-def _print_diagnosis(secret, diagnosed, out: Path) -> None:
+def _print_diagnosis(secret, found, report: dict, out: Path) -> None:
     from rich.console import Console
 
-    from jax_inertia.cli import diagnose_run
+    from jax_inertia.cli import diagnose_output
 
     console = Console()
     console.print("\nThe same arm, with one effect that its model lacks:")
-    diagnose_run.show(diagnosed, out, as_json=False)
-    console.print(f"Hidden was: {secret}. {judged(secret, diagnosed.found)}", soft_wrap=True)
+    diagnose_output.show(found, report, out, as_json=False)
+    console.print(f"Hidden was: {secret}. {judged(secret, found)}", soft_wrap=True)
     again = (
         f"jax-inertia diagnose {out / 'hidden.npz'} --model {out / 'model.xml'} "
         f"--test-log {out / 'hidden_test.npz'}"
@@ -167,7 +166,7 @@ def _print_diagnosis(secret, diagnosed, out: Path) -> None:
 def judged(secret, found) -> str:
     """Whether a diagnosis found the secret, in a sentence; a number off by a quarter is not right."""
     doubt = " It trusts none of its own candidates." if str(found.verdict) == "unknown" else ""
-    for finding in found.findings:
+    for finding in found.found:
         if (finding.family, finding.place.name) == (secret.family, secret.place):
             value = next(iter(finding.parameters.values())).value
             error = abs(value - secret.size) / abs(secret.size)
@@ -177,7 +176,7 @@ def judged(secret, found) -> str:
         ties = {(t.family, t.place.name) for t in finding.equivalent}
         if (secret.family, secret.place) in ties:
             return f"The diagnosis has it among what it cannot tell apart in this motion.{doubt}"
-    if any(f.place.name == secret.place for f in found.findings):
+    if any(f.place.name == secret.place for f in found.found):
         return f"The diagnosis was wrong about the effect, and right about the place.{doubt}"
     return f"The diagnosis was wrong.{doubt}"
 

@@ -17,6 +17,17 @@ def usual_force(context) -> float:
     return max(10.0, 0.025 * weight)
 
 
+REACH = 0.06
+"""Standard deviation of a load's lever on links of 0.15 to 1 m whose centre of mass is at the joint [m]."""
+
+
+def lever_on(context, place) -> float:
+    """Standard deviation of a lever on a body [m]: as far from the joint as its own centre of mass, and `REACH`."""
+    pi = context.pi[place.index]
+    own = float(np.linalg.norm(pi[1:4])) / max(float(pi[0]), 1e-9)
+    return float(np.hypot(REACH * context.scale, own))
+
+
 def push_window(xp: ModuleType, time, start: float, end: float, flank: float, skew: float):
     """w(t): flat between two flanks (Tukey's window; Harris 1978), and skewed, since nobody pushes symmetrically.
 
@@ -48,19 +59,29 @@ class _Force(Effect):
 
 
 class ConstantForce(_Force):
-    name, equation = "constant_force", "Jᵀ f, f fixed in the world"
+    """θ = [f, p], p from the centre of mass along the body's axes; bilinear, the secant at θ."""
+
+    name, equation, secant = "constant_force", "J(p)ᵀ f, f fixed in the world, p on the body", True
     source, advice = "a cable, a hoist, a balancer", advice.BRISK
-    units = {"force_x": "N", "force_y": "N", "force_z": "N"}
-    prior = "10 N along each axis, more on a robot of over 40 kg"
+    units = {f"force_{k}": "N" for k in "xyz"} | {f"point_{k}": "m" for k in "xyz"}
+    prior = "10 N along each axis, more on a robot of over 40 kg; at the centre of mass, give or take a link"
+
+    def shapes(self, context, place):
+        return [(0.0,) * 6]
 
     def columns(self, context, place, shape):
-        return Columns(context.force_rows[:, place.index])
+        moved = context.lever_rows(place.index) @ np.asarray(shape[:3])
+        return Columns(np.concatenate([context.force_rows[:, place.index], moved], axis=-1))
 
     def scale(self, context, place, shape):
-        return np.full(3, usual_force(context))
+        lever = lever_on(context, place)
+        return np.append(np.full(3, usual_force(context)), np.full(3, lever))
 
     def numbers(self, context, place, shape, theta):
-        return components(theta)
+        pi = context.pi[place.index]
+        own = pi[1:4] / pi[0] if pi[0] > 0 else np.zeros(3)
+        point = zip("xyz", own + theta[3:], strict=True)
+        return components(theta[:3]) | {f"point_{k}": Parameter(float(x), "m") for k, x in point}
 
     def step(self, xp, now, at, applied: Applied) -> Applied:
         return applied._replace(wrench=applied.wrench + at.body * wrench_at(xp, now, at))

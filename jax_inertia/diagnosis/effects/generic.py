@@ -104,14 +104,14 @@ class Swinging(Effect):
 
     def columns(self, context, place, shape):
         step, omega = float(context.time[1] - context.time[0]), 2 * np.pi * shape[0]
-        a = context.acceleration[:, place.index]
+        a = context.a[:, place.index]
         # φ − q swings as −q̈ drives it: its position and speed are the torques of spring and damper.
         b, c = signal.bilinear([1.0], [1.0, 2 * SWING_DAMPING * omega, omega**2], 1.0 / step)
         angle = -np.asarray(signal.lfilter(b, c, a))
         return of_row(np.stack([omega**2 * angle, omega * np.gradient(angle, step)], 1), place)
 
     def scale(self, context, place, shape):
-        top = np.percentile(np.abs(context.acceleration[:, place.index]), 99.5)
+        top = np.percentile(np.abs(context.a[:, place.index]), 99.5)
         return np.full(2, 0.1 * peak_of(context, place.index) / max(float(top), 1e-6))
 
     def numbers(self, context, place, shape, theta):

@@ -7,13 +7,12 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
+from jax_inertia.diagnosis.effects.external_force import lever_on
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.model.load import body_pi, set_inertials
 
 SIZE = 0.1
 """A load's usual radius of gyration on such links [m]."""
-REACH = 0.06
-"""Standard deviation of a load's lever on links of 0.15 to 1 m whose centre of mass is at the joint [m]."""
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """A ball's inertia of one, among a body's parameters."""
 LIFTED = (
@@ -131,9 +130,7 @@ class Payload(_Inertial):
 
     def scale(self, context, place, shape):
         # As far from the joint as the body's own centre of mass; its moments by its mass: p(m c | m), p(m k² | m).
-        pi = context.pi[place.index]
-        own = float(np.linalg.norm(pi[1:4])) / self.mass(context, place)
-        lever, size = float(np.hypot(REACH * context.scale, own)), (SIZE * context.scale) ** 2
+        lever, size = lever_on(context, place), (SIZE * context.scale) ** 2
         usual = self.usual_mass(context, place)
         mass = max(float(shape[0]), LEAST * usual)
         return np.array([usual, *(mass * np.array([lever, lever, lever, size]))])

@@ -53,10 +53,10 @@ class Armature(_AlongTheJoint):
     mjcf = "joint armature"
 
     def columns(self, context, place, shape):
-        return of_row(-context.acceleration[:, place.index], place)
+        return of_row(-context.a[:, place.index], place)
 
     def scale(self, context, place, shape):
-        top = np.percentile(np.abs(context.acceleration[:, place.index]), 99.5)
+        top = np.percentile(np.abs(context.a[:, place.index]), 99.5)
         return np.array([0.3 * peak_of(context, place.index) / max(float(top), 1e-6)])
 
     def lower(self, context, place):

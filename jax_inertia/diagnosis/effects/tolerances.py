@@ -77,7 +77,7 @@ class StatedNumbers(Effect):
 
     def columns(self, context, place, shape):
         row, own = place.index, self.own(context, place)
-        motion = context.v[:, row], context.side[:, row], context.acceleration[:, row]
+        motion = context.v[:, row], context.side[:, row], context.a[:, row]
         return of_row(-shape[0] * np.stack(motion, 1) * own, place)
 
     @staticmethod

@@ -54,7 +54,7 @@ class JointCoupling(Effect):
         j, i = place.index, context.joint_dofs[place.other]
         out = np.zeros((*context.tau.shape, 2))
         out[:, i, 0] = context.link_torque[:, j] + context.damping[j] * context.v[:, j]
-        out[:, j, 0] = -context.armature[j] * context.acceleration[:, i]
+        out[:, j, 0] = -context.armature[j] * context.a[:, i]
         if shape[0]:
             turned = np.sign(context.v[:, j] + shape[0] * context.v[:, i]) - context.side[:, j]
             out[:, j, 0] -= context.frictionloss[j] * turned / shape[0]

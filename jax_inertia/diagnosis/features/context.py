@@ -9,7 +9,6 @@ from jaxtyping import Float
 from scipy import signal
 
 from jax_inertia.diagnosis.features import derivatives
-from jax_inertia.diagnosis.features.band import Band
 from jax_inertia.diagnosis.features.two_mass import DrivenLink, OwnFriction
 from jax_inertia.maths.inertial_parameters import centre_of_mass
 from jax_inertia.model.robot import HINGE, SLIDE
@@ -37,13 +36,10 @@ CREEP_BAND = 40.0
 
 
 class Context:
-    """Cached quantities of one prepared log; arrays have time first, on the fast grid.
+    """Cached quantities of one prepared log; arrays have time first, on the fast grid."""
 
-    `band`: which of its accelerations are motion; without it, all of them.
-    """
-
-    def __init__(self, prepared: Prepared, band: Band | None = None):
-        self.prepared, self.band = prepared, band
+    def __init__(self, prepared: Prepared):
+        self.prepared = prepared
         self.robot = prepared.robot
         motion = prepared.observation.motion
         self.time = np.asarray(motion.time) - np.asarray(motion.time)[0]
@@ -69,7 +65,7 @@ class Context:
 
     def echo(self, again: Prepared) -> "Context":
         """The same log with more noise; what that hardly changes is shared."""
-        out = Context(again, self.band)
+        out = Context(again)
         # A cached property lives in the instance's dictionary.
         out.__dict__["sensitivity"] = self.sensitivity
         out._bends, out._along = self._bends, self._along
@@ -124,11 +120,6 @@ class Context:
         longest = float(np.max([*links, *centres], initial=1e-6))
         return longest / float(np.clip(longest, *USUAL))
 
-    @functools.cached_property
-    def acceleration(self) -> np.ndarray:
-        """Acceleration in the motion's band, for columns that it is in (T, nv)."""
-        return self.a if self.band is None else self.band.motion(self.a, self.prepared.rate)
-
     def below(self, cutoff: float, x: np.ndarray) -> np.ndarray:
         """The part of signals on the fast grid (T, ...) below a frequency [Hz]."""
         return below(cutoff, x, self.prepared.rate)
@@ -144,8 +135,8 @@ class Context:
 
     @functools.cached_property
     def regressor(self) -> np.ndarray:
-        """Torque regressor of all bodies, with `acceleration` (T, nv, nb, 10)."""
-        return derivatives.regressor(self.robot, (self.q, self.v, self.acceleration))
+        """Torque regressor of all bodies (T, nv, nb, 10)."""
+        return derivatives.regressor(self.robot, (self.q, self.v, self.a))
 
     @functools.cached_property
     def sensitivity(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -56,7 +56,7 @@ def searched(
             every = (*every, *pushes(residual, evidence, now, push, settings))
         before = now.chosen
         bank = Bank(every)
-        now = _stepwise(residual, evidence, now, bank, settings.most_steps)
+        now = _stepwise(residual, evidence, now, bank, settings)
         now = _refined(residual, evidence, now, bank)
         now = reconsidered(residual, evidence, now, tried, settings)
         if _numbers_of(now.chosen) == _numbers_of(before):
@@ -86,13 +86,20 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
     return learned(evidence, now.chosen, 1)
 
 
-def _stepwise(residual, evidence: Evidence, now: Posterior, bank: Bank, most: int):
+def _stepwise(
+    residual, evidence: Evidence, now: Posterior, bank: Bank, settings: Settings
+) -> Posterior:
     """Add what gains most, delete what has lost its evidence, exchange what another explains better."""
     # What is not added to some may do better in the place of one of them.
     barred: set[int] = set()
     gone: set[int] = set()
+    most = np.inf if settings.most_effects is None else settings.most_effects
     ways = [
-        lambda now: _added(residual, evidence, now, bank, barred),
+        lambda now: (
+            _added(residual, evidence, now, bank, barred)
+            if sum(h.is_odd for h in now.chosen) < most
+            else None
+        ),
         # One for one, and for good: that may be back to what was driven out by the way.
         lambda now: _exchanged(residual, evidence, now, bank, gone),
         lambda now: _merged(residual, evidence, now, bank),
@@ -100,7 +107,7 @@ def _stepwise(residual, evidence: Evidence, now: Posterior, bank: Bank, most: in
     if evidence.exact:
         # Where equations are right, first: what two say worse than one leaves something for a third to say.
         ways = [ways[-1], *ways[:-1]]
-    for _ in range(most):
+    for _ in range(settings.most_steps):
         moved = next((m for m in (way(now) for way in ways) if m is not None), None)
         if moved is None:
             break

@@ -1,6 +1,5 @@
 """A model in MuJoCo C, run from a log's states by its torques, and the log as that needs it."""
 
-import dataclasses
 import warnings
 from collections.abc import Sequence
 
@@ -28,14 +27,6 @@ STIFFEST = 0.2
 
 CREEPS = -1.0
 """In place of a displacement over which friction turns round: as MuJoCo's soft constraint at its defaults."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Erring:
-    """Torque that the nominal model's own errors most likely have along a log."""
-
-    time: Float[np.ndarray, " R"]
-    torque: Float[np.ndarray, "R nv"]
 
 
 _UNSTABLE = (
@@ -161,13 +152,8 @@ class Plant:
         return np.diagonal(full)[self.rows]
 
     @mujoco_warnings()
-    def run(
-        self, recording: Recording, k: int, samples: np.ndarray, erring: Erring | None = None
-    ) -> Float[np.ndarray, "S nv"]:
-        """Positions at the samples, as the log's encoders would show them; zero on other rows.
-
-        `erring`: errors of the model that act as well.
-        """
+    def run(self, recording: Recording, k: int, samples: np.ndarray) -> Float[np.ndarray, "S nv"]:
+        """Positions at the samples, as the log's encoders would show them; zero on other rows."""
         model, data, torque = self.model, self.data, recording.torque
         time, step = recording.prepared.time, model.opt.timestep
         start, origin = float(time[k]), float(time[0])
@@ -185,10 +171,6 @@ class Plant:
         # The torque of the middle of each step.
         middle = start + (np.arange(steps) + 0.5) * step
         applied, held = self._on_rows(torque(middle)), torque.index(middle)
-        errors = np.zeros_like(applied)
-        if erring is not None:
-            rows = [np.interp(middle - origin, erring.time, x) for x in erring.torque.T]
-            errors = self._on_rows(np.stack(rows, axis=1))
         seen, scale = self.places[self.adr[own]], self.scale[own]
         for n in range(steps + 1):
             if n in marks:
@@ -206,8 +188,6 @@ class Plant:
                 bent = side + (bent - side) * np.exp(-np.abs(moved) / reach)
                 data.qfrc_applied[mine] -= model.dof_frictionloss[mine] * bent
                 model.dof_frictionloss[mine] = 0.0
-            # Behind what the drive passes on: a gain or a limit is none of it.
-            data.qfrc_applied += errors[n]
             if torque.wrench is not None:
                 self._push(torque.bodies, torque.wrench[held[n]])
             mujoco.mj_step(model, data)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.simulate.corrected import Correction
-from jax_inertia.diagnosis.simulate.plant import Erring, Plant, Recording
+from jax_inertia.diagnosis.simulate.plant import Plant, Recording
 from jax_inertia.logs.log import Log
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
@@ -74,37 +74,25 @@ class Rollouts:
         return _last(self.noise)
 
 
-@dataclasses.dataclass(frozen=True)
-class Known:
-    """What a diagnosis knows of a log apart from its effects, which rollouts must not stumble over."""
-
-    turning: Float[np.ndarray, " nv"]
-    """Displacement over which each row's dry friction turns round after a reversal [rad], or `plant.CREEPS`."""
-    erring: Erring | None
-    """What the diagnosis excuses belongs to the floor."""
-    log: Log
-    """The log, stating the noise of its sensors as far as that was learned."""
-
-
 def rollouts(
     nominal: MjSpec,
     correction: Correction,
     robot: Robot,
     log: Log,
-    given: Known,
+    turning: Float[np.ndarray, " nv"],
     *,
     horizon: float = 0.25,
     windows: int = 36,
     seed: int = 0,
 ) -> Rollouts | None:
     """Roll both models out from evenly spaced moments of the log; None where nothing moves, or where contacts are
-    not measured.
+    not measured. `turning`: displacement over which each row's dry friction turns round [rad], or `plant.CREEPS`.
     """
     if robot.has_free_base and log.contact_wrench is None:
         return None
     effects = correction.effects
     clean, rng = Recording(robot, log, effects), np.random.default_rng(seed)
-    noisy = [Recording(robot, perturbed(given.log, rng), effects) for _ in range(_DRAWS)]
+    noisy = [Recording(robot, perturbed(log, rng), effects) for _ in range(_DRAWS)]
     prepared = clean.prepared
     passing = [e.values["start"] for e in effects if e.family == "push"]
     starts = _starts(prepared, horizon, windows, passing)
@@ -113,8 +101,8 @@ def rollouts(
     period = 1.0 / log.rate
     step = period / max(1, round(period / _STEP))
     samples = np.linspace(0.0, horizon, 26)
-    before = Plant(nominal, robot, (), step, given.turning)
-    after = Plant(correction.spec, robot, effects, step, given.turning, correction.extra)
+    before = Plant(nominal, robot, (), step, turning)
+    after = Plant(correction.spec, robot, effects, step, turning, correction.extra)
     joints = [k for k, adr in enumerate(before.adr) if adr >= 0]
     paths: list[list[np.ndarray]] = [[], [], []]
     for k in starts.tolist():
@@ -124,7 +112,7 @@ def rollouts(
         paths[1].append(own - measured)
         for again in noisy:
             drift = _positions(again.prepared, before, k, samples) - measured
-            paths[2].append(after.run(again, k, samples, given.erring) - own - drift)
+            paths[2].append(after.run(again, k, samples) - own - drift)
     rotates = {
         name: robot.topology.dof_rotates[row]
         for name, row in zip(robot.joint_names, robot.joint_dofadr, strict=True)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.identified import GAIN, Identified
@@ -11,8 +12,6 @@ from jax_inertia.diagnosis.effects.registry import DRY_FORMS, known
 from jax_inertia.diagnosis.result import Diagnosis, Found
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.plant import CREEPS
-from jax_inertia.diagnosis.simulate.rollout import Known
-from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
@@ -43,13 +42,13 @@ def correction(
     return dataclasses.replace(done, notes=(*done.notes, *notes))
 
 
-def known_of(found: Diagnosis, robot: Robot, log: Log) -> Known:
-    """What rollouts of the log need to know apart from the effects."""
+def turning_of(found: Diagnosis, robot: Robot) -> Float[np.ndarray, " nv"]:
+    """Displacement over which each row's dry friction turns round [rad], or `CREEPS`, for rollouts."""
     turning = np.zeros(robot.nv)
     for joint, reach in found.presliding.items():
         row = robot.joint_dofadr[robot.joint_index(joint)]
         turning[row] = reach if reach >= 0 else CREEPS
-    return Known(turning, None, log)
+    return turning
 
 
 def _identified(f: Found) -> Identified:

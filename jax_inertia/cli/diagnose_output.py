@@ -12,7 +12,7 @@ from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.page import page
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.simulate.rollout import rollouts
-from jax_inertia.diagnosis.simulate.whole_robot import correction, known_of
+from jax_inertia.diagnosis.simulate.whole_robot import correction, turning_of
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import compile_spec, is_urdf, load_spec, model_path, write_urdf
 from jax_inertia.model.robot import Robot
@@ -38,7 +38,7 @@ def write(
     rolled = None
     # Joints that are held are free in the file.
     if compile_spec(nominal).nv == robot.nv:
-        rolled = rollouts(nominal, done, robot, log, known_of(found, robot, log))
+        rolled = rollouts(nominal, done, robot, log, turning_of(found, robot))
     report = to_report(found, rollouts=rolled, quality=quality)
     report["notes"] += list(done.notes)
     text = json.dumps(report, indent=1, allow_nan=False)

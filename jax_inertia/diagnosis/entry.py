@@ -1,0 +1,127 @@
+"""The diagnosis of logs as they come: looked at first, in N m, then the search of the whole robot (`pipeline`)."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from jax_inertia.diagnosis import pipeline
+from jax_inertia.diagnosis.effects.base import Effect
+from jax_inertia.diagnosis.effects.registry import NAMES
+from jax_inertia.diagnosis.result import Diagnosis
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.precision import in_double_precision
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.drive_gains import drive_gains, in_newton_metres
+from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
+from jax_inertia.signals.held import with_loop_torque
+
+
+@in_double_precision
+def diagnose(
+    robot: Robot,
+    log: Log,
+    *,
+    test_log: Log | None = None,
+    exclude: Sequence[str] = (),
+    extra: Sequence[Effect] = (),
+    max_effects: int | None = None,
+    nominal_uncertainty: tuple[float, float, float] | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diagnosis:
+    """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds of its torques.
+
+    `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
+    effects, `extra` adds effects of your own; `max_effects`: how many odd ones at most, as many as the log supports
+    without it. `nominal_uncertainty`: one standard deviation of the model's masses (relative), centres of mass [m] and
+    rotational inertias (relative). Torques that are no N m get one drive gain per joint from the log itself, and a note
+    says so. Computed in double precision, whatever JAX is set to. Raises ValueError for an unknown family, and LogError
+    for a log that cannot be used.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = ji.diagnose(ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0))
+    >>> str(found.verdict), ji.to_report(found)["effects"][0]["family"]
+    ('explained', 'payload')
+    """
+    if unknown := unknown_families(exclude):
+        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
+    settings = stated(max_effects, nominal_uncertainty)
+    progress("looking at the log")
+    robot = robot.astype("float64")
+    notes, drives = [], None
+    logs = {"log": log} | ({} if test_log is None else {"test_log": test_log})
+    for name, one in logs.items():
+        try:
+            logs[name], drives, findings = usable(one, robot, drives, name)
+        except LogError as error:
+            raise LogError(f"{name}: {error}") from None
+        notes += [f"{name}: {f.message}" for f in findings if f.severity is Severity.WARNING]
+    found = pipeline.diagnose(
+        robot,
+        logs["log"],
+        test_log=logs.get("test_log"),
+        exclude=exclude,
+        extra=extra,
+        settings=settings,
+        progress=progress,
+    )
+    return dataclasses.replace(found, notes=(*notes, *found.notes))
+
+
+def unknown_families(names: Sequence[str]) -> list[str]:
+    """Those that are no families of effects."""
+    return sorted(set(names) - set(NAMES))
+
+
+def stated(
+    max_effects: int | None, nominal_uncertainty: tuple[float, float, float] | None
+) -> Settings:
+    """Settings with what a user states: how many odd effects at most, and what the model may be off by."""
+    if max_effects is not None and max_effects < 1:
+        raise ValueError(f"max_effects is {max_effects}; at least one")
+    settings = Settings(most_effects=max_effects)
+    if nominal_uncertainty is None:
+        return settings
+    mass, com, inertia = nominal_uncertainty
+    return dataclasses.replace(
+        settings, mass_tolerance=mass, com_stated=com, inertia_tolerance=inertia
+    )
+
+
+class Drives(NamedTuple):
+    """How torques of a log are read, and with it those of another motion."""
+
+    gains: list[float]
+    """N m per unit of the log, one for each joint; none for a log in N m."""
+    unit: str
+    name: str
+    """Of the log that they were taken from."""
+
+
+def usable(
+    log: Log, robot: Robot, drives: Drives | None, name: str
+) -> tuple[Log, Drives, tuple[Finding, ...]]:
+    """A log in N m, how its torques were read, and what there is to say of it; LogError where it cannot be used.
+
+    `drives` are those of the log before, if there is one: a gain that does not carry over is part of what is tested.
+    """
+    if log.tau is None:
+        if not robot.has_free_base or log.qpos_target is None:
+            raise LogError(NO_TORQUE)
+        log = with_loop_torque(log, log.kp, log.kd)
+    found = preflight(log, robot)
+    found.raise_for_errors()
+    for finding in found.findings:
+        if finding.check == "no_motion" and finding.severity is Severity.WARNING:
+            raise LogError(finding.message)
+    remarks: tuple[Finding, ...] = ()
+    if drives is None:
+        try:
+            gains, remarks = drive_gains(log, robot)
+        except ValueError as error:
+            raise LogError(str(error)) from None
+        drives = Drives(gains, log.tau_unit_text, name)
+    elif log.tau_unit_text != drives.unit:
+        raise LogError(f"tau is in {log.tau_unit_text!r}, {drives.name} in {drives.unit!r}")
+    return in_newton_metres(log, drives.gains), drives, (*found.findings, *remarks)
