@@ -5,7 +5,7 @@
 ANSWERS holds NAME.json (truth), LOGS the folder NAME of each. The test motion is made once more, with a drive and
 sensors that have no noise but state what they had. Only the effects are missing there, and how friction turns over:
 
-    true share = 1 − √((after² − model²)/(before² − model²)),    model²: what goes with the nominal model's own errors
+    true share = 1 − after / before
 
 Logs whose nominal model is off are left out: what is owed to it, and what to the effect, would be a matter of taste.
 """
@@ -26,8 +26,8 @@ from world.plan import Setting
 from world.unknowns import UNKNOWN, hide_unknown
 
 from jax_inertia import load_model
-from jax_inertia.gap import diagnose
-from jax_inertia.gap.finding import Diagnosis
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.log_files import read_log
 
@@ -62,16 +62,14 @@ def shares(folder: Path, truth: dict) -> dict[str, float | None]:
     measured = diagnose(robot, log, test_log=noisy)
     clean = diagnose(robot, log, test_log=without_noise(truth, noisy))
     return {
-        "foretold": measured.heldout.share if measured.findings else None,
+        "foretold": measured.heldout.share if measured.found else None,
         "measured": _share(measured),
-        "true": _share(clean, sensors=False),
+        "true": _share(clean),
     }
 
 
-def _share(found: Diagnosis, sensors: bool = True) -> float | None:
-    if found.test is None or not found.findings:
-        return None
-    return (found.test if sensors else replace(found.test, sensors=0.0)).share
+def _share(found: Diagnosis) -> float | None:
+    return None if found.test is None or not found.found else found.test.share
 
 
 def main() -> None:

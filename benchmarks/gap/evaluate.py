@@ -38,8 +38,8 @@ def run(job: tuple[str, str, str]) -> dict:
 
     jax.config.update("jax_enable_x64", True)
     import jax_inertia
-    from jax_inertia.gap import diagnose
-    from jax_inertia.gap.report import to_report
+    from jax_inertia.diagnosis.entry import diagnose
+    from jax_inertia.diagnosis.report.json_report import to_report
     from jax_inertia.logs.log_files import read_log
 
     warnings.simplefilter("ignore")

@@ -26,11 +26,12 @@ from benchmarks.paper.loop import Run
 from benchmarks.paper.plant import mjcf
 from benchmarks.paper.shared_out import Wanted, every
 from jax_inertia import load_model
-from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.effects.identified import Identified, effects_in
+from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.report.json_report import to_report
+from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.simulate.corrected import corrected
 from jax_inertia.dynamics.rigid_body import body_poses, contact_torque
-from jax_inertia.gap import diagnose
-from jax_inertia.gap.finding import Diagnosis, effects_of
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.maths.inertial_parameters import centre_of_mass
@@ -61,7 +62,9 @@ class Informed(Brain):
     """A brain whose estimator knows what a diagnosis found: in its robot's model, or as forces and friction beside."""
 
     force: Float[Array, "k 3"]
-    """Constant, world axes, at the centre of mass of each of `pushed` [N]."""
+    """Constant, world axes, on each of `pushed` [N]."""
+    point: Float[Array, "k 3"]
+    """Where it acts, in the body's axes [m]."""
     load: Float[Array, " nv"]
     """Dry friction per newton metre of the motor's torque."""
     pushed: tuple[str, ...] = eqx.field(static=True)
@@ -72,7 +75,7 @@ class Informed(Brain):
         q, v, tau = (jnp.asarray(y) for y in (own.motion.q, own.motion.v, own.motion.tau))
         index = np.array([self.robot.body_index(name) for name in self.pushed], int)
         rotation, _ = body_poses(self.robot, q)
-        arm = jnp.einsum("kij,kj->ki", rotation[index], centre_of_mass(self.robot.pi[index]))
+        arm = jnp.einsum("kij,kj->ki", rotation[index], self.point)
         wrench = jnp.concatenate([self.force, cross(arm, self.force)], axis=-1)
         friction = self.load * jnp.abs(tau) * jnp.tanh(v / FRICTION_VELOCITY)
         known = contact_torque(self.robot, q, wrench, self.pushed) - friction
@@ -85,12 +88,16 @@ def informed(brain: Brain, effects: Sequence[Identified], pushed: tuple[str, ...
     Raises ValueError for an effect that it cannot be told of.
     """
     robot, force = brain.estimator.robot, np.zeros((len(pushed), 3))
-    load = np.zeros(robot.nv)
+    index = np.array([robot.body_index(name) for name in pushed], int)
+    point, load = np.array(centre_of_mass(robot.pi[index])), np.zeros(robot.nv)
     spec = mujoco.MjSpec.from_string(mjcf())
     beside = corrected(spec, effects).by_callback
     for effect in beside:
         if effect.family == "constant_force":
-            force[pushed.index(effect.name)] += [effect.values[f"force_{k}"] for k in "xyz"]
+            at = pushed.index(effect.name)
+            force[at] += effect.vector("force")
+            if "point_x" in effect.values:
+                point[at] = effect.vector("point")
         elif effect.family == "load_friction":
             joint = robot.joint_names.index(effect.name)
             load[robot.joint_dofadr[joint]] += effect.values["load_coefficient"]
@@ -106,6 +113,7 @@ def informed(brain: Brain, effects: Sequence[Identified], pushed: tuple[str, ...
         brain.refer,
         brain.damping,
         jnp.asarray(force),
+        jnp.asarray(point),
         jnp.asarray(load),
         pushed,
     )
@@ -170,7 +178,7 @@ def results(seeds: np.ndarray) -> dict:
     )
     log, robot = as_log(ran, len(seeds))
     found = diagnose(robot, log, max_effects=MOST)
-    told, untold = knowable(effects_of(found))
+    told, untold = knowable(effects_in(to_report(found)))
     pushed = tuple(dict.fromkeys(e.name for e in told if e.family == "constant_force"))
     brain = curl.mind()
 
@@ -213,11 +221,11 @@ def _told(found: Diagnosis) -> dict:
             {
                 "family": f.family,
                 "place": f.place.name,
-                "sizes": list(f.sizes),
-                "explained": f.explained,
+                "sizes": [f.sizes],
+                "explained": f.share,
                 "ties": [f"{t.family} at {t.place.name}" for t in f.equivalent],
             }
-            for f in found.findings
+            for f in found.found
         ],
     }
 

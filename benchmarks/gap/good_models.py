@@ -1,11 +1,10 @@
-"""Single effects on good models: how the search of the whole robot does beside the search for one effect.
+"""Effects on models that have their ordinary physics: logs drawn, diagnosed and counted in one go.
 
-    python benchmarks/gap/parity.py OUT --seed 21 --jobs 16 [--seconds 500]
-    python benchmarks/gap/parity.py OUT --table
+    python benchmarks/gap/good_models.py OUT --seed 21 --jobs 16 [--seconds 500]
+    python benchmarks/gap/good_models.py OUT --table
 
-Draws logs of the generator's strata with fixed bases (`generate.py`), diagnoses each with both searches, whatever the
-log says of its model, and writes a row per log and search into OUT/rows. The table is by kind of log and by family.
-A second call skips what is done; `--seconds` starts no log after that.
+Draws logs of the generator's strata (`generate.py`), diagnoses each, and writes a row per log into OUT/rows. The table
+is by kind of log and by family. A second call skips what is done; `--seconds` starts no log after that.
 """
 
 from __future__ import annotations
@@ -36,34 +35,20 @@ COUNTS = {
     "backlash": 6,
     "unknown": 18,
     "pair": 20,
+    "legged": 22,
+    "legged_none": 10,
 }
-"""Logs of each stratum: every family of arms comes once in the first three."""
+"""Logs of each stratum: every family of arms comes once in the first three, of legs in `legged`."""
 KNOWN = {"joint_coupling": "joint_coupling", "quadratic_friction": "quadratic_viscous"}
 """Families of mechanisms that were in no library when the generator was written."""
-SEARCHES = ("one effect", "whole robot")
+QUIET = ("none", "legged_none")
 
 
-def diagnosed(robot, logs: tuple, search: str):
-    """(report, votes [nats] that the model lacks ordinary physics; None of the other search)."""
-    from jax_inertia.diagnosis import pipeline
-    from jax_inertia.diagnosis.report import json_report as whole_report
-    from jax_inertia.gap import diagnosis as single
-    from jax_inertia.gap import report as single_report
-
-    log, test = logs
-    if search == "whole robot":
-        found = pipeline.diagnose(robot, log, test_log=test)
-        return whole_report.to_report(found), found.as_bought
-    return single_report.to_report(single.diagnose(robot, log, test_log=test)), None
-
-
-def run(job: tuple[str, int, str, int, tuple[str, ...], float]) -> str:
-    """Draws one log, asks each search, writes a row for each; the line that says how it went."""
-    out, seed, stratum, index, searches, until = job
-    rows = Path(out) / "rows"
-    files = {s: rows / f"{stratum}-{index:05d}-{s.replace(' ', '_')}.json" for s in searches}
-    left = [s for s in searches if not files[s].exists()]
-    if not left or time.time() > until:
+def run(job: tuple[str, int, str, int, float]) -> str:
+    """Draws one log, diagnoses it, writes its row; the line that says how it went."""
+    out, seed, stratum, index, until = job
+    file = Path(out) / "rows" / f"{stratum}-{index:05d}.json"
+    if file.exists() or time.time() > until:
         return ""
     data = Path(out) / "data" / stratum
     (data / "truth").mkdir(parents=True, exist_ok=True)
@@ -71,47 +56,41 @@ def run(job: tuple[str, int, str, int, tuple[str, ...], float]) -> str:
         generate.write(data, stratum, seed, index)
     except RuntimeError as error:
         return f"{stratum} {index}: {error}"
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
     import jax_inertia
-    from jax_inertia.gap.either import usable
+    from jax_inertia.diagnosis.entry import diagnose
+    from jax_inertia.diagnosis.report.json_report import to_report
     from jax_inertia.logs.log import LogError
     from jax_inertia.logs.log_files import read_log
 
     warnings.simplefilter("ignore")
     truth = json.loads((data / "truth" / f"{index:05d}.json").read_text())
     folder = data / "logs" / f"{index:05d}"
-    robot = jax_inertia.load_model(folder / "nominal.xml").astype("float64")
+    robot = jax_inertia.load_model(folder / "nominal.xml")
+    log, test = (read_log(folder / f"{name}.npz") for name in ("log", "test"))
+    row = {"stratum": stratum, "log": f"{index:05d}"}
+    start = time.process_time()
     try:
-        log, drives, _ = usable(read_log(folder / "log.npz"), robot, None, "log")
-        test, _, _ = usable(read_log(folder / "test.npz"), robot, drives, "test_log")
+        found = diagnose(robot, log, test_log=test)
     except LogError as error:
-        # Neither search sees it.
         return f"{stratum} {index}: refused, {error}"
-    said = []
-    for search in left:
-        row = {"stratum": stratum, "log": f"{index:05d}", "search": search}
-        start = time.process_time()
-        try:
-            report, votes = diagnosed(robot, (log, test), search)
-        except Exception:
-            row["error"] = traceback.format_exc()[-1500:]
-        else:
-            keep = {k: report.get(k) for k in ("effects", "shrink", "remainder", "gap", "notes")}
-            row |= {"seconds": time.process_time() - start, "votes": votes, "report": keep}
-            row |= evaluate.compare(truth, report)
-            row["mechanism"] = [e.get("mechanism", e["family"]) for e in truth["effects"]]
-        files[search].write_text(json.dumps(row))
-        said.append(outcome(row))
-    return f"{stratum} {index}: {'; '.join(said)}"
+    except Exception:
+        row["error"] = traceback.format_exc()[-1500:]
+    else:
+        report = to_report(found)
+        keep = {k: report.get(k) for k in ("effects", "shrink", "remainder", "gap", "notes")}
+        seconds = time.process_time() - start
+        row |= {"seconds": seconds, "votes": found.as_bought, "report": keep}
+        row |= evaluate.compare(truth, report)
+        row["mechanism"] = [e.get("mechanism", e["family"]) for e in truth["effects"]]
+    file.write_text(json.dumps(row))
+    return f"{stratum} {index}: {outcome(row)}"
 
 
 def outcome(row: dict) -> str:
     """One word for how a row went, `right` where nothing is wrong; exact equivalents and ties told count as found."""
     if "error" in row:
         return "error"
-    if row["stratum"] == "none":
+    if row["stratum"] in QUIET:
         return "alarm" if row["found"] else "right" if row["verdict"] == "no_gap" else "unknown"
     if row["stratum"] == "unknown":
         known = [(KNOWN.get(m), t[1]) for m, t in zip(row["mechanism"], row["true"], strict=True)]
@@ -129,31 +108,25 @@ def outcome(row: dict) -> str:
 
 
 def table(rows: list[dict]) -> str:
-    """Markdown: kinds of logs, then families that one of the searches has not right, then those logs."""
-    lines = ["| logs | search | right | how not | numbers ≤ 10 % | covered | foretold within 0.1 |"]
-    lines += ["|---|---|---|---|---|---|---|"]
+    """Markdown: kinds of logs, then families of effects, then logs that are not right."""
+    lines = ["| logs | right | how not | numbers ≤ 10 % | covered | foretold within 0.1 |"]
+    lines += ["|---|---|---|---|---|---|"]
     kinds = defaultdict(list)
     for r in rows:
-        kinds[r["stratum"], r["search"]].append(r)
-    for (stratum, search), rs in sorted(kinds.items()):
-        lines.append(f"| {stratum} | {search} | {_line(rs)} |")
-    one = [r for r in rows if "error" in r or len(r["true"]) == 1]
-    one = [r for r in one if r["stratum"] not in ("none", "unknown", "pair")]
-    for search in SEARCHES:
-        lines.append(
-            f"| one effect, all | {search} | {_line([r for r in one if r['search'] == search])} |"
-        )
-    lines += ["", "| family (one-effect logs) | " + " | ".join(SEARCHES) + " |", "|---|---|---|"]
-    families = defaultdict(lambda: defaultdict(list))
+        kinds[r["stratum"]].append(r)
+    lines += [f"| {stratum} | {_line(rs)} |" for stratum, rs in sorted(kinds.items())]
+    one = [r for r in rows if r["stratum"] not in (*QUIET, "unknown", "pair")]
+    lines.append(f"| one effect, all | {_line(one)} |")
+    lines += ["", "| family (one-effect logs) | right |", "|---|---|"]
+    families = defaultdict(list)
     for r in one:
         if "error" not in r:
-            families[r["true"][0][0]][r["search"]].append(r)
-    for family, by in sorted(families.items()):
-        lines.append(f"| {family} | " + " | ".join(_share(by[s]) for s in SEARCHES) + " |")
+            families[r["true"][0][0]].append(r)
+    lines += [f"| {family} | {_share(rs)} |" for family, rs in sorted(families.items())]
     lines.append("")
     for r in rows:
         if not outcome(r).startswith("right"):
-            lines.append(f"- {r['search']}, {r['stratum']} {r['log']}: {_told(r)}")
+            lines.append(f"- {r['stratum']} {r['log']}: {_told(r)}")
     return "\n".join(lines) + "\n"
 
 
@@ -202,7 +175,6 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--search", choices=SEARCHES, action="append")
     parser.add_argument("--stratum", choices=sorted(COUNTS), action="append")
     parser.add_argument("--share", type=float, default=1.0, help="of the usual number of logs")
     parser.add_argument("--seconds", type=float, default=1e9)
@@ -210,12 +182,12 @@ def main() -> None:
     args = parser.parse_args()
     (args.out / "rows").mkdir(parents=True, exist_ok=True)
     if not args.table:
-        until, searches = time.time() + args.seconds, tuple(args.search or SEARCHES)
+        until = time.time() + args.seconds
         chosen = args.stratum or COUNTS
         most = max(COUNTS.values())
         # Strata in turn: what a time limit cuts is cut of all.
         jobs = [
-            (str(args.out), args.seed, s, k, searches, until)
+            (str(args.out), args.seed, s, k, until)
             for k in range(most)
             for s in chosen
             if k < round(args.share * COUNTS[s])
@@ -226,7 +198,7 @@ def main() -> None:
                     print(line, flush=True)
     rows = [json.loads(f.read_text()) for f in sorted((args.out / "rows").glob("*.json"))]
     text = table(rows)
-    (args.out / "PARITY.md").write_text(text)
+    (args.out / "GOOD_MODELS.md").write_text(text)
     print(text)
 
 
