@@ -131,18 +131,21 @@ class Evidence:
         self,
         y: Float[np.ndarray, "R n"],
         weight: Float[np.ndarray, "R n"],
-        least: Float[np.ndarray, " n"],
+        sensors: Float[np.ndarray, " n"],
         *,
+        least: float = 0.0,
         exact: bool = False,
     ):
-        self.y, self.weight, self.least = y, weight, least
+        self.y, self.weight, self.sensors = y, weight, sensors
         self.exact = exact
         """Whether equations are taken to be right, as those of a calibrated model are."""
         count = np.maximum(weight.sum(axis=0), 1.0)
         self.count = count
         self.gap = np.sqrt((weight * y**2).sum(axis=0) / count)
         """Root mean square of each row's torque residual [N m]."""
-        variance = np.maximum((0.2 * self.gap) ** 2, least**2) * np.ones_like(y)
+        self.least = least * self.gap
+        """Least residual standard deviation of a row, whatever leaves it [N m]."""
+        variance = np.maximum((0.2 * self.gap) ** 2, sensors**2) * np.ones_like(y)
         self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
         self._last: tuple[Posterior, Noise, np.ndarray] | None = None
 
@@ -194,9 +197,10 @@ class Evidence:
     def learn(self, now: Posterior, *, memory: bool = True) -> None:
         """Noise of each row from what the chosen leave, and from how exact their own equations are.
 
-            V_jt = σ_j² + Σₖ fₖ² eₖ(t)²
+            V_jt = max(σ_j² + Σₖ fₖ² eₖ(t)², least_j²)
 
-        σ_j: residual rms of the row, degrees of freedom taken off; fₖ: relative error of effect k's equation. With
+        σ_j: residual rms of the row, degrees of freedom taken off, the sensors' noise at least; fₖ: relative error of
+        effect k's equation. With
         `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
@@ -205,8 +209,8 @@ class Evidence:
         form = form_variance(now)
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
-        own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.least**2)
-        variance, slow = own + form, self.noise.slow
+        own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.sensors**2)
+        variance, slow = np.maximum(own + form, self.least**2), self.noise.slow
         if memory:
             white = left / np.sqrt(variance)
             slow = tuple(s.likeliest(x) for s, x in zip(slow, white.T, strict=True))

@@ -42,13 +42,9 @@ def ordinary_physics(
 
     Of a calibrated model the tolerances alone: of inertials, of joints' numbers and of how friction turns round.
     """
-    gap = np.sqrt(
-        np.mean(residual.weight * residual.y**2, axis=0)
-        / np.maximum(residual.weight.mean(axis=0), 1e-9)
-    )
-    least = np.maximum(residual.sensors, settings.least_variance * gap) + 1e-9
     exact = state is CalibrationState.CALIBRATED
-    evidence = Evidence(residual.y, residual.weight, least, exact=exact)
+    noise, least = residual.sensors + 1e-9, settings.least_variance
+    evidence = Evidence(residual.y, residual.weight, noise, least=least, exact=exact)
     dry = next((e for e in library if isinstance(e, CoulombFriction)), None)
     if exact:
         return _calibrated(residual, evidence, settings)

@@ -93,16 +93,17 @@ def _stepwise(
     # What is not added to some may do better in the place of one of them.
     barred: set[int] = set()
     gone: set[int] = set()
+    seen = {_odd_of(now)}
     most = np.inf if settings.most_effects is None else settings.most_effects
     ways = [
         lambda now: (
-            _added(residual, evidence, now, bank, barred)
+            _added(residual, evidence, now, bank, barred, seen)
             if sum(h.is_odd for h in now.chosen) < most
             else None
         ),
         # One for one, and for good: that may be back to what was driven out by the way.
-        lambda now: _exchanged(residual, evidence, now, bank, gone),
-        lambda now: _merged(residual, evidence, now, bank),
+        lambda now: _exchanged(residual, evidence, now, bank, gone, seen),
+        lambda now: _merged(residual, evidence, now, bank, seen),
     ]
     if evidence.exact:
         # Where equations are right, first: what two say worse than one leaves something for a third to say.
@@ -117,22 +118,36 @@ def _stepwise(
     return _pruned(evidence, bounded(residual, evidence, now))
 
 
-def _raised(residual, evidence: Evidence, now: Posterior, after: Posterior) -> Posterior | None:
-    """What comes of a move once it is settled, if the log is likelier by it, prior odds counted; None, all as before.
+def _raised(
+    residual, evidence: Evidence, now: Posterior, after: Posterior, seen: set[frozenset[tuple]]
+) -> Posterior | None:
+    """What comes of a move once it is settled, if it leads on; None where it does not, the noise as before.
 
-    With one more, others may be driven out. By how much it is likelier depends on how slow the discrepancy is, which is
-    learned with each of the two: the mean of both.
+    Where equations are taken to be right the log has to be likelier by it, prior odds counted: with one more, others
+    may be driven out. How much likelier depends on how slow the discrepancy is, which is learned with each of the two,
+    so the mean of both counts. Of a robot as bought variances follow the misfit of equations, and a gain by one's own
+    says little: there a move leads to what was not there before.
     """
     noises = [evidence.noise]
     settled = _settled(residual, evidence, after)
     noises.append(evidence.noise)
-    gained = 0.0
-    for evidence.noise in noises:
-        gained += _likely(evidence, settled) - _likely(evidence, now)
-    if gained <= 0.0:
+    if evidence.exact:
+        gained = 0.0
+        for evidence.noise in noises:
+            gained += _likely(evidence, settled) - _likely(evidence, now)
+        leads = gained > 0.0
+    else:
+        leads = _odd_of(settled) not in seen
+    if not leads:
         evidence.noise = noises[0]
         return None
+    seen.add(_odd_of(settled))
     return settled
+
+
+def _odd_of(now: Posterior) -> frozenset[tuple]:
+    """Families and places of the odd effects, and which of a grid's numbers."""
+    return frozenset((h.key, () if h.effect.secant else h.shape) for h in now.chosen if h.is_odd)
 
 
 def _likely(evidence: Evidence, now: Posterior) -> float:
@@ -155,7 +170,7 @@ def _best(
             yield h, float(gains[k])
 
 
-def _added(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
+def _added(residual, evidence, now, bank: Bank, barred, seen) -> Posterior | None:
     """One more, the best there is; None where nothing gains."""
     asked: set[tuple[str, str, str]] = set()
     failed: set[tuple[str, str, str]] = set()
@@ -177,7 +192,7 @@ def _added(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
         after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
-            raised = _raised(residual, evidence, now, after)
+            raised = _raised(residual, evidence, now, after, seen)
             if raised is not None:
                 return raised
             failed |= {h.key for h in after.chosen} - {h.key for h in now.chosen} | {added.key}
@@ -185,7 +200,7 @@ def _added(residual, evidence, now, bank: Bank, barred) -> Posterior | None:
     return None
 
 
-def _merged(residual, evidence, now, bank: Bank) -> Posterior | None:
+def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
     """One odd effect for two of a place that together say the same; None where none does it as well.
 
     A friction that differs by direction is a friction and a constant torque, say.
@@ -203,13 +218,13 @@ def _merged(residual, evidence, now, bank: Bank) -> Posterior | None:
         if better is None or better[1] <= both:
             continue
         after = _with(residual, evidence, rest, better[0], bank)
-        raised = None if after is None else _raised(residual, evidence, now, after)
+        raised = None if after is None else _raised(residual, evidence, now, after, seen)
         if raised is not None:
             return raised
     return None
 
 
-def _exchanged(residual, evidence, now, bank: Bank, gone: set[int]) -> Posterior | None:
+def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Posterior | None:
     """One odd effect for a better one that is not `gone`, everything else given; None where none is better."""
     worths = evidence.worths(now)
     for h, worth in zip(now.chosen, worths, strict=True):
@@ -227,7 +242,9 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int]) -> Posterior
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             if after is not None:
-                return _settled(residual, evidence, after)
+                settled = _settled(residual, evidence, after)
+                seen.add(_odd_of(settled))
+                return settled
     return None
 
 
