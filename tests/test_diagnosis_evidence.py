@@ -237,10 +237,10 @@ def test_what_is_slow_of_a_residual_is_learned():
 
 def rescaled(errors, counts_for=20.0, most=np.inf):
     """Scale of the centres of mass of five bodies, whose errors are given in units of the stated tolerance."""
-    count = 10 * 5 + 2
+    count = 10 * 5 + 3
     numbers = np.zeros(count)
     numbers[[10 * body + 1 + axis for body in range(5) for axis in range(3)]] = errors
-    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, counts_for, 1e-3, most)
+    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, counts_for, 1e-3, most, 1e-3)
     columns, prior = np.zeros((ROWS, JOINTS, count)), (np.ones(count), np.zeros(count))
     h = Hypothesis(InertialTolerances(), place, shape, columns, None, *prior, 0.0)
     known = np.zeros((count, count))
@@ -279,7 +279,7 @@ def check(before, after, noise, expected=1.0, joints=2):
     ],
 )
 def test_the_verdict_is_its_table(case, listed, another, wanted):
-    assert verdict(case, None, listed, another, Settings()) == wanted
+    assert verdict(case, None, listed, another, False, Settings()) == wanted
 
 
 @pytest.mark.parametrize(
@@ -291,11 +291,13 @@ def test_the_verdict_is_its_table(case, listed, another, wanted):
     ],
 )
 def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
-    def judged(*checks):
-        return verdict(*checks, False, 0.0, Settings())
+    def judged(*checks, strained=False):
+        return verdict(*checks, False, 0.0, strained, Settings())
 
+    quiet = check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)
     assert judged(own, other) == Verdict.UNKNOWN
-    assert judged(check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)) == Verdict.NO_GAP
+    assert judged(*quiet) == Verdict.NO_GAP
+    assert judged(*quiet, strained=True) == Verdict.UNKNOWN
 
 
 def test_settings_are_frozen():

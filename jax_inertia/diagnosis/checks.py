@@ -159,7 +159,7 @@ def _interval(
     return float(low), float(high)
 
 
-RIPPLE = 0.01
+RIPPLE = 0.03
 """Of a joint's torque, rms: how far a motor is from its command at random. Torque ripple of servo drives: 1 to 3 %."""
 
 

@@ -89,9 +89,10 @@ def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
     """
     side = selection.residual.context.side
     for one in (h, other):
-        own = side[:, one.place.index]
-        if isinstance(one.effect, DryFriction) and own.min() * own.max() >= 0.0:
-            return "motion_limited"
+        if isinstance(one.effect, DryFriction):
+            own = side[:, one.place.index]
+            if own.min() * own.max() >= 0.0:
+                return "motion_limited"
     a = selection.posterior.torque(h).ravel()
     columns = np.zeros((a.size, other.count))
     if other.row is None:

@@ -72,6 +72,8 @@ class Settings:
     """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms."""
     excess: float = 3.0
     """A joint's residual over what sensors and ordinary forms leave, from which something remains there: decision."""
+    strained: float = 0.01
+    """Chance that any number of a model within its tolerances is so far off that it is no more within them."""
     partly: float = 0.5
     """Share from which the effects are no partial answer either. Decision."""
     noise_ratio: float = 2.0

@@ -8,7 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
+from jax_inertia.diagnosis.causes import (
+    Judges,
+    carried_over,
+    evidence_of_causes,
+    judges_of,
+    strained,
+)
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -67,8 +73,9 @@ def summarised(
     likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
+    bent = strained(told, settings)
     judged = verdict(
-        own_causes, None if other is None else by_cause, bool(likely), another, settings
+        own_causes, None if other is None else by_cause, bool(likely), another, bool(bent), settings
     )
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, _by_other_stretches(heldout, causes, likely), trust)
@@ -80,7 +87,7 @@ def summarised(
     return Diagnosis(
         verdict=judged,
         confidence=sure,
-        headline=headline(judged, found, shrinks, remainder, _lacking(residual, found)),
+        headline=headline(judged, found, shrinks, remainder, _lacking(residual, found), bent),
         found=found,
         joints=joints,
         gains=gains,
@@ -92,7 +99,7 @@ def summarised(
         test=shrinks[1],
         remainder=remainder,
         inertials=_inertials(told),
-        notes=(*_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
+        notes=(*bent, *_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
         trace=_trace(residual if other is None else other.residual, own if test is None else test),
         **_gap(residual, evidence),
     )

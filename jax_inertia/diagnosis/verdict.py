@@ -2,7 +2,7 @@
 
 | residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
 |---|---|---|---|
-| nothing is distinct, and every run and joint is quiet | – | – | no_gap |
+| nothing is distinct, no number of the model strained, and every run and joint is quiet | – | – | no_gap |
 | else | below `explained`, or | within `noise_ratio` | explained |
 | else | below `partly` | | partly |
 | else | | | unknown |
@@ -20,15 +20,22 @@ from jax_inertia.diagnosis.settings import Settings
 
 
 def verdict(
-    own: Check, other: Check | None, listed: bool, another: float, settings: Settings
+    own: Check,
+    other: Check | None,
+    listed: bool,
+    another: float,
+    strained: bool,
+    settings: Settings,
 ) -> Verdict:
     """Of the log itself, its stretches held out, and of another run.
 
-    `listed`: any effect is; `another`: odds that one more is there.
+    `listed`: any effect is; `another`: odds that one more is there; `strained`: numbers of the model are further off
+    than their tolerance.
     """
     runs = [own] if other is None else [own, other]
     if not listed:
-        return Verdict.NO_GAP if all(_quiet(c, settings) for c in runs) else Verdict.UNKNOWN
+        quiet = all(_quiet(c, settings) for c in runs) and not strained
+        return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     check = runs[-1]
     limit = settings.noise_ratio * check.noise
     small = check.unexplained < settings.explained or check.after <= limit

@@ -7,8 +7,8 @@ import numpy as np
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Applied, Bound, Columns, Effect, Moment, Parameter
 
-SHORTEST = 0.1
-"""Of a push [s]: a period of the band in which it is looked for."""
+SHORTEST, LONGEST = 0.1, 3.0
+"""Of a push [s]: a period of the band in which it is looked for; what lasts longer is no push."""
 
 
 def usual_force(context) -> float:
@@ -146,7 +146,7 @@ class Push(_Force):
 
     def within(self, shape):
         start, end, flank, skew = shape
-        return end - start >= SHORTEST and 0.05 <= flank <= 0.5 and abs(skew) <= 1.0
+        return SHORTEST <= end - start <= LONGEST and 0.05 <= flank <= 0.5 and abs(skew) <= 1.0
 
     def columns(self, context, place, shape):
         window = push_window(np, context.time, *shape)

@@ -14,7 +14,8 @@ class InertialTolerances(Effect):
 
     Shape: standard deviations of a mass (relative), a centre of mass [m], an inertia (relative), and of when within its
     period a torque acted, of the period; how many measured numbers these tolerances count for; the log's period [s];
-    how many times as large as stated the first three may be.
+    how many times as large as stated the first three may be; by how much of the period a torque acted early or late at
+    most.
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
@@ -26,16 +27,16 @@ class InertialTolerances(Effect):
             every[:, :, robot.body_index(name)] @ change
             for change, name, _ in inertial_changes(context, shape)
         ]
-        out.append(_timing(context, *shape[3::2])[..., None])
+        out.append(_timing(context, shape[3], shape[5], shape[7]))
         out.append(_loop_lateness(context, shape[5])[..., None])
         return Columns(np.concatenate(out, axis=-1))
 
     def scale(self, context, place, shape):
-        return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 2)
+        return np.ones(sum(c.shape[1] for c, _, _ in inertial_changes(context, shape)) + 3)
 
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
         """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, −1 the timings."""
-        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 2) // 10), [-1, -1])
+        return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 3) // 10), [-1, -1, -1])
 
     def size_prior(self, shape):
         return shape[4], shape[6]
@@ -44,13 +45,17 @@ class InertialTolerances(Effect):
         return {}
 
 
-def _timing(context: Context, error: float, period: float) -> Float[np.ndarray, "T nv"]:
-    """Torque of one standard deviation of when it acted [N m]; a position loop's law says it better."""
+def _timing(
+    context: Context, error: float, period: float, most: float
+) -> Float[np.ndarray, "T nv 2"]:
+    """Torque of one standard deviation of when it acted [N m], to second order; a position loop's law is better."""
     size = np.full(context.v.shape[1], error * period)
     if (loop := context.prepared.loop) is not None:
         of_loop = np.array(context.prepared.driven)[loop.kp > 0]
         size[of_loop] = np.minimum(size[of_loop], HOLD_ERROR * period)
-    return size * np.gradient(context.tau, context.time, axis=0)
+    slope = np.gradient(context.tau, context.time, axis=0)
+    bend = 0.5 * most * period * np.gradient(slope, context.time, axis=0)
+    return np.stack([size * slope, size * bend], axis=-1)
 
 
 STATED = ("viscous_friction", "coulomb_friction", "armature")

@@ -13,6 +13,7 @@ def headline(
     shrinks: tuple[Shrink, Shrink | None],
     remainder: Remainder,
     lacking: str,
+    strained: tuple[str, ...] = (),
 ) -> str:
     """One to three sentences: what is missing, how far the error shrinks with it, what remains and where."""
     heldout, test = shrinks
@@ -21,6 +22,11 @@ def headline(
     if verdict is Verdict.NO_GAP:
         return "No gap: model and robot agree within the sensors' noise and the model's tolerances."
     top = max(remainder.where, key=lambda n: remainder.where[n], default="")
+    if not found and strained:
+        return (
+            f"The model misses the robot by {number(checked.before)} N m, and what fits that is a number of its own: "
+            f"{strained[0]}."
+        )
     if not found:
         return (
             f"The model misses the robot by {number(checked.before)} N m, mostly at {top}, and no effect that is "

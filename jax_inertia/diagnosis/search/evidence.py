@@ -200,7 +200,7 @@ class Evidence:
             V_jt = max(σ_j² + Σₖ fₖ² eₖ(t)², least_j²)
 
         σ_j: residual rms of the row, degrees of freedom taken off, the sensors' noise at least; fₖ: relative error of
-        effect k's equation. With
+        effect k's equation. As bought, a robot has misfit of its own beside those errors, `least` included. With
         `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
@@ -209,7 +209,8 @@ class Evidence:
         form = form_variance(now)
         energy = (self.weight * left**2).sum(axis=0) / count
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
-        own = np.maximum(np.maximum(energy - excused, 0.1 * energy), self.sensors**2)
+        least = self.sensors if self.exact else np.maximum(self.sensors, self.least)
+        own = np.maximum(np.maximum(energy - excused, 0.1 * energy), least**2)
         variance, slow = np.maximum(own + form, self.least**2), self.noise.slow
         if memory:
             white = left / np.sqrt(variance)

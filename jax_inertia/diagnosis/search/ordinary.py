@@ -100,8 +100,8 @@ def tolerances(
         # What is further off is no calibrated model.
         own = settings.calibrated_mass, com, settings.calibrated_inertia
         counts_for, most = settings.calibrated_numbers, 1.0
-    log = residual.log
-    shape = (*own, timing_of(log).error, counts_for, 1.0 / log.rate, most)
+    log, timing = residual.log, timing_of(residual.log)
+    shape = (*own, timing.error, counts_for, 1.0 / log.rate, most, timing.most)
     return hypothesis(residual, InertialTolerances(), place, shape, 0.0)
 
 
