@@ -240,7 +240,10 @@ def rescaled(errors, counts_for=20.0, most=np.inf):
     count = 10 * 5 + 3
     numbers = np.zeros(count)
     numbers[[10 * body + 1 + axis for body in range(5) for axis in range(3)]] = errors
-    place, shape = Place("global", "global", -1), (0.02, 1e-3, 0.05, 1e-3, counts_for, 1e-3, most, 1e-3)
+    place, shape = (
+        Place("global", "global", -1),
+        (0.02, 1e-3, 0.05, 1e-3, counts_for, 1e-3, most, 1e-3),
+    )
     columns, prior = np.zeros((ROWS, JOINTS, count)), (np.ones(count), np.zeros(count))
     h = Hypothesis(InertialTolerances(), place, shape, columns, None, *prior, 0.0)
     known = np.zeros((count, count))

@@ -45,7 +45,8 @@ ORDER: dict[str, str] = {
         summary pipeline entry""",
     "diagnosis.features": "derivatives two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction friction_forms
-        encoder environment external_force generic inertial ground tolerances transmission registry""",
+        encoder environment external_force generic generic_forms inertial ground tolerances
+        transmission registry""",
     "diagnosis.simulate": "step_law corrected plant rollout whole_robot",
     "diagnosis.report": """gap_stretches where wording next_motion detectable_sizes drawing figures json_values
         json_report page""",

@@ -204,6 +204,9 @@ def excluded(residual: Residual, h: Hypothesis, chosen: Iterable[Hypothesis]) ->
                 return True
         if h.fills and c.fills == h.fills and c.place == h.place:
             return True
+        held = h.family == c.effect.holds or c.family == h.effect.holds
+        if held and c.place == h.place and not (c.assumed or h.assumed):
+            return True
         if not h.effect.law:
             continue
         together = c.place == h.place or "global" in (c.place.kind, h.place.kind)

@@ -180,6 +180,8 @@ class Effect(abc.ABC):
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
     before_gain: ClassVar[bool] = False
     """Whether it is of the logged torque itself, so that its numbers do not change with the motor's gain."""
+    holds: ClassVar[str] = ""
+    """An effect of the same place that it says as well, and that is not there beside it."""
     law: ClassVar[str] = ""
     """What it is one law of, where a place has but one: a torque is late by one law."""
 

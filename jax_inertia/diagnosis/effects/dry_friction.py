@@ -90,7 +90,7 @@ ONE_WAY = 0.82
 
 class AsymmetricCoulomb(DryFriction):
     name, equation, refines = "asymmetric_coulomb", "−F⁺ z (z > 0), −F⁻ z (z < 0)", True
-    level = "coulomb_friction"
+    level, holds = "coulomb_friction", "torque_bias"
     units = {"positive": "N m", "negative": "N m"}
     prior = "half the difference: 0.03 of the joint's peak torque"
     mjcf = "joint frictionloss for the mean, stiffness and springref for half the difference"

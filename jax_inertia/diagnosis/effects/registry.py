@@ -9,6 +9,7 @@ from jax_inertia.diagnosis.effects import (
     environment,
     external_force,
     generic,
+    generic_forms,
     inertial,
     joint,
     transmission,
@@ -56,6 +57,12 @@ EFFECTS: tuple[Effect, ...] = (
     generic.MemoryOfPosition(),
     generic.Swinging(),
     generic.PathOfTorque(),
+    generic_forms.OtherLength(),
+    generic_forms.WarpedEncoder(),
+    generic_forms.SoftStop(),
+    generic_forms.GainOfPosition(),
+    generic_forms.DriftingClock(),
+    generic_forms.LoadRipple(),
 )
 NAMES = tuple(sorted(e.name for e in EFFECTS if e.named))
 BY_CURRENT: tuple[Effect, ...] = tuple(
