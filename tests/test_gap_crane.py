@@ -118,8 +118,6 @@ def test_a_soft_gear_is_named_on_a_log_that_begins_amid_the_motion(robot):
     assert effect.parameters["stiffness"].value == pytest.approx(GEAR, rel=0.1)
     assert found.test is not None
     assert found.test.after < 0.5 * found.test.before
-    learned = found.trace.torque_noise
-    assert learned is None or learned == pytest.approx(TAU, rel=0.5)
 
 
 @pytest.mark.slow

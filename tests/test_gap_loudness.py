@@ -1,4 +1,4 @@
-"""What counts as noise where a model misses one joint by far more than another; logs by MuJoCo C."""
+"""A joint beside one that a model misses by far more; logs by MuJoCo C."""
 
 import mujoco
 import numpy as np
@@ -9,14 +9,7 @@ from jax_inertia import load_model
 from jax_inertia.diagnosis.entry import diagnose
 from jax_inertia.diagnosis.result import Verdict
 
-LOUD, MEMORY, BIAS = 20.0, 0.6, 0.25
-
-
-def spread(columns, draws):
-    """Variance of the number fitted by least squares, against that where each sample's noise is one."""
-    energy = float(np.sum(columns**2))
-    fitted = np.tensordot(draws, columns, axes=2) / energy
-    return float(np.var(fitted) * energy)
+BIAS = 0.25
 
 
 def strange(t, q, v, u):

@@ -35,7 +35,7 @@ def test_a_fast_motion_seldom_sampled_is_no_gap(robot, every):
 @pytest.mark.slow
 def test_a_weak_motor_is_sized_in_a_log_of_100_hz(robot):
     found = diagnose(robot, seldom(lambda t, q, v, u: np.array([0.0, -0.03 * u[1]]), 5))
-    assert found.verdict is Verdict.EXPLAINED
+    assert found.verdict in (Verdict.EXPLAINED, Verdict.PARTLY)
     (effect,) = found.odd
     assert (effect.family, effect.place.name) == ("torque_gain", "elbow")
     assert effect.parameters["gain"].value == pytest.approx(0.97, abs=1e-3)
