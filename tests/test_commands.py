@@ -77,7 +77,7 @@ def test_demo_tells_its_story_in_files(demo):
 
 
 def test_demo_tells_scripts_and_people_the_same(demo, capsys):
-    _, out, printed, (compared, secret, diagnosed) = demo
+    _, out, printed, (compared, secret, diagnosis, report) = demo
     numbers = json.loads(printed)
     assert numbers["load"] == {"mass_kg": 1.9, "picked_up_s": 4.0, "put_down_s": 10.0}
     assert [one["name"] for one in numbers["filters"]] == [one.name for one in compared.runs]
@@ -85,7 +85,7 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     assert numbers["filters"][-1]["rms_kg"] < 0.1
     assert numbers["diagnosis"] == json.loads((out / "report.json").read_text())
     demo_command._print(compared, out)
-    demo_command._print_diagnosis(secret, diagnosed, out)
+    demo_command._print_diagnosis(secret, diagnosis, report, out)
     table = capsys.readouterr().out
     for one in numbers["filters"]:
         assert one["name"] in table
@@ -93,7 +93,7 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     told = " ".join(table.split())
     assert " ".join(numbers["hidden"]["judged"].split()) in told
     # The verdict in words; a steel cube has a size, and is a payload for all that.
-    assert " ".join(diagnosed.found.headline.split()) in told
+    assert " ".join(diagnosis.headline.split()) in told
     assert numbers["diagnosis"]["verdict"] == "explained"
     assert [effect["family"] for effect in numbers["diagnosis"]["effects"]] == ["payload"]
     assert all(f"note: {note}" in told for note in numbers["diagnosis"]["notes"])

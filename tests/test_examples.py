@@ -34,16 +34,14 @@ MODULES = (
         "preflight.preflight",
         "robots.pendulum",
     ),
-    *("estimation.checkpoint", "estimation.stream", "estimation.excitation", "gap.diagnosis"),
+    *("estimation.checkpoint", "estimation.stream", "estimation.excitation", "diagnosis.entry"),
 )
 MADE_BY_HAND = {jax_inertia.Log, jax_inertia.Robot, jax_inertia.Stream}
 SLOW = {
     f"jax_inertia.{name}"
     for name in (
         "estimation.batch_fit.fit",
-        "gap.diagnosis.diagnose",
-        "gap.either.diagnose",
-        "gap.either.to_report",
+        "diagnosis.entry.diagnose",
         "estimation.log_filter.residual_noise",
         "estimation.excitation.suggest_motion",
     )

@@ -262,14 +262,14 @@ def test_a_bag_s_imu(tmp_path):
 
 
 def told(log: Log, check: str) -> tuple[Severity, str]:
-    (found,) = [f for f in preflight(log, model_of(SMALL)).odd if f.check == check]
+    (found,) = [f for f in preflight(log, model_of(SMALL)).findings if f.check == check]
     assert "\n" not in found.message
     return found.severity, found.message
 
 
 def test_a_sound_log_of_an_imu_is_only_noted():
     for left_out in ((), ("base_linacc",)):
-        found = preflight(log_of(stood(), *left_out), model_of(SMALL)).odd
+        found = preflight(log_of(stood(), *left_out), model_of(SMALL)).findings
         assert [f.check for f in found if f.severity is Severity.ERROR] == []
         assert told(log_of(stood(), *left_out), "base")[0] is Severity.NOTE
 

@@ -20,8 +20,8 @@ RETIRED = {
     r"outsiders?": "generic alternative",
     r"strain|strains|strained": "prior violation",
 }
-# `gap` goes once `diagnosis` has replaced it, and the effects are being moved out of it.
-OLD = tuple(PACKAGE / name for name in ("gap", "diagnosis/effects"))
+# Of effects, words on the report's page are older than this table.
+OLD = (PACKAGE / "diagnosis/effects",)
 FILES = [
     path
     for path in sorted(PACKAGE.rglob("*.*"))

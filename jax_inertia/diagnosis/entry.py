@@ -70,14 +70,24 @@ def diagnose(
 
 
 def unknown_families(names: Sequence[str]) -> list[str]:
-    """Those that are no families of effects."""
+    """Those that are no families of effects.
+
+    >>> from jax_inertia.diagnosis.entry import unknown_families
+    >>> unknown_families(["backlash", "magic"])
+    ['magic']
+    """
     return sorted(set(names) - set(NAMES))
 
 
 def stated(
     max_effects: int | None, nominal_uncertainty: tuple[float, float, float] | None
 ) -> Settings:
-    """Settings with what a user states: how many odd effects at most, and what the model may be off by."""
+    """Settings with what a user states: how many odd effects at most, and what the model may be off by.
+
+    >>> from jax_inertia.diagnosis.entry import stated
+    >>> stated(2, (0.03, 0.002, 0.1)).mass_tolerance
+    0.03
+    """
     if max_effects is not None and max_effects < 1:
         raise ValueError(f"max_effects is {max_effects}; at least one")
     settings = Settings(most_effects=max_effects)
@@ -105,6 +115,13 @@ def usable(
     """A log in N m, how its torques were read, and what there is to say of it; LogError where it cannot be used.
 
     `drives` are those of the log before, if there is one: a gain that does not carry over is part of what is tested.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.diagnosis.entry import usable
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> _, drives, _ = usable(swing(load=0.5), ji.load_model(double_pendulum()), None, "log")
+    >>> drives.unit
+    'N m'
     """
     if log.tau is None:
         if not robot.has_free_base or log.qpos_target is None:

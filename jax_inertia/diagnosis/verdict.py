@@ -2,7 +2,7 @@
 
 | residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
 |---|---|---|---|
-| nothing is distinct, no number of the model strained, and every run and joint is quiet | – | – | no_gap |
+| nothing is distinct, every run and joint is quiet, every number of the model within its tolerance | – | – | no_gap |
 | else | below `explained`, or | within `noise_ratio` | explained |
 | else | below `partly` | | partly |
 | else | | | unknown |

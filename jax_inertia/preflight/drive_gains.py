@@ -15,7 +15,7 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
     """Gain of each joint in N m per unit of the log, and what there is to say of it; none for a log in N m.
 
     The gain is the slope g in  g i = τ_model + F sign v + d v + b, by least squares: a gap that is proportional to the
-    torque itself cannot be told from it. A joint that carries too little (a wrist's roll) gets the others' median.
+    torque itself cannot be separated from it. A joint that carries too little (a wrist's roll) gets the others' median.
     Raises ValueError where a channel is constant, or no joint's gain is determined.
     """
     if log.tau_unit is TorqueUnit.NEWTON_METRE:
@@ -43,14 +43,14 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
     sure = [x > min(SURE, max(max(clarity) * 0.99, LEAST)) for x in clarity]
     if not any(sure):
         raise ValueError(
-            f"tau is in {log.tau_unit_text!r} and no joint's gain can be told from this log; give torques in N m"
+            f"tau is in {log.tau_unit_text!r} and no joint's gain can be identified from this log; give torques in N m"
         )
     middle = float(np.median([g for g, s in zip(gains, sure, strict=True) if s]))
     gains = [g if s else middle for g, s in zip(gains, sure, strict=True)]
     text = ", ".join(f"{n} {g:.4g}" for n, g in zip(log.joint_names, gains, strict=True))
     message = (
         f"tau is in {log.tau_unit_text!r}: drive gains were taken from this log and the model, {text} N m per unit; "
-        "a torque gain cannot be found beside them"
+        "a torque gain cannot be found with them"
     )
     if max(clarity) < SURE:
         message += f"; known to some {100 / max(clarity):.0f} % only"

@@ -76,9 +76,8 @@ def run(args: argparse.Namespace) -> int:
         )
         found, report = diagnose_run.by_torque(folder, inputs, [], None, stage)
     if args.json:
-        hidden_was = {**dataclasses.asdict(case.secret), "judged": judged(case.secret, found)}
-        told = {**_numbers(compared), "hidden": hidden_was, "diagnosis": report}
-        print(json.dumps(told, indent=1, allow_nan=False))
+        numbers = _numbers(compared, case.secret, found, report)
+        print(json.dumps(numbers, indent=1, allow_nan=False))
     else:
         _print(compared, args.out)
         _print_diagnosis(case.secret, found, report, args.out)
@@ -87,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _numbers(compared) -> dict:
+def _numbers(compared, secret, found, report: dict) -> dict:
     scenario = compared.scenario
     return {
         "schema": 1,
@@ -107,6 +106,8 @@ def _numbers(compared) -> dict:
             }
             for one in compared.runs
         ],
+        "hidden": {**dataclasses.asdict(secret), "judged": judged(secret, found)},
+        "diagnosis": report,
     }
 
 

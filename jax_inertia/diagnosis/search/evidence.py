@@ -200,7 +200,7 @@ class Evidence:
             V_jt = max(σ_j² + Σₖ fₖ² eₖ(t)², least_j²)
 
         σ_j: residual rms of the row, degrees of freedom taken off, the sensors' noise at least; fₖ: relative error of
-        effect k's equation. As bought, a robot has misfit of its own beside those errors, `least` included. With
+        effect k's equation. As bought, a robot has misfit of its own on top of those errors, `least` included. With
         `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted

@@ -48,7 +48,7 @@ def by_noise(
     numbers = np.concatenate([np.zeros(h.count), now.mean])
     parts = []
     for again in residual.replicas:
-        # When a joint is held is not told anew by every replica.
+        # When a joint is held is one for all replicas.
         there = tuple(c if c.effect.of_log else elsewhere(c, again) for c in every)
         change = scaled(there, root) - here
         left = (root * (again.y - residual.y)).ravel() - change @ numbers
