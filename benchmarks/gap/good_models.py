@@ -41,7 +41,6 @@ COUNTS = {
 """Logs of each stratum: every family of arms comes once in the first three, of legs in `legged`."""
 KNOWN = {"joint_coupling": "joint_coupling", "quadratic_friction": "quadratic_viscous"}
 """Families of mechanisms that were in no library when the generator was written."""
-QUIET = ("none", "legged_none")
 
 
 def run(job: tuple[str, int, str, int, float]) -> str:
@@ -90,7 +89,7 @@ def outcome(row: dict) -> str:
     """One word for how a row went, `right` where nothing is wrong; exact equivalents and ties told count as found."""
     if "error" in row:
         return "error"
-    if row["stratum"] in QUIET:
+    if row["stratum"] in evaluate.QUIET:
         return "alarm" if row["found"] else "right" if row["verdict"] == "no_gap" else "unknown"
     if row["stratum"] == "unknown":
         known = [(KNOWN.get(m), t[1]) for m, t in zip(row["mechanism"], row["true"], strict=True)]
@@ -115,7 +114,7 @@ def table(rows: list[dict]) -> str:
     for r in rows:
         kinds[r["stratum"]].append(r)
     lines += [f"| {stratum} | {_line(rs)} |" for stratum, rs in sorted(kinds.items())]
-    one = [r for r in rows if r["stratum"] not in (*QUIET, "unknown", "pair")]
+    one = [r for r in rows if r["stratum"] not in (*evaluate.QUIET, "unknown", "pair")]
     lines.append(f"| one effect, all | {_line(one)} |")
     lines += ["", "| family (one-effect logs) | right |", "|---|---|"]
     families = defaultdict(list)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.effects.base import Effect
-from jax_inertia.diagnosis.effects.registry import NAMES
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log, LogError
@@ -44,8 +43,6 @@ def diagnose(
     >>> str(found.verdict), ji.to_report(found)["effects"][0]["family"]
     ('explained', 'payload')
     """
-    if unknown := unknown_families(exclude):
-        raise ValueError(f"unknown families {unknown}; valid: {', '.join(NAMES)}")
     settings = stated(max_effects, nominal_uncertainty)
     progress("looking at the log")
     robot = robot.astype("float64")
@@ -67,16 +64,6 @@ def diagnose(
         progress=progress,
     )
     return dataclasses.replace(found, notes=(*notes, *found.notes))
-
-
-def unknown_families(names: Sequence[str]) -> list[str]:
-    """Those that are no families of effects.
-
-    >>> from jax_inertia.diagnosis.entry import unknown_families
-    >>> unknown_families(["backlash", "magic"])
-    ['magic']
-    """
-    return sorted(set(names) - set(NAMES))
 
 
 def stated(

@@ -181,7 +181,7 @@ class Effect(abc.ABC):
     before_gain: ClassVar[bool] = False
     """Whether it is of the logged torque itself, so that its numbers do not change with the motor's gain."""
     holds: ClassVar[str] = ""
-    """An effect of the same place that it says as well, and that is not there beside it."""
+    """Another effect of the same place whose torque its own includes: the two are never chosen together."""
     law: ClassVar[str] = ""
     """What it is one law of, where a place has but one: a torque is late by one law."""
 

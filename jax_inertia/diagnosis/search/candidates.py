@@ -23,9 +23,9 @@ def make(
 ) -> Hypothesis:
     """An effect at a place, with the prior odds of its kind.
 
-    Where forces of the ground are not measured, all but ordinary physics is rarer.
     Of a calibrated model an ordinary effect is as rare as any other, and so is another form of one; what is a law with
     it comes with it from `library`, and is as much rarer as it is than the ordinary effect of a robot as it is bought.
+    Where forces of the ground are not measured, all but ordinary physics is rarer.
     """
     bought = state is CalibrationState.AS_BOUGHT
     if effect.ordinary:

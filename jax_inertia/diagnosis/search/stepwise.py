@@ -128,18 +128,18 @@ def _raised(
     so the mean of both counts. Of a robot as bought variances follow the misfit of equations, and a gain by one's own
     says little: there a move leads to what was not there before.
     """
-    noises = [evidence.noise]
+    before = evidence.noise
     settled = _settled(residual, evidence, after)
-    noises.append(evidence.noise)
+    learned_with_it = evidence.noise
+    evidence.noise = before
     if evidence.exact:
-        gained = 0.0
-        for evidence.noise in noises:
-            gained += _likely(evidence, settled) - _likely(evidence, now)
-        leads = gained > 0.0
+        gained = _gained(evidence, now, settled)
+        evidence.noise = learned_with_it
+        leads = gained + _gained(evidence, now, settled) > 0.0
     else:
         leads = _odd_of(settled) not in seen
+    evidence.noise = learned_with_it if leads else before
     if not leads:
-        evidence.noise = noises[0]
         return None
     seen.add(_odd_of(settled))
     return settled
@@ -150,9 +150,15 @@ def _odd_of(now: Posterior) -> frozenset[tuple]:
     return frozenset((h.key, () if h.effect.secant else h.shape) for h in now.chosen if h.is_odd)
 
 
-def _likely(evidence: Evidence, now: Posterior) -> float:
-    """Log evidence and prior odds of some hypotheses, variances and tolerances learned with them, nats."""
-    return relearned_evidence(evidence, now) - sum(h.odds for h in now.chosen)
+def _gained(evidence: Evidence, now: Posterior, after: Posterior) -> float:
+    """By how much a log is likelier by other hypotheses, prior odds counted, nats.
+
+    Variances and tolerances are learned with each; the discrepancy is as slow as the present noise has it.
+    """
+    without, with_it = (
+        relearned_evidence(evidence, p) - sum(h.odds for h in p.chosen) for p in (now, after)
+    )
+    return with_it - without
 
 
 EXCHANGE = 2.0
