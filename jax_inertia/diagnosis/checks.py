@@ -351,7 +351,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     moved = _at_other_places(selection.residual, h)
     others, taken = (*selection.named.candidates, *moved), {c.key for c in now.chosen}
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
-    gains = evidence.gains(rest, selection.named), evidence.gains(rest, moved)
+    gains = [evidence.gains(now, x, (h,)) for x in (selection.named, moved)]
     gains = np.concatenate(gains) - np.array([c.odds for c in others])
     reach = max(settings.tie, settings.tie_share * abs(own)) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}

@@ -27,11 +27,20 @@ def centred_slopes(
     first = slopes[:1] + (slopes[:1] - slopes[1:2]) * h[:1] / (h[:1] + h[1:2])
     last = slopes[-1:] + (slopes[-1:] - slopes[-2:-1]) * h[-1:] / (h[-1:] + h[-2:-1])
     out = np.concatenate([first, inner, last])
-    if len(h) >= 6:
+    count = len(h) - 5
+    if count < 1:
+        return out
+    if np.ptp(h) < _ALIKE * h.mean():
+        # As slices: a grid's columns come here by the thousand.
+        ahead = [slopes[k : k + count] for k in range(6)]
+        at = slice(3, 3 + count)
+    else:
         periods = sliding_window_view(h.ravel(), 6)
         alike = np.flatnonzero(np.ptp(periods, axis=1) < _ALIKE * periods.mean(axis=1))
-        near, further, furthest = (slopes[alike + 2 - k] + slopes[alike + 3 + k] for k in range(3))
-        out[alike + 3] = (37 * near - 8 * further + furthest) / 60
+        ahead = [slopes[alike + k] for k in range(6)]
+        at = alike + 3
+    near, further, furthest = (ahead[2 - k] + ahead[3 + k] for k in range(3))
+    out[at] = (37 * near - 8 * further + furthest) / 60
     return out
 
 

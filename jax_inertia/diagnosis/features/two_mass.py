@@ -76,6 +76,8 @@ class DrivenLink:
     """The link's own: M_jj, (∂ID/∂v)_jj and (∂ID/∂q)_jj, like `needed` and `carried` without the joint's friction."""
     friction: OwnFriction | None = None
     _paths: dict[Coupling, np.ndarray] = dataclasses.field(default_factory=dict)
+    _begins: dict[int, np.ndarray] = dataclasses.field(default_factory=dict)
+    """s and ṡ of either friction at the first sample, by how many samples they are read off."""
 
     @functools.cached_property
     def leans(self) -> float:
@@ -119,7 +121,7 @@ class DrivenLink:
         carried = np.stack([self.carried, own.carried])
         rates = [derivative(self.time, s) for s in carried]
         # As arrays: a number would be compiled in, and every log has another.
-        first, slope = _begun(self.time, carried, self.inertia, values)
+        first, slope = self._begun(carried, values)
         numbers = (jnp.array([own.viscous, own.dry]), jnp.asarray(first), jnp.asarray(slope))
         substeps = max(1, math.ceil(period / STEP))
         paths = _separation(
@@ -131,29 +133,26 @@ class DrivenLink:
         )
         self._paths.update(zip(new, np.asarray(paths), strict=True))
 
+    def _begun(
+        self, carried: Float[np.ndarray, "2 T"], couplings: Float[np.ndarray, "K 5"]
+    ) -> tuple[Float[np.ndarray, "2 K"], Float[np.ndarray, "2 K"]]:
+        """s and ṡ at the first sample by a cubic through its first stretch, for friction on the motor or the link."""
+        periods = 2.0 * np.pi * np.sqrt(np.mean(self.inertia) / couplings[:, 0])
+        since = self.time - self.time[0]
+        stretches = np.maximum(OF_PERIOD * periods, SHORTEST)
+        counts = np.maximum(DEGREE + 2, np.searchsorted(since, stretches, side="right")).tolist()
+        for count in set(counts) - set(self._begins):
+            cubic = polynomial.polyfit(since[:count], carried[:, :count].T, DEGREE)
+            self._begins[count] = cubic[:2]
+        first, slope = np.stack([self._begins[count] for count in counts], axis=-1)
+        return first, slope
+
 
 # The torque that a coupling carries as a log begins, and how fast it changes, are read off this share of a period of
 # its resonance, and no fewer seconds: from two samples they would be noise, which rings on.
 OF_PERIOD, SHORTEST = 0.5, 0.05
 # Of a polynomial that half a period of a sine is, within 5 % of its amplitude.
 DEGREE = 3
-
-
-def _begun(
-    time: Float[np.ndarray, " T"],
-    carried: Float[np.ndarray, "2 T"],
-    inertia: Float[np.ndarray, " T"],
-    couplings: Float[np.ndarray, "K 5"],
-) -> tuple[Float[np.ndarray, "2 K"], Float[np.ndarray, "2 K"]]:
-    """s and ṡ at a log's first sample by a cubic through its first stretch, for friction on the motor or the link."""
-    periods = 2.0 * np.pi * np.sqrt(np.mean(inertia) / couplings[:, 0])
-    since = time - time[0]
-    cubics = []
-    for most in np.maximum(OF_PERIOD * periods, SHORTEST):
-        count = max(DEGREE + 2, int(np.searchsorted(since, most, side="right")))
-        cubics.append(polynomial.polyfit(since[:count], carried[:, :count].T, DEGREE))
-    values, slopes, *_ = np.stack(cubics, axis=-1)
-    return values, slopes
 
 
 @eqx.filter_jit

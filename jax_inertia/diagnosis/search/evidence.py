@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import linalg
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.bank import Bank, Seen
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 
 MOST_REPEATED = 3.0
@@ -147,7 +147,8 @@ class Evidence:
         """Least residual standard deviation of a row, whatever leaves it [N m]."""
         variance = np.maximum((0.2 * self.gap) ** 2, sensors**2) * np.ones_like(y)
         self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
-        self._last: tuple[Posterior, Noise, np.ndarray] | None = None
+        self._base: tuple[Posterior, Noise, np.ndarray] | None = None
+        self._seen: tuple[Posterior, Noise, Bank, list[Seen], np.ndarray] | None = None
 
     def design(self, chosen: tuple[Hypothesis, ...]) -> Float[np.ndarray, "Rn p"]:
         """Weighted columns of the chosen, per prior standard deviation."""
@@ -156,7 +157,8 @@ class Evidence:
     def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
-        out.weight, out._last = np.where(part[:, None], 0.0, self.weight), None
+        out.weight = np.where(part[:, None], 0.0, self.weight)
+        out._base, out._seen = None, None
         return out
 
     def remembering(self, now: Posterior) -> "Evidence":
@@ -173,20 +175,25 @@ class Evidence:
 
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
         """Given the present noise."""
-        root = np.sqrt(self.precision)
-        columns = scaled(chosen, root)
-        gram = columns.T @ columns + np.eye(columns.shape[1])
+        root, prior, slices = np.sqrt(self.precision), prior_mean(chosen), _slices(chosen)
+        y, gram, along = root * self.y, np.eye(len(prior)), prior.copy()
+        # Row by row: most hypotheses act on one, and say nothing of those on another.
+        for j in range(y.shape[1]):
+            own = [(h, s) for h, s in zip(chosen, slices, strict=True) if h.row in (j, None)]
+            if not own:
+                continue
+            at = np.concatenate([np.arange(s.start, s.stop) for _, s in own])
+            parts = [h.scaled if h.row is not None else h.scaled[:, j] for h, _ in own]
+            columns = np.concatenate(parts, axis=1) * root[:, j, None]
+            gram[np.ix_(at, at)] += columns.T @ columns
+            along[at] += columns.T @ y[:, j]
         factor = linalg.cho_factor(gram, lower=True)
-        y = (root * self.y).ravel()
-        prior = prior_mean(chosen)
-        along = columns.T @ y + prior
         mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
-        slices = _slices(chosen)
         fitted = _torque(chosen, slices, mean, self.y.shape)
         logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
         logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
-        log_evidence = -0.5 * (logdet + float(y @ y + prior @ prior - along @ mean))
+        log_evidence = -0.5 * (logdet + float(np.sum(y**2) + prior @ prior - along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
 
     def nothing(self) -> Posterior:
@@ -217,16 +224,44 @@ class Evidence:
             slow = tuple(s.likeliest(x) for s, x in zip(slow, white.T, strict=True))
         self.noise = dataclasses.replace(self.noise, variance=variance, slow=slow)
 
-    def gains(self, now: Posterior, others: Bank | Sequence[Hypothesis]) -> Float[np.ndarray, " c"]:
-        """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`."""
+    def gains(
+        self,
+        now: Posterior,
+        others: Bank | Sequence[Hypothesis],
+        without: Sequence[Hypothesis] = (),
+    ) -> Float[np.ndarray, " c"]:
+        """Change of log evidence when one more is added, prior odds apart, nats; one for each of `others`.
+
+        Had some of the chosen not been chosen: `without` them (`Posterior.without`).
+        """
         bank = others if isinstance(others, Bank) else Bank(others)
+        every, unsaid = self._seen_of(now, bank)
+        if without:
+            gone = np.concatenate([np.arange(len(now.mean))[now.part(h)] for h in without])
+            every = [x.without(gone, now.mean, now.covariance) for x in every]
+        out = np.empty(len(bank))
+        for x in every:
+            out[x.at] = x.gains()
+        return out - unsaid
+
+    def _seen_of(self, now: Posterior, bank: Bank) -> tuple[list[Seen], Float[np.ndarray, " c"]]:
+        """What is seen of a bank's candidates, and what each owes (`unsaid`); the latest is kept.
+
+        One posterior is asked many times over: of one bank, or where numbers between a grid's points are searched.
+        """
+        if self._seen is not None and all(
+            a is b for a, b in zip(self._seen, (now, self.noise, bank), strict=False)
+        ):
+            return self._seen[3:]
         root = np.sqrt(self.precision)
-        # Asked of one posterior many times over, where numbers between a grid's points are searched.
-        if self._last is None or self._last[0] is not now or self._last[1] is not self.noise:
+        if self._base is None or self._base[0] is not now or self._base[1] is not self.noise:
             base = scaled(now.chosen, root).reshape(*self.y.shape, len(now.mean))
-            self._last = now, self.noise, base
-        gains = bank.gains(root, self._last[2], root * (self.y - now.fitted), now.covariance)
-        return gains - np.array([self.unsaid(h) for h in bank.candidates])
+            self._base = now, self.noise, base
+        seen = bank.seen(root, self._base[2], root * (self.y - now.fitted), now.covariance)
+        unsaid = np.array([self.unsaid(h) for h in bank.candidates])
+        if len(bank) > 1:
+            self._seen = now, self.noise, bank, seen, unsaid
+        return seen, unsaid
 
     def unsaid(self, h: Hypothesis) -> float:
         """What a hypothesis owes for torques that it leaves open, nats: all that is logged has to be likely.

@@ -166,13 +166,22 @@ EXCHANGE = 2.0
 
 
 def _best(
-    residual, evidence: Evidence, now: Posterior, bank: Bank, barred: set[int]
+    residual,
+    evidence: Evidence,
+    now: Posterior,
+    bank: Bank,
+    barred: set[int],
+    without: tuple[Hypothesis, ...] = (),
 ) -> Iterator[tuple[Hypothesis, float]]:
-    """Candidates that are neither barred nor chosen, and their gains with prior odds taken off; the best first."""
-    gains = evidence.gains(now, bank) - np.array([h.odds for h in bank.candidates])
+    """Candidates that are neither barred nor chosen, and their gains with prior odds taken off; the best first.
+
+    Had some of the chosen not been chosen: `without` them.
+    """
+    gains = evidence.gains(now, bank, without) - bank.odds
+    chosen = [h for h in now.chosen if h not in without]
     for k in np.argsort(-gains):
         h = bank.candidates[k]
-        if np.isfinite(gains[k]) and id(h) not in barred and not excluded(residual, h, now.chosen):
+        if np.isfinite(gains[k]) and id(h) not in barred and not excluded(residual, h, chosen):
             yield h, float(gains[k])
 
 
@@ -218,12 +227,11 @@ def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
         first, second = (
             float(evidence.worths(p)[p.chosen.index(h)]) - h.odds for p, h in ((now, a), (rest, b))
         )
-        rest, both = rest.without(b), first + second
         own = {id(c) for c in bank.candidates if c.key in (a.key, b.key)}
-        better = next(_best(residual, evidence, rest, bank, own), None)
-        if better is None or better[1] <= both:
+        better = next(_best(residual, evidence, now, bank, own, (a, b)), None)
+        if better is None or better[1] <= first + second:
             continue
-        after = _with(residual, evidence, rest, better[0], bank)
+        after = _with(residual, evidence, rest.without(b), better[0], bank)
         raised = None if after is None else _raised(residual, evidence, now, after, seen)
         if raised is not None:
             return raised
@@ -238,7 +246,7 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
             continue
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
-        better = next(_best(residual, evidence, rest, bank, gone | own), None)
+        better = next(_best(residual, evidence, now, bank, gone | own, (h,)), None)
         if (
             better is not None
             and better[1] > worth - h.odds + EXCHANGE
