@@ -37,7 +37,7 @@ def test_a_load_that_is_most_of_what_is_missing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mass", [1.5])
+@pytest.mark.parametrize("mass", [1.5, 2.5, 3.5])
 def test_beside_a_load_as_heavy_as_its_arm_friction_still_votes(mass):
     robot = ji.load_model(mujoco.MjModel.from_xml_string(BARE))
     log, other = (simulate(rubbing, edit=loaded(mass, (0, 0, -0.25)), seed=k) for k in (11, 61))

@@ -344,6 +344,19 @@ def _at_other_places(residual: Residual, h: Hypothesis) -> tuple[Hypothesis, ...
     return tuple(hypothesis(residual, h.effect, p, h.shape, h.odds) for p in places)
 
 
+def is_law_of(other: Hypothesis, h: Hypothesis) -> bool:
+    """Whether one is the other with more numbers, as a Stribeck friction is a level friction with more at low speed."""
+    return other.level is not None and other.level.name == h.family and other.place == h.place
+
+
+def _no_more(now: Posterior, law: Hypothesis, settings: Settings) -> bool:
+    """Whether what a law adds to its level is nowhere in the log more than next to nothing: it is no other friction."""
+    mean, covariance = now.of(law)
+    most = np.abs(mean) + 2.0 * np.sqrt(np.diag(covariance))
+    size = np.max(np.abs(law.own_columns), axis=0) * most
+    return bool(np.sum(size[1:]) < settings.ordinary_tolerance * size[0])
+
+
 def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
     """Best shape of each other family and place, in the place of `h`, those within reach first."""
     now, evidence = selection.posterior, selection.evidence
@@ -368,6 +381,8 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
         if c.effect.secant:
             behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds
         if behind <= reach and c.possible(selection.residual, with_it.of(c)[0]):
+            if is_law_of(c, h) and _no_more(with_it, c, settings):
+                continue
             best[c.key] = Rival(c, behind)
     out = sorted(best.values(), key=lambda r: r.behind)
     return tuple(out)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.diagnosis.checks import rivals, rows
+from jax_inertia.diagnosis.checks import is_law_of, rivals, rows
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.effects.registry import DRY_FORMS
 from jax_inertia.diagnosis.hypothesis import Hypothesis
@@ -85,8 +85,10 @@ def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Foun
 def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
     """'exact' where the two torques are one along this motion to a part in ten thousand of their energy.
 
-    A friction is a constant torque until its joint turns round.
+    A friction is a constant torque until its joint turns round, and each law with more numbers can be it.
     """
+    if is_law_of(other, h):
+        return "motion_limited"
     side = selection.residual.context.side
     for one in (h, other):
         if isinstance(one.effect, DryFriction):

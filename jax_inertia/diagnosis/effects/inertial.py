@@ -51,6 +51,8 @@ def inertia_change(pi: np.ndarray, share: float) -> np.ndarray:
 
 LEAST = 0.02
 """Least mass by which a load's first and second moments are judged, of a usual one's: where none is found yet."""
+MASSES = np.array([4.0, 1.0, 0.25, 0.0625])
+"""Loads that are asked for, of a usual one's mass: an arm on a bench may be given its own weight to carry."""
 LOAD = 0.08
 """Standard deviation of a load's mass, of the robot's: arms carry 0.1 to 0.3 of their weight at most."""
 
@@ -96,14 +98,13 @@ class Payload(_Inertial):
     form_error = 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
-    prior = "0.08 of the robot's mass or 0.3 of the body's, as far off as its centre of mass and 6 cm; within a link"
+    prior = "0.08 of the robot's mass or 0.3 of the body's, up to four times that; as far off as its centre and 6 cm"
 
     def shapes(self, context, place):
         pi = context.pi[place.index]
         own = pi[1:4] / pi[0] if pi[0] > 0 else np.zeros(3)
-        usual = self.usual_mass(context, place)
-        masses = (usual, usual / 4.0, usual / 16.0)
-        return [(m, *(m * own), m * (SIZE * context.scale) ** 2) for m in masses]
+        masses = self.usual_mass(context, place) * MASSES
+        return [(m, *(m * own), m * (SIZE * context.scale) ** 2) for m in masses.tolist()]
 
     def columns(self, context, place, shape):
         m, first = max(float(shape[0]), 1e-9), np.asarray(shape[1:4])
@@ -122,18 +123,21 @@ class Payload(_Inertial):
         return max(0.3 * self.mass(context, place), LOAD * whole)
 
     def mean(self, context, place, shape):
-        # Of the grid's mass nearest to that by which its moments are judged: a log that shows moments alone leaves it
-        # there, and not at none.
-        masses = np.array([start[0] for start in self.shapes(context, place)])
-        nearest = np.argmin(np.abs(np.log(masses / max(float(shape[0]), 1e-9))))
-        return np.array([masses[nearest], 0.0, 0.0, 0.0, 0.0])
+        # A log that shows moments alone leaves it there, and not at none.
+        return np.array([self._near(context, place, shape), 0.0, 0.0, 0.0, 0.0])
+
+    def _near(self, context, place, shape) -> float:
+        """The mass of the grid that is nearest to that by which moments are judged [kg]."""
+        masses = self.usual_mass(context, place) * MASSES
+        return float(masses[np.argmin(np.abs(np.log(masses / max(float(shape[0]), 1e-9))))])
 
     def scale(self, context, place, shape):
         # As far from the joint as the body's own centre of mass; its moments by its mass: p(m c | m), p(m k² | m).
         lever, size = lever_on(context, place), (SIZE * context.scale) ** 2
         usual = self.usual_mass(context, place)
         mass = max(float(shape[0]), LEAST * usual)
-        return np.array([usual, *(mass * np.array([lever, lever, lever, size]))])
+        spread = max(usual, self._near(context, place, shape))
+        return np.array([spread, *(mass * np.array([lever, lever, lever, size]))])
 
     def possible(self, context, place, theta):
         lever = np.linalg.norm(theta[1:4]) / max(float(theta[0]), 1e-9)

@@ -59,12 +59,11 @@ def candidates(
         if effect.ordinary and bought:
             continue
         for place in effect.places(residual.context):
-            for shape in effect.shapes(residual.context, place):
-                # All forms of a joint's dry friction turn round alike.
-                if isinstance(effect, DryFriction) and shape[0] != presliding.get(
-                    place.index, shape[0]
-                ):
-                    continue
+            shapes = effect.shapes(residual.context, place)
+            if isinstance(effect, DryFriction) and place.index in presliding:
+                # All forms of a joint's dry friction turn round alike, between a grid's points too.
+                shapes = dict.fromkeys((presliding[place.index], *rest) for _, *rest in shapes)
+            for shape in shapes:
                 h = make(residual, effect, place, shape, settings, state, library)
                 # What this motion does not show is no candidate.
                 if np.any(np.abs(h.scaled) > 1e-9):

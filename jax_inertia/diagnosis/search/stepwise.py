@@ -216,26 +216,36 @@ def _added(residual, evidence, now, bank: Bank, barred, seen) -> Posterior | Non
 
 
 def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
-    """One odd effect for two of a place that together say the same; None where none does it as well.
+    """One odd effect for several that together say the same; None where none does it as well.
 
-    A friction that differs by direction is a friction and a constant torque, say.
+    A friction that differs by direction is a friction and a constant torque, say; a delay of all joints is one of each.
     """
-    for a, b in itertools.combinations([h for h in now.chosen if h.is_odd], 2):
-        if not one_place(residual, a, b):
+    for several in _alike(residual, now):
+        rest = now
+        for h in several:
+            rest = rest.without(h)
+        together = now.log_evidence - rest.log_evidence
+        together -= sum(h.odds + evidence.unsaid(h) for h in several)
+        keys = {h.key for h in several}
+        own = {id(c) for c in bank.candidates if c.key in keys}
+        better = next(_best(residual, evidence, now, bank, own, several), None)
+        if better is None or better[1] <= together:
             continue
-        rest = now.without(a)
-        first, second = (
-            float(evidence.worths(p)[p.chosen.index(h)]) - h.odds for p, h in ((now, a), (rest, b))
-        )
-        own = {id(c) for c in bank.candidates if c.key in (a.key, b.key)}
-        better = next(_best(residual, evidence, now, bank, own, (a, b)), None)
-        if better is None or better[1] <= first + second:
-            continue
-        after = _with(residual, evidence, rest.without(b), better[0], bank)
+        after = _with(residual, evidence, rest, better[0], bank)
         raised = None if after is None else _raised(residual, evidence, now, after, seen)
         if raised is not None:
             return raised
     return None
+
+
+def _alike(residual, now: Posterior) -> Iterator[tuple[Hypothesis, ...]]:
+    """Odd effects that may be one: two of a place, all of a family."""
+    odd = [h for h in now.chosen if h.is_odd]
+    yield from (x for x in itertools.combinations(odd, 2) if one_place(residual, *x))
+    for family in dict.fromkeys(h.family for h in odd):
+        every = tuple(h for h in odd if h.family == family)
+        if len(every) > 1:
+            yield every
 
 
 def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Posterior | None:
