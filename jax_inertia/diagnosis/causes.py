@@ -1,29 +1,17 @@
-"""Which of the effects that help to predict are causes: what pays for itself where slow misfit is no sample.
-
-And which numbers of the model the log says are further off than their tolerance.
-"""
+"""Which of the effects that help to predict are causes: what pays for itself where slow misfit is no sample."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import norm
 
 from jax_inertia.diagnosis.checks import PASSING, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance, TorqueGain
-from jax_inertia.diagnosis.effects.tolerances import (
-    STATED,
-    InertialTolerances,
-    StatedNumbers,
-    inertial_changes,
-)
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.schema import TorqueKind
-from jax_inertia.text.words import number
 
 Judges = Sequence[OtherRun | HeldOut]
 
@@ -146,36 +134,3 @@ def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:
         errors = judge.errors_without(now, asked)
         now = now.without(asked[int(np.argmin(errors))])
     return now
-
-
-NUMBERS_OF_BODY = ("mass", *(f"centre of mass along {k}" for k in "xyz"), *["inertia"] * 6)
-
-
-def strained(selection: Selection, settings: Settings) -> tuple[str, ...]:
-    """A line for each number so far off that in a model within its tolerances hardly one would be, the worst first.
-
-    By z in units of what is stated, Φ(−|z|) < p / 2n of n numbers that the log determines (Bonferroni's bound).
-    """
-    off = [x for h in selection.posterior.chosen for x in _numbers(selection, h)]
-    limit = norm.isf(settings.strained / (2.0 * max(len(off), 1)))
-    worst = sorted((x for x in off if abs(x[0]) > limit), key=lambda x: -abs(x[0]))
-    return tuple(f"{name} is off by {number(abs(z))} times its tolerance" for z, name in worst)
-
-
-def _numbers(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, str]]:
-    """Error of each in units of its stated standard deviation, and what it is; of those that the log determines."""
-    if not isinstance(h.effect, InertialTolerances | StatedNumbers):
-        return
-    now, part = selection.posterior, selection.posterior.part(h)
-    told = 1.0 - np.diag(now.covariance)[part] > 0.5
-    z = now.mean[part] * h.scale
-    for k, name in enumerate(_names(selection, h)):
-        if told[k]:
-            yield float(z[k]), name
-
-
-def _names(selection: Selection, h: Hypothesis) -> list[str]:
-    if isinstance(h.effect, StatedNumbers):
-        return [f"{family.replace('_', ' ')} of {h.place.name}" for family in STATED]
-    bodies = (name for _, name, _ in inertial_changes(selection.residual.context, h.shape))
-    return [f"{what} of {body}" for body in bodies for what in NUMBERS_OF_BODY]

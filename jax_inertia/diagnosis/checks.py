@@ -167,7 +167,8 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     """Standard deviation of each row's noise [N m]; `left`: what effects leave of it.
 
     That of the sensors. A command is exact and no sensor's: what its motor makes of it moves the robot and is not in
-    the log, so there what is white of the residual is noise too, as far as motors ripple.
+    the log, so there what is forgotten within two rows of the residual is noise too, as far as motors ripple: of the
+    thirty rows in which a joint moves, say, no more can be told.
     """
     out = residual.sensors
     if residual.log.tau_kind is not TorqueKind.COMMANDED or residual.log.sigma_tau is not None:
@@ -175,8 +176,8 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     own, most = rows(left, residual.weight), RIPPLE * rows(residual.torque, residual.weight)
     unit = left / np.maximum(own, 1e-300)
     fits = [SlowNoise(w).likeliest(z) for w, z in zip(residual.weight.T, unit.T, strict=True)]
-    white = own * np.sqrt([1.0 - fit.share for fit in fits])
-    return np.maximum(out, np.minimum(white, most))
+    short = own * np.sqrt([1.0 - fit.lasting for fit in fits])
+    return np.maximum(out, np.minimum(short, most))
 
 
 class OtherRun(_Run):

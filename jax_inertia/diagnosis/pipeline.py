@@ -12,6 +12,7 @@ from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
+from jax_inertia.diagnosis.refuted_tolerances import named_where_refuted
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
@@ -53,6 +54,8 @@ def diagnose(
         selection = searched(
             started(residual, library, settings, state), library, settings, progress
         )
+    if selection.state is CalibrationState.CALIBRATED:
+        selection = named_where_refuted(selection, settings)
     return _judged(robot, test_log, selection, as_bought, settings, progress)
 
 

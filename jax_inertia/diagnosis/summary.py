@@ -13,7 +13,6 @@ from jax_inertia.diagnosis.causes import (
     carried_over,
     evidence_of_causes,
     judges_of,
-    strained,
 )
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
@@ -24,6 +23,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects
 from jax_inertia.diagnosis.motor_gains import motor_gains
+from jax_inertia.diagnosis.refuted_tolerances import refuted
 from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.where import body_forces, regions, states
 from jax_inertia.diagnosis.report.wording import headline
@@ -73,7 +73,7 @@ def summarised(
     likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
-    bent = strained(told, settings)
+    bent = tuple(x.line for x in refuted(told, settings))
     judged = verdict(
         own_causes, None if other is None else by_cause, bool(likely), another, bool(bent), settings
     )

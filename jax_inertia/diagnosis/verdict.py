@@ -9,7 +9,7 @@
 
 All of what the named effects leave: a generic alternative explains nothing. A run is quiet within `noise_ratio`, a
 joint within `excess` of what its sensors, the equations' own errors and unknown numbers leave. `explained` becomes
-`partly` where a joint is not quiet, and where it is not `likely` that no further effect is there.
+`partly` where a joint is not quiet in every run, and where it is not `likely` that no further effect is there.
 """
 
 import numpy as np
@@ -40,7 +40,8 @@ def verdict(
     limit = settings.noise_ratio * check.noise
     small = check.unexplained < settings.explained or check.after <= limit
     if small and check.after < check.before:
-        doubted = np.any(check.excess > settings.excess) or 1.0 / (1.0 + another) < settings.likely
+        loud = any(np.any(c.excess > settings.excess) for c in runs)
+        doubted = loud or 1.0 / (1.0 + another) < settings.likely
         return Verdict.PARTLY if doubted else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
 

@@ -241,7 +241,7 @@ class Backlash(TwoMass):
         return itertools.product(gap[::2], stiffness[2::6], *others)
 
     def steps(self, context, place, shape):
-        return (0.3 * shape[0], 0.3 * shape[1], 0.0, 0.0, 0.0, 0.0)
+        return (0.3 * shape[0], 0.3 * shape[1], 0.4 * shape[2], 0.0, 0.0, 0.0)
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0], shape[3], shape[4]

@@ -128,21 +128,17 @@ DRIFTS = 0.005
 
 
 class DriftingClock(_Generic):
-    """Encoders read by another clock than the drives': a delay that grows along the log."""
+    """Encoders read by another clock than the drives': a delay that grows along the log, from none at any moment."""
 
-    name, equation, kind = (
-        "a clock that runs apart",
-        "r t τ̇, t from the middle of the log",
-        "global",
-    )
+    name, equation, kind = "a clock that runs apart", "(c + r t) τ̇", "global"
 
     def columns(self, context, place, shape):
         slope = derivative(context.time, context.below(context.slow_band, context.inverse))
         ahead = 2.0 * (context.time / context.time[-1]) - 1.0
-        return Columns((slope * ahead[:, None])[:, :, None])
+        return Columns(slope[:, :, None] * np.stack([np.ones_like(ahead), ahead], axis=1)[:, None])
 
     def scale(self, context, place, shape):
-        return np.array([DRIFTS])
+        return np.full(2, DRIFTS)
 
 
 class LoadRipple(_Generic):

@@ -40,6 +40,11 @@ class SlowNoise:
         return SHARES[self.at[0]]
 
     @property
+    def lasting(self) -> float:
+        """Share of the variance that is not forgotten within the shortest ℓ."""
+        return self.share if self.at[1] else 0.0
+
+    @property
     def forgotten(self) -> float:
         """φ."""
         return float(np.exp(-1.0 / LENGTHS[self.at[1]]))
