@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
 from jax_inertia.diagnosis.residual import Residual
@@ -72,6 +72,12 @@ class _Run(abc.ABC):
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of every row after everything chosen [N m]."""
 
+    @abc.abstractmethod
+    def covariances(
+        self, now: Posterior
+    ) -> Iterator[tuple[Bool[np.ndarray, " R"], Float[np.ndarray, "p p"]]]:
+        """Rows that are predicted by one fit, and the covariance of its numbers."""
+
     def error(self, now: Posterior) -> float:
         """Residual after, rms over moving rows [N m]."""
         return rms(self.left(now), self.residual.weight)
@@ -114,15 +120,18 @@ class _Run(abc.ABC):
         own = tuple(h for h in now.chosen if h.effect.of_log)
         lasting = tuple(h for h in now.chosen if h.family not in PASSING and h not in own)
         there = tuple(elsewhere(h, self.residual) for h in lasting)
-        columns = scaled(there, np.ones_like(self.residual.y))
+        whole = np.ones_like(self.residual.y)
+        columns = scaled(there, whole).reshape(*whole.shape, -1)
         parts = map(now.part, lasting)
         at = np.array([k for p in parts for k in range(p.start, p.stop)], int)
-        unknown = np.sum((columns @ now.covariance[np.ix_(at, at)]) * columns, axis=1)
         # Of numbers that each log has its own of, the prior is all that is known.
         anew = tuple(hypothesis(self.residual, h.effect, h.place, h.shape, h.odds) for h in own)
-        unknown = unknown + np.sum(scaled(anew, np.ones_like(self.residual.y)) ** 2, axis=1)
+        variance = np.sum(scaled(anew, whole).reshape(*whole.shape, -1) ** 2, axis=-1)
+        for rows_of_it, covariance in self.covariances(now):
+            of_it = columns[rows_of_it]
+            variance[rows_of_it] += np.sum((of_it @ covariance[np.ix_(at, at)]) * of_it, axis=-1)
         by_form = [(h.form_error * torque) ** 2 for h, torque in self.torques(now) if h.form_error]
-        variance = unknown.reshape(self.residual.y.shape) + np.sum(by_form, axis=0)
+        variance += np.sum(by_form, axis=0)
         return rows(np.sqrt(variance), self.residual.weight)
 
     def check(self, ordinary: Posterior, whole: Posterior) -> Check:
@@ -231,6 +240,9 @@ class OtherRun(_Run):
     def left_without(self, now, asked):
         return (self.left(now.without(h)) for h in asked)
 
+    def covariances(self, now):
+        yield np.ones(len(self.residual.y), bool), now.covariance
+
 
 class HeldOut(_Run):
     """The log itself, each of a few stretches predicted from the others."""
@@ -250,6 +262,9 @@ class HeldOut(_Run):
     def left_without(self, now, asked):
         fits = self._fits(now)
         return (self._left([fit.without(h) for fit in fits]) for h in asked)
+
+    def covariances(self, now):
+        return ((self.fold == k, fit.covariance) for k, fit in enumerate(self._fits(now)))
 
     def shares(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
         """Of the gap's energy, what returns without each of some that are chosen, by numbers of other stretches."""
@@ -313,6 +328,26 @@ def gated(
                 return dataclasses.replace(selection, posterior=now), tuple(dropped)
         dropped.append(worst)
         now = now.without(worst)
+
+
+def told_apart(selection: Selection, judge: OtherRun, settings: Settings) -> Selection:
+    """The selection with each odd effect that another motion speaks against the one of its ties that it speaks for.
+
+    Two that one motion makes alike another may not: a friction and a constant torque, where a joint moved one way. One
+    gives way to another that leaves less of the other run by `gate`.
+    """
+    for h in selection.odd:
+        now = selection.posterior
+        rest, least = now.without(h), (1.0 - settings.gate) * judge.error(now)
+        if h.family in PASSING or judge.error(rest) > judge.error(now):
+            continue
+        own = selection.evidence.worths(now)[now.chosen.index(h)] - h.odds
+        reach = max(settings.tie, settings.tie_share * abs(own))
+        for rival in (r.hypothesis for r in rivals(selection, h, settings) if r.behind < reach):
+            after = selection.evidence.posterior((*rest.chosen, rival))
+            if (error := judge.error(after)) < least:
+                least, selection = error, dataclasses.replace(selection, posterior=after)
+    return selection
 
 
 def _asked(now: Posterior) -> list[Hypothesis]:

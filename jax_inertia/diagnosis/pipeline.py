@@ -8,7 +8,7 @@ import numpy as np
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
 from jax_inertia.diagnosis.causes import borne_out, judges_of, remembering
-from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated
+from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated, told_apart
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
@@ -84,6 +84,8 @@ def _judged(
     heldout = HeldOut(selection, settings)
     other = None if test_log is None else _other_run(robot, test_log, selection, settings)
     judge = heldout if other is None else other
+    if other is not None:
+        selection = told_apart(selection, other, settings)
     gate, dropped = gated(selection, judge, settings)
     whole = remembering(gate, gate.posterior)
     everything = min(gate.posterior, whole.posterior, key=judge.error)
