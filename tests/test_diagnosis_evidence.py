@@ -324,6 +324,9 @@ class Predicted(_Run):
     def left_without(self, now, asked):
         return iter([self._without] * len(asked))
 
+    def covariances(self, now):
+        return iter(())
+
 
 def test_support_is_a_likelihood_of_as_many_rows_as_are_independent():
     rng, rows = np.random.default_rng(2), 3000

@@ -121,6 +121,12 @@ MISSES = 0.2
 """How far a joint's motion apart is from what is computed of it, relative: teeth rattle at other moments."""
 
 
+LEAST_PLAY = 2e-4
+"""Of a precision gear, half a minute of arc: less is a soft joint [rad]."""
+LEAST_DAMPING, MOST_DAMPING = 0.005, 0.6
+"""Damping ratios of springs and teeth."""
+
+
 class TwoMass(Effect):
     """Motor and link apart, by the two-mass observer: the whole effect of one set of couplings, θ near one.
 
@@ -206,7 +212,10 @@ class JointElasticity(TwoMass):
         return itertools.product(stiffness[1::3], damping[1::2], side[:1], bands)
 
     def steps(self, context, place, shape):
-        return (0.2 * shape[0], 0.0, 0.0, 0.0)
+        return (0.2 * shape[0], 0.4 * shape[1], 0.0, 0.0)
+
+    def within(self, shape):
+        return LEAST_DAMPING <= shape[1] <= MOST_DAMPING
 
     def coupling(self, shape):
         return shape[0], shape[1], 0.0, 0.0, shape[2]
@@ -230,8 +239,7 @@ class Backlash(TwoMass):
     mjcf = "a second hinge in line with the first, whose range is the play"
 
     def grid(self, context, place):
-        # From a precision gear's half a minute of arc.
-        gaps, bands = np.geomspace(2e-4, 0.05, 13), (context.slow_band, ALL)
+        gaps, bands = np.geomspace(LEAST_PLAY, 0.05, 13), (context.slow_band, ALL)
         # Stiffnesses so close that between two of them the effect is hardly larger or smaller.
         stiffness = stiffnesses(context, place, 19)
         return (gaps, stiffness, (0.15,), (0.0,), sides(context, place), bands)
@@ -242,6 +250,9 @@ class Backlash(TwoMass):
 
     def steps(self, context, place, shape):
         return (0.3 * shape[0], 0.3 * shape[1], 0.4 * shape[2], 0.0, 0.0, 0.0)
+
+    def within(self, shape):
+        return shape[0] >= LEAST_PLAY and LEAST_DAMPING <= shape[2] <= MOST_DAMPING
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0], shape[3], shape[4]
