@@ -15,6 +15,7 @@ from jax_inertia import load_model
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.causes import strain
 from jax_inertia.diagnosis.checks import OtherRun, _at_other_places, rows
+from jax_inertia.diagnosis.effects.actuator import TimeDelay
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
@@ -30,6 +31,7 @@ from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.candidates import candidates
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.ordinary import ordinary_physics, with_turning
+from jax_inertia.diagnosis.search.stepwise import _alike
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.maths.precision import in_double_precision
 
@@ -124,6 +126,43 @@ def test_a_wave_of_teeth_and_its_harmonic_are_one_effect(robot):
     numbers = report.found[0].parameters
     assert numbers["amplitude"].value == pytest.approx(0.5, rel=0.05)
     assert numbers["harmonic"].value == pytest.approx(0.06, rel=0.3)
+
+
+def test_a_number_far_beyond_its_tolerance_is_named_at_no_odds(robot):
+    """23 % off where 5 % are stated: what is rare is not asked of a number that the log refutes."""
+    log = logged(1, viscous=(0.9, 0.615, 0.15))
+    with_it = {}
+    settings = Settings()
+    for odds in (settings.odd_odds, 60.0):
+        given = dataclasses.replace(settings, odd_odds=odds)
+        report = in_double_precision(pipeline.diagnose)(
+            robot, log, settings=given, state=CalibrationState.CALIBRATED
+        )
+        with_it[odds] = [(f.family, f.place.name) for f in report.found]
+        assert report.found[0].parameters["damping"].value == pytest.approx(0.115, rel=0.1)
+    assert set(map(tuple, with_it.values())) == {(("viscous_friction", "elbow"),)}
+
+
+def test_laws_of_a_friction_turn_round_as_it_does_between_the_grid_s_points(residual):
+    settings, library = Settings(), effects_of(residual.log)
+    between = 3.3e-4
+    forms = candidates(residual, library, {1: between}, settings, CalibrationState.CALIBRATED)
+    turns = {h.shape[0] for h in forms if h.place == ELBOW and h.family == "stribeck_friction"}
+    assert turns == {between}
+
+
+def test_delays_of_every_joint_are_asked_as_one(residual):
+    delay = TimeDelay()
+    every = tuple(
+        hypothesis(residual, delay, Place("joint", name, row), (0.004,), 8.0)
+        for row, name in enumerate(("shoulder", "elbow", "wrist"))
+    )
+    rotor = hypothesis(residual, Armature(), ELBOW, (), 8.0)
+    now = Posterior((*every, rotor), (), np.zeros(0), np.zeros((0, 0)), residual.y)
+    alike = list(_alike(residual, now))
+    assert every in alike
+    assert (every[1], rotor) in alike
+    assert (every[0], rotor) not in alike
 
 
 def test_a_sound_calibrated_robot_has_no_gap(robot):
