@@ -207,8 +207,9 @@ class Evidence:
             V_jt = max(σ_j² + s_j Σₖ fₖ² eₖ(t)², least_j²)
 
         σ_j: residual rms of the row, degrees of freedom taken off, the sensors' noise at least; fₖ: relative error of
-        effect k's equation, s_j the share of such errors that is in the residual. As bought, a robot has misfit of its own on top of those errors, `least` included. With
-        `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
+        effect k's equation, s_j the share of such errors that is in the residual. As bought, a robot has misfit of its
+        own on top of those errors, `least` included. With `memory`, how much of it is slow is learned too; without, two
+        hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
         free = sum(h.count for h in now.chosen if h.named) / left.shape[1]
