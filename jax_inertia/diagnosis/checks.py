@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
@@ -408,7 +408,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
         c, behind = others[k], own - float(gains[k])
         if behind > reach + (BEYOND_SECANT * abs(own) if c.effect.secant else 0.0):
             continue
-        if c.key in best or c.key in taken:
+        if c.key in best or c.key in taken or excluded(selection.residual, c, rest.chosen):
             continue
         if len(best) == MOST_RIVALS:
             break

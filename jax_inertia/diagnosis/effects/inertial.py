@@ -58,7 +58,8 @@ LOAD = 0.08
 
 
 class _Inertial(Effect):
-    kind, advice = "body", advice.BRISK
+    # A rigid body's equation is exact; filters and differences of the motion are not.
+    kind, advice, form_error = "body", advice.BRISK, 0.003
     mjcf: ClassVar[str] = "body inertial"
 
     def regressor(self, context, place) -> np.ndarray:
@@ -95,7 +96,6 @@ class Payload(_Inertial):
     """
 
     name, equation, secant = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", True
-    form_error = 0.02
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
     prior = "0.08 of the robot's mass or 0.3 of the body's, up to four times that; as far off as its centre and 6 cm"
