@@ -339,7 +339,7 @@ def told_apart(selection: Selection, judge: OtherRun, settings: Settings) -> Sel
     for h in selection.odd:
         now = selection.posterior
         rest, least = now.without(h), (1.0 - settings.gate) * judge.error(now)
-        if h.family in PASSING or judge.error(rest) > judge.error(now):
+        if not h.named or h.family in PASSING or judge.error(rest) > judge.error(now):
             continue
         own = selection.evidence.worths(now)[now.chosen.index(h)] - h.odds
         reach = max(settings.tie, settings.tie_share * abs(own))
