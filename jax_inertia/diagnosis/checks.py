@@ -176,8 +176,8 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     """Standard deviation of each row's noise [N m]; `left`: what effects leave of it.
 
     That of the sensors. A command is exact and no sensor's: what its motor makes of it moves the robot and is not in
-    the log, so there what is forgotten within two rows of the residual is noise too, as far as motors ripple: of the
-    thirty rows in which a joint moves, say, no more can be told.
+    the log, so there what is forgotten within two rows of the residual is noise too, as far as motors ripple: the
+    thirty rows in which a joint moves, say, tell that from white noise by chance.
     """
     out = residual.sensors
     if residual.log.tau_kind is not TorqueKind.COMMANDED or residual.log.sigma_tau is not None:

@@ -12,10 +12,10 @@ from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated, told_apart
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
-from jax_inertia.diagnosis.refuted_tolerances import named_where_refuted
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
+from jax_inertia.diagnosis.search.refuted_tolerances import named_where_refuted
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import searched, started
 from jax_inertia.diagnosis.settings import CalibrationState, Settings

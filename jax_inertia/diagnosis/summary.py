@@ -23,7 +23,6 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
 from jax_inertia.diagnosis.listing import as_listed, effects
 from jax_inertia.diagnosis.motor_gains import motor_gains
-from jax_inertia.diagnosis.refuted_tolerances import refuted
 from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.where import body_forces, regions, states
 from jax_inertia.diagnosis.report.wording import headline
@@ -31,6 +30,7 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
+from jax_inertia.diagnosis.search.refuted_tolerances import refuted
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import confidence, verdict

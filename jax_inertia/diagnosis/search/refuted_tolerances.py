@@ -56,7 +56,7 @@ def refuted(selection: Selection, settings: Settings) -> list[Refuted]:
 def named_where_refuted(selection: Selection, settings: Settings) -> Selection:
     """With the effect that each refuted number is, where the log is likelier with it, by its own prior and no odds.
 
-    Odds against an effect say how rare it is. That this number is another than the model's is told by then: what is
+    Odds against an effect say how rare it is. That this number is another than the model's is known by then: what is
     asked is whether its tolerance says how far.
     """
     asked: set[tuple[str, str, str]] = set()
