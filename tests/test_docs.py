@@ -163,9 +163,8 @@ def test_an_arm_s_first_hour(tmp_path, monkeypatch, capsys):
     assert friction == pytest.approx({"turn": 0.9, "shoulder": 1.2, "elbow": 0.6}, rel=0.05)
     command = ["estimate", "loaded.npz", "--model", "out/log/corrected.xml", "--bodies", "lower"]
     assert main(command) == 0
-    body = json.loads((tmp_path / "out" / "loaded" / "estimate" / "report.json").read_text())[
-        "bodies"
-    ]["lower"]
+    report = json.loads((tmp_path / "out" / "loaded" / "estimate" / "report.json").read_text())
+    body = report["bodies"]["lower"]
     assert body["batch"]["mass_kg"]["value"] == pytest.approx(2.1, abs=0.02)
 
 

@@ -85,15 +85,12 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where log or model cannot be used."""
-    from threadpoolctl import threadpool_limits
-
     from jax_inertia.cli import diagnose_run as pipeline
     from jax_inertia.cli.console import folder_for, output_folder, stages
 
     gains = pipeline.Gains(args.kp, args.kd, args.fix_base)
     out = args.out if args.out is not None else folder_for(args.log)
-    # As in the diagnosis itself: rollouts and figures wait for spinning threads too.
-    with stages() as stage, threadpool_limits(limits=1, user_api="blas"):
+    with stages() as stage:
         inputs = pipeline.read(
             args.model, args.log, args.test_log, args.exclude, args, gains, args.more_logs
         )

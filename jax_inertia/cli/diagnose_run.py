@@ -6,6 +6,8 @@ import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from jax_inertia.cli import diagnose_output as output
 from jax_inertia.cli import replay_run
 from jax_inertia.cli.console import warn
@@ -137,6 +139,8 @@ def diagnosed(
     return replay_run.add_command(folder, inputs.model, inputs.log, gains, show_it)
 
 
+# As the diagnosis itself: rollouts and figures wait for spinning threads too.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def by_torque(
     folder: Path,
     inputs: Inputs,

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
@@ -337,12 +338,14 @@ def told_apart(selection: Selection, judge: OtherRun, settings: Settings) -> Sel
     gives way to another that leaves less of the other run by `gate`.
     """
     for h in selection.odd:
-        now = selection.posterior
-        rest, least = now.without(h), (1.0 - settings.gate) * judge.error(now)
-        if not h.named or h.family in PASSING or judge.error(rest) > judge.error(now):
+        if not h.named or h.family in PASSING:
+            continue
+        now, rest = selection.posterior, selection.posterior.without(h)
+        error = judge.error(now)
+        if judge.error(rest) > error:
             continue
         own = selection.evidence.worths(now)[now.chosen.index(h)] - h.odds
-        reach = max(settings.tie, settings.tie_share * abs(own))
+        least, reach = (1.0 - settings.gate) * error, settings.reach(own)
         for rival in (r.hypothesis for r in rivals(selection, h, settings) if r.behind < reach):
             after = selection.evidence.posterior((*rest.chosen, rival))
             if (error := judge.error(after)) < least:
@@ -397,12 +400,11 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     """Best shape of each other family and place, in the place of `h`, those within reach first."""
     now, evidence = selection.posterior, selection.evidence
     rest = now.without(h)
-    moved = _at_other_places(selection.residual, h)
-    others, taken = (*selection.named.candidates, *moved), {c.key for c in now.chosen}
+    banks = selection.named, Bank(_at_other_places(selection.residual, h))
+    others, taken = [c for bank in banks for c in bank.candidates], {c.key for c in now.chosen}
     own = float(evidence.gains(rest, (h,))[0]) - h.odds
-    gains = [evidence.gains(now, x, (h,)) for x in (selection.named, moved)]
-    gains = np.concatenate(gains) - np.array([c.odds for c in others])
-    reach = max(settings.tie, settings.tie_share * abs(own)) + NEAR
+    gains = np.concatenate([evidence.gains(now, bank, (h,)) - bank.odds for bank in banks])
+    reach = settings.reach(own) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}
     for k in np.argsort(-gains):
         c, behind = others[k], own - float(gains[k])

@@ -4,8 +4,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from threadpoolctl import threadpool_limits
-
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.result import Diagnosis
@@ -18,9 +16,7 @@ from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, prefli
 from jax_inertia.signals.held import with_loop_torque
 
 
-# NumPy's BLAS, SciPy's and XLA each keep a thread a core, spinning: on systems of 200 numbers they wait for each other.
 @in_double_precision
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     robot: Robot,
     log: Log,

@@ -59,7 +59,7 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
 def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Found:
     others = () if h.ordinary else rivals(selection, h, settings)
     own = worths[id(h)] - h.odds
-    reach = max(settings.tie, settings.tie_share * abs(own))
+    reach = settings.reach(own)
     ties = tuple(
         Tie(r.hypothesis.family, r.hypothesis.place, _kind(selection, h, r.hypothesis))
         for r in others

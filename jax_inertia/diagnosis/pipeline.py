@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
@@ -25,6 +26,8 @@ from jax_inertia.model.robot import Robot
 Progress = Callable[[str], None]
 
 
+# NumPy's BLAS, SciPy's and XLA each keep a thread a core, spinning: on systems of 200 numbers they wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     robot: Robot,
     log: Log,

@@ -72,7 +72,7 @@ class Settings:
     """Share of the gap's energy on the checked run below which nothing more is asked for: a fifth of its rms."""
     excess: float = 3.0
     """A joint's residual over what sensors and ordinary forms leave, from which something remains there: decision."""
-    strained: float = 0.01
+    refuted: float = 0.01
     """Chance that any number of a model within its tolerances is so far off that it is no more within them."""
     partly: float = 0.5
     """Share from which the effects are no partial answer either. Decision."""
@@ -100,3 +100,7 @@ class Settings:
     nothing. None of 60 development logs keeps more than four odd effects."""
     folds: int = 5
     """Blocks of a log that are predicted from the others."""
+
+    def reach(self, evidence: float) -> float:
+        """Nats by which another hypothesis may be behind an effect of so much evidence and explain as much."""
+        return max(self.tie, self.tie_share * abs(evidence))

@@ -8,12 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.causes import (
-    Judges,
-    carried_over,
-    evidence_of_causes,
-    judges_of,
-)
+from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval

@@ -24,17 +24,17 @@ def verdict(
     other: Check | None,
     listed: bool,
     another: float,
-    strained: bool,
+    refuted: bool,
     settings: Settings,
 ) -> Verdict:
     """Of the log itself, its stretches held out, and of another run.
 
-    `listed`: any effect is; `another`: odds that one more is there; `strained`: numbers of the model are further off
+    `listed`: any effect is; `another`: odds that one more is there; `refuted`: numbers of the model are further off
     than their tolerance.
     """
     runs = [own] if other is None else [own, other]
     if not listed:
-        quiet = all(_quiet(c, settings) for c in runs) and not strained
+        quiet = all(_quiet(c, settings) for c in runs) and not refuted
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     check = runs[-1]
     limit = settings.noise_ratio * check.noise

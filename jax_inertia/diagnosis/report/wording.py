@@ -13,7 +13,7 @@ def headline(
     shrinks: tuple[Shrink, Shrink | None],
     remainder: Remainder,
     lacking: str,
-    strained: tuple[str, ...] = (),
+    refuted: tuple[str, ...] = (),
 ) -> str:
     """One to three sentences: what is missing, how far the error shrinks with it, what remains and where."""
     heldout, test = shrinks
@@ -22,10 +22,10 @@ def headline(
     if verdict is Verdict.NO_GAP:
         return "No gap: model and robot agree within the sensors' noise and the model's tolerances."
     top = max(remainder.where, key=lambda n: remainder.where[n], default="")
-    if not found and strained:
+    if not found and refuted:
         return (
             f"The model misses the robot by {number(checked.before)} N m, and what fits that is a number of its own: "
-            f"{strained[0]}."
+            f"{refuted[0]}."
         )
     if not found:
         return (

@@ -178,12 +178,13 @@ class Evidence:
         root, prior, slices = np.sqrt(self.precision), prior_mean(chosen), _slices(chosen)
         y, gram, along = root * self.y, np.eye(len(prior)), prior.copy()
         # Row by row: most hypotheses act on one, and say nothing of those on another.
+        every = [(h.row, s, h.scaled) for h, s in zip(chosen, slices, strict=True)]
         for j in range(y.shape[1]):
-            own = [(h, s) for h, s in zip(chosen, slices, strict=True) if h.row in (j, None)]
+            own = [(s, x[:, j] if row is None else x) for row, s, x in every if row in (j, None)]
             if not own:
                 continue
-            at = np.concatenate([np.arange(s.start, s.stop) for _, s in own])
-            parts = [h.scaled if h.row is not None else h.scaled[:, j] for h, _ in own]
+            at = np.concatenate([np.arange(s.start, s.stop) for s, _ in own])
+            parts = [x for _, x in own]
             columns = np.concatenate(parts, axis=1) * root[:, j, None]
             gram[np.ix_(at, at)] += columns.T @ columns
             along[at] += columns.T @ y[:, j]

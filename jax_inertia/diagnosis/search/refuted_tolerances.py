@@ -49,7 +49,7 @@ def refuted(selection: Selection, settings: Settings) -> list[Refuted]:
     By z in units of what is stated, Φ(−|z|) < p / 2n of n numbers that the log determines (Bonferroni's bound).
     """
     off = [x for h in selection.posterior.chosen for x in _numbers(selection, h)]
-    limit = norm.isf(settings.strained / (2.0 * max(len(off), 1)))
+    limit = norm.isf(settings.refuted / (2.0 * max(len(off), 1)))
     return sorted((x for x in off if abs(x.z) > limit), key=lambda x: -abs(x.z))
 
 

@@ -104,9 +104,7 @@ class Selection:
         barred = {h.key for h in (*chosen, *refuted)}
         gains = self.evidence.gains(self.posterior, self.named)
         likeliest: dict[tuple[str, str, str], tuple[float, Hypothesis]] = {}
-        for c, gain in zip(
-            self.named.candidates, gains - _odds(self.named.candidates), strict=True
-        ):
+        for c, gain in zip(self.named.candidates, gains - self.named.odds, strict=True):
             at = likeliest.get(c.key, (-np.inf, c))[0]
             if c.key in barred or not np.isfinite(gain) or gain <= at:
                 continue
@@ -128,10 +126,6 @@ class Selection:
     def odd(self) -> tuple[Hypothesis, ...]:
         """Beyond the ordinary, generic alternatives included."""
         return tuple(h for h in self.posterior.chosen if h.is_odd)
-
-
-def _odds(candidates: Collection[Hypothesis]) -> Float[np.ndarray, " c"]:
-    return np.array([c.odds for c in candidates])
 
 
 def _normal(

@@ -241,11 +241,12 @@ def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
 def _alike(residual, now: Posterior) -> Iterator[tuple[Hypothesis, ...]]:
     """Odd effects that may be one: two of a place, all of a family."""
     odd = [h for h in now.chosen if h.is_odd]
-    yield from (x for x in itertools.combinations(odd, 2) if one_place(residual, *x))
-    for family in dict.fromkeys(h.family for h in odd):
-        every = tuple(h for h in odd if h.family == family)
-        if len(every) > 1:
-            yield every
+    pairs = (x for x in itertools.combinations(odd, 2) if one_place(residual, *x))
+    families = [
+        tuple(h for h in odd if h.family == f) for f in dict.fromkeys(h.family for h in odd)
+    ]
+    # Two of a family at one place are both.
+    yield from dict.fromkeys((*pairs, *(x for x in families if len(x) > 1)))
 
 
 def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Posterior | None:
