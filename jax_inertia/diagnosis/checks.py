@@ -246,7 +246,7 @@ class OtherRun(_Run):
 
 
 class HeldOut(_Run):
-    """The log itself, each of a few stretches predicted from the others."""
+    """The log itself, each of a few stretches predicted from the others; what happens once is told by its own."""
 
     def __init__(self, selection: Selection, settings: Settings):
         self.evidence, self.residual = selection.evidence, selection.residual
@@ -258,30 +258,39 @@ class HeldOut(_Run):
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of each stretch, fitted to the others."""
-        return self._left(self._fits(now))
+        return self._left(now, self._fits(now))
 
     def left_without(self, now, asked):
         fits = self._fits(now)
-        return (self._left([fit.without(h) for fit in fits]) for h in asked)
+        return (self._left(now, [fit.without(h) for fit in fits]) for h in asked)
 
     def covariances(self, now):
         return ((self.fold == k, fit.covariance) for k, fit in enumerate(self._fits(now)))
 
     def shares(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
         """Of the gap's energy, what returns without each of some that are chosen, by numbers of other stretches."""
-        fits, at = self._fits(now), np.arange(len(self.fold))
-        left = self._left(fits)
-        torques = (np.array([fit.torque(h) for fit in fits])[self.fold, at] for h in asked)
-        return [share(self.residual, left, torque) for torque in torques]
+        fits = self._fits(now)
+        left = self._left(now, fits)
+        return [share(self.residual, left, self._torque(now, fits, h)) for h in asked]
 
     def _fits(self, now: Posterior) -> list[Posterior]:
         """To all stretches but one, for each."""
         folds = range(int(self.fold[-1]) + 1)
         return [self.evidence.without(self.fold == k).posterior(now.chosen) for k in folds]
 
-    def _left(self, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
-        fitted = np.array([fit.fitted for fit in fits])[self.fold, np.arange(len(self.fold))]
-        return self.residual.y - fitted
+    def _left(self, now: Posterior, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
+        left = self.residual.y.copy()
+        for h in fits[0].chosen:
+            left -= self._torque(now, fits, h)
+        return left
+
+    def _torque(
+        self, now: Posterior, fits: list[Posterior], h: Hypothesis
+    ) -> Float[np.ndarray, "R n"]:
+        """Of one of the chosen in every stretch, by numbers of the others."""
+        if h.family in PASSING:
+            return now.torque(h)
+        return np.array([fit.torque(h) for fit in fits])[self.fold, np.arange(len(self.fold))]
 
 
 def share(
@@ -402,7 +411,9 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     rest = now.without(h)
     banks = selection.named, Bank(_at_other_places(selection.residual, h))
     others, taken = [c for bank in banks for c in bank.candidates], {c.key for c in now.chosen}
-    own = float(evidence.gains(rest, (h,))[0]) - h.odds
+    # What makes one likelier beforehand than its kind makes the others so: that something is there is known.
+    usual = max((c.odds for c in selection.candidates if c.key == h.key), default=h.odds)
+    own = float(evidence.gains(rest, (h,))[0]) - usual
     gains = np.concatenate([evidence.gains(now, bank, (h,)) - bank.odds for bank in banks])
     reach = settings.reach(own) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}

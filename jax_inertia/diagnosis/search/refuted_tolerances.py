@@ -13,8 +13,8 @@ from jax_inertia.diagnosis.effects.tolerances import (
     inertial_changes,
 )
 from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded
-from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
-from jax_inertia.diagnosis.search.ordinary import bounded, learned
+from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.one_more import one_law, settled, with_one_more
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.text.words import number
@@ -69,19 +69,27 @@ def named_where_refuted(selection: Selection, settings: Settings) -> Selection:
 
 
 def _with_effect(selection: Selection, key: tuple[str, str, str]) -> Selection:
-    """The selection with one effect more; as it is where that cannot be or does not pay."""
+    """The selection with one effect more; as it is where that cannot be or does not pay.
+
+    Other laws of the same number compete at what they are rarer than it: the log refutes the number, not its law.
+    """
     residual, evidence, now = selection.residual, selection.evidence, selection.posterior
     own = [c for c in selection.candidates if c.key == key]
     if not own or excluded(residual, own[0], now.chosen):
         return selection
+    known = own[0].odds
+    laws = [c for c in selection.candidates if c.place == own[0].place and one_law(c, own[0])]
+    bank = Bank(tuple(dataclasses.replace(c, odds=c.odds - known) for c in laws or own))
+    own = [c for c in bank.candidates if c.key == key]
     likeliest = own[int(np.argmax(evidence.gains(now, own)))]
-    h = at_best(residual, evidence, now, dataclasses.replace(likeliest, odds=0.0), ())
     before = evidence.noise
-    after = learned(evidence, (*now.chosen, h), 2)
-    after = bounded(residual, evidence, relinearised(residual, evidence, after.chosen))
-    found = [k for k, c in enumerate(after.chosen) if c.key == key]
-    if found and evidence.worths(after)[found[0]] > 0.0:
-        return dataclasses.replace(selection, posterior=after)
+    after = with_one_more(residual, evidence, now, likeliest, bank)
+    if after is not None:
+        after = settled(residual, evidence, after)
+        keys = {c.key for c in bank.candidates} - {h.key for h in now.chosen}
+        worths = zip(after.chosen, evidence.worths(after), strict=True)
+        if any(h.key in keys and worth > h.odds for h, worth in worths):
+            return dataclasses.replace(selection, posterior=after)
     evidence.noise = before
     return selection
 

@@ -11,9 +11,9 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, one_place
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.one_more import pruned, settled, turned, with_one_more
 from jax_inertia.diagnosis.search.ordinary import (
     bounded,
     learned,
@@ -22,7 +22,6 @@ from jax_inertia.diagnosis.search.ordinary import (
     presliding_of,
     reconsidered,
     relearned_evidence,
-    with_turning,
 )
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
@@ -78,10 +77,10 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
     for _ in [h for h in now.chosen if h.is_odd]:
         # What was looked at goes to the end, so that the first is one that was not.
         h = next(c for c in now.chosen if c.is_odd)
-        rest = _turned(residual, evidence, now.without(h))
+        rest = turned(residual, evidence, now.without(h))
         # A secant at its value has nothing to search; laid once more, it drifts along what the log does not tell.
         sought = not h.effect.secant or h.effect.law
-        again = _with(residual, evidence, rest, h, bank) if sought else None
+        again = with_one_more(residual, evidence, rest, h, bank) if sought else None
         now = evidence.posterior((*rest.chosen, h)) if again is None else again
     return learned(evidence, now.chosen, 1)
 
@@ -115,7 +114,7 @@ def _stepwise(
         barred |= gone
         now = moved
     now = learned(evidence, now.chosen, 2)
-    return _pruned(evidence, bounded(residual, evidence, now))
+    return pruned(evidence, bounded(residual, evidence, now))
 
 
 def _raised(
@@ -129,20 +128,20 @@ def _raised(
     says little: there a move leads to what was not there before.
     """
     before = evidence.noise
-    settled = _settled(residual, evidence, after)
+    after = settled(residual, evidence, after)
     learned_with_it = evidence.noise
     evidence.noise = before
     if evidence.exact:
-        gained = _gained(evidence, now, settled)
+        gained = _gained(evidence, now, after)
         evidence.noise = learned_with_it
-        leads = gained + _gained(evidence, now, settled) > 0.0
+        leads = gained + _gained(evidence, now, after) > 0.0
     else:
-        leads = _odd_of(settled) not in seen
+        leads = _odd_of(after) not in seen
     evidence.noise = learned_with_it if leads else before
     if not leads:
         return None
-    seen.add(_odd_of(settled))
-    return settled
+    seen.add(_odd_of(after))
+    return after
 
 
 def _odd_of(now: Posterior) -> frozenset[tuple]:
@@ -205,7 +204,7 @@ def _added(residual, evidence, now, bank: Bank, barred, seen) -> Posterior | Non
             alone = relearned_evidence(evidence, now) if alone is None else alone
             gain = relearned_evidence(evidence, after) - alone - added.odds
         by_noise = sensor_noise.share(residual, evidence, now, added) if gain > 0 else 0.0
-        after = _with(residual, evidence, now, added, bank) if gain > by_noise else None
+        after = with_one_more(residual, evidence, now, added, bank) if gain > by_noise else None
         if after is not None:
             raised = _raised(residual, evidence, now, after, seen)
             if raised is not None:
@@ -231,7 +230,7 @@ def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
         better = next(_best(residual, evidence, now, bank, own, several), None)
         if better is None or better[1] <= together:
             continue
-        after = _with(residual, evidence, rest, better[0], bank)
+        after = with_one_more(residual, evidence, rest, better[0], bank)
         raised = None if after is None else _raised(residual, evidence, now, after, seen)
         if raised is not None:
             return raised
@@ -263,90 +262,15 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
             and better[1] > worth - h.odds + EXCHANGE
             and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
         ):
-            after = _with(residual, evidence, rest, better[0], bank)
+            after = with_one_more(residual, evidence, rest, better[0], bank)
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             if after is not None:
-                settled = _settled(residual, evidence, after)
-                seen.add(_odd_of(settled))
-                return settled
+                after = settled(residual, evidence, after)
+                seen.add(_odd_of(after))
+                return after
     return None
 
 
 FAINT, MOST_FAINT = 8.0, 5
 """Nats below its prior odds from which, and how many, candidates are asked by variances learned with them."""
-
-
-def _with(residual, evidence, now: Posterior, h: Hypothesis, bank: Bank) -> Posterior | None:
-    """One more, its secant where it belongs; None where its numbers are no robot's."""
-    tried = []
-    for c in (h, *_other_laws(evidence, now, h, bank)):
-        best = at_best(residual, evidence, now, c, bank.candidates)
-        after = relinearised(residual, evidence, (*now.chosen, best))
-        added = after.chosen[-1]
-        if added.possible(residual, after.of(added)[0]):
-            tried.append((_turned(residual, evidence, after), added))
-    if len(tried) < 2:
-        return tried[0][0] if tried else None
-    # By variances learned with each: those that are there take most of what is to be explained for noise.
-    gains = [relearned_evidence(evidence, after) - added.odds for after, added in tried]
-    return tried[int(np.argmax(gains))][0]
-
-
-def _turned(residual, evidence, now: Posterior) -> Posterior:
-    """The posterior with how friction that was found turns round, and without that of a friction that is gone."""
-    chosen = with_turning(residual, now)
-    return now if chosen == now.chosen else evidence.posterior(chosen)
-
-
-def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
-    """Of each other family of which its place has but one with it, the best candidate: they compete at their best."""
-    alike = [c for c in bank.candidates if c.place == h.place and _one_law(c, h)]
-    best = {h.family: h}
-    for k in np.argsort(evidence.gains(now, alike))[::-1] if alike else ():
-        best.setdefault(alike[k].family, alike[k])
-    return [c for c in best.values() if c is not h]
-
-
-SETTLING = 3
-"""Rounds in which variances and tolerances follow what was added."""
-
-
-def _one_law(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether a place has but one of two: both make a torque late, or are the friction that a model lacks."""
-    return (bool(a.effect.law) and a.effect.law == b.effect.law) or (
-        bool(a.fills) and a.fills == b.fills
-    )
-
-
-def _settled(residual, evidence, now: Posterior) -> Posterior:
-    """Variances and tolerances learned again, and without what can no longer be or has lost its evidence.
-
-    Where equations are taken to be right, until they stay, and what was added last has its nonlinear numbers looked at
-    once more: by variances that took it for noise, they matter less. Of a robot as bought both follow the misfit.
-    """
-    if evidence.exact:
-        now = learned(evidence, with_turning(residual, now), SETTLING)
-        added = next(h for h in reversed(now.chosen) if h.is_odd)
-        rest = now.without(added)
-        best = at_best(residual, evidence, rest, added, ())
-        if best is not added:
-            now = evidence.posterior((*rest.chosen, best))
-    else:
-        now = learned(evidence, now.chosen, 1)
-    now = relinearised(residual, evidence, now.chosen)
-    return _pruned(evidence, bounded(residual, evidence, now))
-
-
-def _pruned(evidence: Evidence, now: Posterior) -> Posterior:
-    """Without effects, ordinary ones apart, that have lost their evidence to others."""
-    while True:
-        worths = evidence.worths(now)
-        loss = [
-            (w - h.odds, k)
-            for k, (h, w) in enumerate(zip(now.chosen, worths, strict=True))
-            if h.is_odd
-        ]
-        if not loss or min(loss)[0] >= -1.0:
-            return now
-        now = now.without(now.chosen[min(loss)[1]])

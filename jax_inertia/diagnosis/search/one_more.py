@@ -1,0 +1,90 @@
+"""One hypothesis more: by which law, at which numbers, and all that follows from it."""
+
+import numpy as np
+
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
+from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.ordinary import (
+    bounded,
+    learned,
+    relearned_evidence,
+    with_turning,
+)
+
+SETTLING = 3
+"""Rounds in which variances and tolerances follow what was added."""
+
+
+def with_one_more(
+    residual, evidence, now: Posterior, h: Hypothesis, bank: Bank
+) -> Posterior | None:
+    """One more, its secant where it belongs; None where its numbers are no robot's."""
+    tried = []
+    for c in (h, *_other_laws(evidence, now, h, bank)):
+        best = at_best(residual, evidence, now, c, bank.candidates)
+        after = relinearised(residual, evidence, (*now.chosen, best))
+        added = after.chosen[-1]
+        if added.possible(residual, after.of(added)[0]):
+            tried.append((turned(residual, evidence, after), added))
+    if len(tried) < 2:
+        return tried[0][0] if tried else None
+    # By variances learned with each: those that are there take most of what is to be explained for noise.
+    gains = [relearned_evidence(evidence, after) - added.odds for after, added in tried]
+    return tried[int(np.argmax(gains))][0]
+
+
+def turned(residual, evidence, now: Posterior) -> Posterior:
+    """The posterior with how friction that was found turns round, and without that of a friction that is gone."""
+    chosen = with_turning(residual, now)
+    return now if chosen == now.chosen else evidence.posterior(chosen)
+
+
+def _other_laws(evidence, now: Posterior, h: Hypothesis, bank: Bank) -> list[Hypothesis]:
+    """Of each other family of which its place has but one with it, the best candidate: they compete at their best."""
+    alike = [c for c in bank.candidates if c.place == h.place and one_law(c, h)]
+    best = {h.family: h}
+    for k in np.argsort(evidence.gains(now, alike))[::-1] if alike else ():
+        best.setdefault(alike[k].family, alike[k])
+    return [c for c in best.values() if c is not h]
+
+
+def one_law(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether a place has but one of two: both make a torque late, or are the friction that a model lacks."""
+    return (bool(a.effect.law) and a.effect.law == b.effect.law) or (
+        bool(a.fills) and a.fills == b.fills
+    )
+
+
+def settled(residual, evidence, now: Posterior) -> Posterior:
+    """Variances and tolerances learned again, and without what can no longer be or has lost its evidence.
+
+    Where equations are taken to be right, until they stay, and what was added last has its nonlinear numbers looked at
+    once more: by variances that took it for noise, they matter less. Of a robot as bought both follow the misfit.
+    """
+    if evidence.exact:
+        now = learned(evidence, with_turning(residual, now), SETTLING)
+        added = next(h for h in reversed(now.chosen) if h.is_odd)
+        rest = now.without(added)
+        best = at_best(residual, evidence, rest, added, ())
+        if best is not added:
+            now = evidence.posterior((*rest.chosen, best))
+    else:
+        now = learned(evidence, now.chosen, 1)
+    now = relinearised(residual, evidence, now.chosen)
+    return pruned(evidence, bounded(residual, evidence, now))
+
+
+def pruned(evidence: Evidence, now: Posterior) -> Posterior:
+    """Without effects, ordinary ones apart, that have lost their evidence to others."""
+    while True:
+        worths = evidence.worths(now)
+        loss = [
+            (w - h.odds, k)
+            for k, (h, w) in enumerate(zip(now.chosen, worths, strict=True))
+            if h.is_odd
+        ]
+        if not loss or min(loss)[0] >= -1.0:
+            return now
+        now = now.without(now.chosen[min(loss)[1]])
