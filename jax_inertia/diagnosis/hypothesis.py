@@ -45,6 +45,8 @@ class Hypothesis:
     """Whether it is an ordinary effect that every hypothesis has."""
     cut: Cut | None = None
     """Where on its row it leaves the logged torque open."""
+    form_error: float = Effect.form_error
+    """Relative error of its equation."""
 
     @property
     def count(self) -> int:
@@ -82,11 +84,6 @@ class Hypothesis:
     def named(self) -> bool:
         """Whether it names a cause."""
         return self.effect.named
-
-    @property
-    def form_error(self) -> float:
-        """Relative error of its equation."""
-        return self.effect.form_error
 
     @functools.cached_property
     def prior_mean(self) -> Float[np.ndarray, " k"]:
@@ -146,7 +143,11 @@ def hypothesis(
         for law, context in ((law, residual.context_of(law)) for law in dict.fromkeys(laws))
     ]
     scale, mean = (np.concatenate(x) for x in zip(*priors, strict=True))
-    return Hypothesis(effect, place, shape, columns, row, scale, mean, odds, level, assumed, cut)
+    form = effect.form_error_at(residual.context_of(effect), place, shape)
+    return Hypothesis(
+        *(effect, place, shape, columns, row, scale, mean),
+        *(odds, level, assumed, cut, form),
+    )
 
 
 def reshaped(h: Hypothesis, residual: Residual, shape: Shape) -> Hypothesis:

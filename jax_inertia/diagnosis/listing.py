@@ -6,7 +6,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.checks import is_law_of, rivals, rows
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.effects.registry import DRY_FORMS
+from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import ORDINARY_NUMBERS, added, intervals, reported
 from jax_inertia.diagnosis.result import Found, Tie
@@ -35,8 +35,8 @@ def as_listed(
     for h, f in found:
         numbers = intervals(selection, h, *reported(selection, h))
         probability = f.probability if f.ordinary else trust * f.probability
-        out.append(dataclasses.replace(f, parameters=numbers, probability=probability))
-    return _one_dry_law(tuple(sorted(out, key=lambda f: -f.share)))
+        out.append((h, dataclasses.replace(f, parameters=numbers, probability=probability)))
+    return tuple(sorted((f for _, f in _as_one_law(selection, out)), key=lambda f: -f.share))
 
 
 def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
@@ -108,21 +108,18 @@ def _kind(selection: Selection, h: Hypothesis, other: Hypothesis) -> str:
     return "exact" if left @ left < 1e-4 * (a @ a) else "motion_limited"
 
 
-def _one_dry_law(found: tuple[Found, ...]) -> tuple[Found, ...]:
-    """A joint's level of dry friction goes with its other forms, each of which states the whole law's level."""
-    levels = {f.place.name: f for f in found if f.family == "coulomb_friction"}
-    out, used = [], set()
-    for f in found:
-        level = levels.get(f.place.name)
-        if f.family in DRY_FORMS and level is not None:
-            used.add(f.place.name)
-            own = level.parameters["coulomb"]
-            grown = {
-                name: added(p, own)
-                if name in ("coulomb", "stiction", "positive", "negative")
-                else p
-                for name, p in f.parameters.items()
-            }
-            f = dataclasses.replace(f, parameters=grown)
-        out.append(f)
-    return tuple(f for f in out if not (f.family == "coulomb_friction" and f.place.name in used))
+def _as_one_law(
+    selection: Selection, found: list[tuple[Hypothesis, Found]]
+) -> list[tuple[Hypothesis, Found]]:
+    """An ordinary number goes with the law at its joint that holds it, as a level of dry friction with Stribeck's."""
+    ordinary = {h.key: h for h in selection.posterior.chosen if h.ordinary}
+    out, held = [], set()
+    for h, f in found:
+        level = ordinary.get((LEVEL_OF.get(f.family, ""), f.place.kind, f.place.name))
+        if level is not None:
+            held.add(level.key)
+            (own,) = intervals(selection, level, *reported(selection, level)).values()
+            whole = {name: added(f.parameters[name], own) for name in h.effect.level_in}
+            f = dataclasses.replace(f, parameters=f.parameters | whole)
+        out.append((h, f))
+    return [(h, f) for h, f in out if h.key not in held]

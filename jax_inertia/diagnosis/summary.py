@@ -12,7 +12,7 @@ from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_cause
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
-from jax_inertia.diagnosis.effects.registry import DRY_FORMS
+from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.intervals import joint_numbers
@@ -217,11 +217,7 @@ def _lacking(residual, found: tuple[Found, ...]) -> str:
         ("viscous_friction", context.damping, "damping"),
         ("armature", context.armature, "rotor inertia"),
     ):
-        at = {
-            f.place.name
-            for f in found
-            if f.family == family or (family == "coulomb_friction" and f.family in DRY_FORMS)
-        }
+        at = {f.place.name for f in found if family in (f.family, LEVEL_OF.get(f.family))}
         if not np.any(own[dofs]) and 2 * len(at) >= count:
             words.append(word)
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -163,6 +163,8 @@ class Effect(abc.ABC):
     """Whether every robot has it."""
     level: ClassVar[str] = ""
     """The ordinary effect that it is one law with: its level, its slope, its offset."""
+    level_in: ClassVar[tuple[str, ...]] = ()
+    """Those of its own numbers that the ordinary one is a part of."""
     refines: ClassVar[bool] = False
     """Whether it is another form of an ordinary effect."""
     named: ClassVar[bool] = True
@@ -208,6 +210,10 @@ class Effect(abc.ABC):
     def at_value(self, shape: Shape, theta: Float[np.ndarray, " k"]) -> Shape:
         """The nonlinear numbers where θ is this, of those that are θ's own: all of a secant's."""
         return tuple(float(x) for x in theta) if self.secant else shape
+
+    def form_error_at(self, context: Context, place: Place, shape: Shape) -> float:
+        """`form_error` where that is known better of some nonlinear numbers."""
+        return self.form_error
 
     def within(self, shape: Shape) -> bool:
         """Whether a search between the grid's points may go there."""

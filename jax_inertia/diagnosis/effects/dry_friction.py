@@ -90,7 +90,8 @@ ONE_WAY = 0.82
 
 class AsymmetricCoulomb(DryFriction):
     name, equation, refines = "asymmetric_coulomb", "−F⁺ z (z > 0), −F⁻ z (z < 0)", True
-    level, holds = "coulomb_friction", "torque_bias"
+    level, level_in = "coulomb_friction", ("positive", "negative")
+    holds = "torque_bias"
     units = {"positive": "N m", "negative": "N m"}
     prior = "half the difference: 0.03 of the joint's peak torque"
     mjcf = "joint frictionloss for the mean, stiffness and springref for half the difference"
@@ -124,7 +125,8 @@ class AsymmetricCoulomb(DryFriction):
 class StribeckFriction(DryFriction):
     """Behind presliding and way: Stribeck's speed [rad/s] and exponent."""
 
-    name, refines, rubs, level = "stribeck_friction", True, True, "coulomb_friction"
+    name, refines, rubs = "stribeck_friction", True, True
+    level, level_in = "coulomb_friction", ("coulomb", "stiction")
     equation = "−(Fc + (Fs − Fc) exp(−|q̇/vs|^δ)) z"
     source = "Stribeck 1902; δ = 2: Armstrong-Hélouvry 1991, δ = 1: Tustin 1947"
     units = {
@@ -202,7 +204,8 @@ class LoadFriction(DryFriction):
     logged torque tells the sign alone, since it would explain itself.
     """
 
-    name, refines, rubs, level = "load_friction", True, True, "coulomb_friction"
+    name, refines, rubs = "load_friction", True, True
+    level, level_in = "coulomb_friction", ("coulomb",)
     equation = "−(F₀ + μ |τ|) z, τ of the link or of its motor"
     source = "Hamon, Gautier and Garrec, IROS 2010"
     units = {"coulomb": "N m", "load_coefficient": "1", "of_motor": "1"}

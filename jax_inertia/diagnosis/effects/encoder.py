@@ -248,6 +248,14 @@ class Backlash(TwoMass):
         gap, stiffness, *others = self.grid(context, place)
         return itertools.product(gap[::2], stiffness[2::6], *others)
 
+    def form_error_at(self, context, place, shape):
+        # What teeth do in their play is known worse than what their spring does: each has its share of the path.
+        play = 0.5 * shape[0]
+        wound = float(np.std(context.link_torque[:, place.index])) / shape[1]
+        loose = play**2 / (play**2 + wound**2)
+        spring = JointElasticity.form_error
+        return float(np.sqrt(spring**2 + loose * (self.form_error**2 - spring**2)))
+
     def steps(self, context, place, shape):
         return (0.3 * shape[0], 0.3 * shape[1], 0.4 * shape[2], 0.0, 0.0, 0.0)
 

@@ -122,7 +122,7 @@ class FrictionDrift(_AlongTheJoint):
     source = "a lubricant that warms up; Simoni, Beschi, Legnani and Visioli, Robotica 37(5), 2019"
     units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
     share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
-    level = "viscous_friction"
+    level, level_in = "viscous_friction", ("damping", "damping_final")
     prior = "d₁: 0.1 of the joint's peak torque at 1 rad/s, not below zero; T from 0.5 to 24 s"
     mjcf = "joint damping for d∞; the rest by step law"
 

@@ -69,8 +69,8 @@ BY_CURRENT: tuple[Effect, ...] = tuple(
     actuator.DriveGain() if isinstance(e, actuator.TorqueGain) else e for e in EFFECTS
 )
 """The same where torques are currents times constants."""
-DRY_FORMS = tuple(e.name for e in EFFECTS if isinstance(e, dry_friction.DryFriction) and e.refines)
-"""Laws of dry friction that hold its level too."""
+LEVEL_OF = {e.name: e.level for e in EFFECTS if e.level}
+"""Of each law that holds an ordinary effect's number too, that effect."""
 
 
 def effects_of(log: Log) -> tuple[Effect, ...]:

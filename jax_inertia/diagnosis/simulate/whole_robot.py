@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.identified import GAIN, Identified
-from jax_inertia.diagnosis.effects.registry import DRY_FORMS, known
+from jax_inertia.diagnosis.effects.registry import LEVEL_OF, known
 from jax_inertia.diagnosis.result import Diagnosis, Found
 from jax_inertia.diagnosis.simulate.corrected import Correction, corrected
 from jax_inertia.diagnosis.simulate.plant import CREEPS
@@ -63,13 +63,13 @@ def _ordinary(robot: Robot, found: Diagnosis) -> list[Identified]:
         "coulomb_friction": robot.frictionloss,
         "armature": robot.armature,
     }
-    whole_law = {f.place.name for f in found.found if f.family in DRY_FORMS}
+    held = {(LEVEL_OF.get(f.family), f.place.name) for f in found.found}
     out = []
     for joint, numbers in found.joints.items():
         dof = robot.joint_dofadr[robot.joint_index(joint)]
         for family, p in numbers.items():
             # A law of several numbers holds the level too.
-            if family == "coulomb_friction" and joint in whole_law:
+            if (family, joint) in held:
                 continue
             nominal = float(own[family][dof]) if family in own else 0.0
             if p.value != nominal:
