@@ -238,7 +238,7 @@ def test_what_is_not_known_of_numbers_is_expected_of_another_run(robot, residual
 def test_strain_is_what_the_model_s_own_numbers_are_off_by(residual):
     tolerances, rotor = (
         hypothesis(residual, effect, ELBOW, shape, 8.0)
-        for effect, shape in ((StatedNumbers(), (0.05, 20.0)), (Armature(), ()))
+        for effect, shape in ((StatedNumbers(), (0.05, 0.02, 20.0)), (Armature(), ()))
     )
     parts, nothing = (slice(0, 3), slice(3, 4)), np.zeros_like(residual.y)
     now = Posterior((tolerances, rotor), parts, np.array([3.0, 0.0, -1.0, 9.0]), np.eye(4), nothing)

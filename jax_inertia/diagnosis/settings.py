@@ -48,9 +48,9 @@ class Settings:
     calibrated_mass: float = 0.01
     """The same of a model that is calibrated: of a mass, relative. Prior."""
     calibrated_inertia: float = 0.02
-    """Of a rotational inertia of such a model, relative. Prior."""
+    """Of a rotational inertia of such a model, a rotor's too, relative. Prior."""
     calibrated_number: float = 0.05
-    """Of a joint's friction and rotor inertia of such a model, relative: dampings of a good model are 5 to 10 % off."""
+    """Of a joint's friction of such a model, relative: dampings of a good model are 5 to 10 % off."""
     tolerance_numbers: float = 20.0
     """How many measured numbers the stated tolerance of a kind counts for, where the log says how large it is: a robot
     with many numbers further off has larger tolerances, one with a single such number has something odd."""

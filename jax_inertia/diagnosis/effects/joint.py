@@ -163,6 +163,8 @@ class FrictionDrift(_AlongTheJoint):
 
 RESTS_WITHIN = 1.5
 """Of the model's zero [rad], one standard deviation: half a usual joint's range."""
+FURTHEST_REST = 4 * RESTS_WITHIN
+"""What rests further away is a constant torque."""
 
 
 class JointSpring(_AlongTheJoint):
@@ -171,7 +173,7 @@ class JointSpring(_AlongTheJoint):
     name, equation = "joint_spring", "−k (q − q₀)"
     source = "a hose, a cable, a balancing spring: Hooke"
     units = {"stiffness": "N m/rad", "rest_angle": "rad"}
-    prior = "0.1 of the joint's peak torque at 1 rad, at rest within 1.5 rad; not below minus the model's own"
+    prior = "0.1 of the joint's peak torque at 1 rad, at rest within 1.5 rad, 6 at most; not below minus the model's own"
     mjcf = "joint stiffness and springref"
 
     def columns(self, context, place, shape):
@@ -189,7 +191,8 @@ class JointSpring(_AlongTheJoint):
         }
 
     def possible(self, context, place, theta):
-        return bool(theta[1] >= -float(context.stiffness[place.index]) - 1e-12)
+        whole = theta[1] >= -float(context.stiffness[place.index]) - 1e-12
+        return bool(whole and abs(theta[0]) <= FURTHEST_REST * abs(theta[1]))
 
     def edit(self, spec, model, found):
         values = found.values

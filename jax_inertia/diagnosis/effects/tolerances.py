@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, Shape, of_row
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
@@ -65,7 +65,8 @@ STATED = ("viscous_friction", "coulomb_friction", "armature")
 class StatedNumbers(Effect):
     """Errors of the friction and rotor inertia that the model states of a joint, relative to them; marginalised.
 
-    Shape: their standard deviation, and for how many measured numbers it counts.
+    Shape: standard deviation of the two of friction and of the rotor's, and for how many measured numbers they count.
+    Friction changes with temperature and wear, a rotor does not.
     """
 
     name, equation = "stated_numbers", "−δd q̇ − δF sign(q̇) − δI q̈"
@@ -75,7 +76,7 @@ class StatedNumbers(Effect):
         return np.arange(count)
 
     def size_prior(self, shape):
-        return shape[1], 1.0
+        return shape[2], 1.0
 
     def places(self, context):
         return [p for p in super().places(context) if self.own(context, p).any()]
@@ -83,7 +84,13 @@ class StatedNumbers(Effect):
     def columns(self, context, place, shape):
         row, own = place.index, self.own(context, place)
         motion = context.v[:, row], context.side[:, row], context.a[:, row]
-        return of_row(-shape[0] * np.stack(motion, 1) * own, place)
+        return of_row(-self.relative(shape) * np.stack(motion, 1) * own, place)
+
+    @staticmethod
+    def relative(shape: Shape) -> Float[np.ndarray, "3"]:
+        """Standard deviation of each, relative to the model's."""
+        friction, rotor, _ = shape
+        return np.array([friction, friction, rotor])
 
     @staticmethod
     def own(context: Context, place: Place) -> Float[np.ndarray, "3"]:

@@ -69,7 +69,7 @@ def ordinary_physics(
 
 def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> OrdinaryPhysics:
     numbers, stated = StatedNumbers(), StatedFriction()
-    own = settings.calibrated_number, settings.calibrated_numbers
+    own = settings.calibrated_number, settings.calibrated_inertia, settings.calibrated_numbers
     chosen = [tolerances(residual, settings, CalibrationState.CALIBRATED), *_ground(residual)]
     chosen += [
         hypothesis(residual, numbers, place, own, 0.0) for place in numbers.places(residual.context)

@@ -95,9 +95,10 @@ class Selection:
     ) -> float:
         """Odds that one more named effect is there given the chosen, anywhere.
 
-        Σ exp(log evidence gained − prior odds), each family and place at its best numbers: of an effect that is as
-        large as the noise the evidence says neither that it is there nor that it is not. `gone`: chosen, and not
-        stated, each with the evidence by which it went; those that another run `refuted` do not count.
+        Σ exp(log evidence gained − prior odds), each family and place at its best numbers where a robot can have them:
+        of an effect that is as large as the noise the evidence says neither that it is there nor that it is not.
+        `gone`: chosen, and not stated, each with the evidence by which it went; those that another run `refuted` do
+        not count.
         """
         best = {h.key: evidence - h.odds for h, evidence in gone.items()}
         chosen, residual = self.posterior.chosen, self.residual
@@ -113,6 +114,9 @@ class Selection:
                 likeliest[c.key] = float(gain), c
         for key, (gain, c) in likeliest.items():
             if gain > UNLIKELY:
+                with_it = self.evidence.posterior((*chosen, c))
+                if not c.possible(residual, with_it.of(c)[0]):
+                    continue
                 gain -= sensor_noise.share(residual, self.evidence, self.posterior, c)
             best[key] = max(best.get(key, -np.inf), gain)
         return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())

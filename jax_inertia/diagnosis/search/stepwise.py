@@ -257,11 +257,10 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, now, bank, gone | own, (h,)), None)
-        if (
-            better is not None
-            and better[1] > worth - h.odds + EXCHANGE
-            and better[1] > sensor_noise.share(residual, evidence, rest, better[0])
-        ):
+        if better is None or better[1] <= worth - h.odds + EXCHANGE:
+            continue
+        by_noise = [sensor_noise.share(residual, evidence, rest, c) for c in (better[0], h)]
+        if better[1] - by_noise[0] > max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
             after = with_one_more(residual, evidence, rest, better[0], bank)
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
