@@ -173,7 +173,7 @@ class JointSpring(_AlongTheJoint):
     name, equation = "joint_spring", "−k (q − q₀)"
     source = "a hose, a cable, a balancing spring: Hooke"
     units = {"stiffness": "N m/rad", "rest_angle": "rad"}
-    prior = "0.1 of the joint's peak torque at 1 rad, at rest within 1.5 rad, 6 at most; not below minus the model's own"
+    prior = "0.1 of the joint's peak torque at 1 rad, at rest within 1.5 rad, 6 at most; the sum not below zero"
     mjcf = "joint stiffness and springref"
 
     def columns(self, context, place, shape):
