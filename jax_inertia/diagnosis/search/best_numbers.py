@@ -26,7 +26,7 @@ def at_best(
     """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
 
     `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
-    friction is the motor's or the link's, say, has its own optimum.
+    friction is the motor's or the link's, say, has its own optimum. Of those that a robot can have, if any.
     """
     steps = () if h.effect.secant else _steps(residual, h)
     if not np.any(steps):
@@ -37,9 +37,17 @@ def at_best(
     for k in np.argsort(gains)[::-1]:
         starts.setdefault(_unmoved(others[k], steps), others[k])
     climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
-    return max(
-        (_laid(residual, evidence, rest, *found) for found in climbed), key=lambda found: found[1]
-    )[0]
+    laid = sorted(
+        (_laid(residual, evidence, rest, *found) for found in climbed), key=lambda found: -found[1]
+    )
+    best = (x for x, _ in laid if _there(residual, evidence, rest, x))
+    return laid[0][0] if len(laid) == 1 else next(best, laid[0][0])
+
+
+def _there(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> bool:
+    """Whether a robot can have the hypothesis at its likeliest size."""
+    after = evidence.posterior((*rest.chosen, h))
+    return h.possible(residual, after.of(h)[0])
 
 
 def _laid(

@@ -264,7 +264,7 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
             after = with_one_more(residual, evidence, rest, better[0], bank)
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            if after is not None:
+            if after is not None and _odd_of(after) != _odd_of(now):
                 after = settled(residual, evidence, after)
                 seen.add(_odd_of(after))
                 return after
