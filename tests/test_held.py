@@ -111,3 +111,15 @@ def test_a_loop_is_not_seen_where_there_is_none():
     assert position_loop(Log(log.time, log.joint_names, log.qpos, noise)) is None
     other = Log(log.time, log.joint_names, log.qpos, noise, qpos_target=log.qpos_target)
     assert position_loop(other) is None
+
+
+def test_what_pushes_along_the_motion_is_no_loop():
+    """A torque that is fed forward and goes with the velocity: kd would have to be below zero."""
+    time = np.arange(0.0, 10.0, 0.004)
+    q, apart = np.sin(2.0 * time), 0.01 * np.sin(7.0 * time)
+    log = Log(time, ("a",), q[:, None], 500.0 * apart[:, None], qpos_target=(q + apart)[:, None])
+    loop = position_loop(log)
+    assert loop is not None
+    assert (loop.kp[0], loop.kd[0]) == pytest.approx((500.0, 0.0), abs=1e-3)
+    along = 500.0 * apart + np.std(500.0 * apart) * np.cos(2.0 * time)
+    assert position_loop(dataclasses.replace(log, tau=along[:, None])) is None

@@ -246,7 +246,7 @@ class OtherRun(_Run):
 
 
 class HeldOut(_Run):
-    """The log itself, each of a few stretches predicted from the others; what happens once is told by its own."""
+    """The log itself, each of a few stretches predicted from the others; what happens once, by itself."""
 
     def __init__(self, selection: Selection, settings: Settings):
         self.evidence, self.residual = selection.evidence, selection.residual

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 from jaxtyping import Bool, Float
 from scipy import interpolate, ndimage
 
@@ -133,7 +134,8 @@ def with_loop_torque(
 def position_loop(log: Log) -> PositionLoop | None:
     """The position loop behind a log's torques, by least squares; None where the log shows none.
 
-    A joint has one where nine tenths of its torque's variance are kp (q* − q) − kd q̇. Every value must be finite.
+    A joint has one where nine tenths of its torque's variance are kp (q* − q) − kd q̇, kd not below zero: what feeds the
+    motion forward errs as the motion goes, and may seem to be pushed along it. Every value must be finite.
     """
     if log.qpos_target is None:
         return None
@@ -143,10 +145,10 @@ def position_loop(log: Log) -> PositionLoop | None:
     for j, torque in enumerate(tau.T):
         rows = _between_targets(target[:, j]) if log.rate >= FASTER else slice(None)
         columns = np.stack([target[:, j] - q[:, j], -v[:, j], np.ones(len(q))], axis=1)[rows]
-        fit = np.linalg.lstsq(columns, torque[rows], rcond=None)[0]
+        fit = scipy.optimize.lsq_linear(columns, torque[rows], ([0.0, 0.0, -np.inf], np.inf)).x
         left = torque[rows] - columns @ fit
         if fit[0] > 0 and np.var(left) <= (1.0 - _LOOP) * np.var(torque[rows]):
-            gains[j] = fit[0], max(fit[1], 0.0)
+            gains[j] = fit[:2]
     return PositionLoop(*gains.T) if gains.any() else None
 
 

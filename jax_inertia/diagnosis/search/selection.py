@@ -12,6 +12,7 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
+from jax_inertia.diagnosis.search.best_numbers import relinearised
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mean
 from jax_inertia.diagnosis.settings import CalibrationState
 
@@ -114,9 +115,12 @@ class Selection:
                 likeliest[c.key] = float(gain), c
         for key, (gain, c) in likeliest.items():
             if gain > UNLIKELY:
-                with_it = self.evidence.posterior((*chosen, c))
+                with_it = relinearised(residual, self.evidence, (*chosen, c))
+                c = with_it.chosen[-1]
                 if not c.possible(residual, with_it.of(c)[0]):
                     continue
+                if c.effect.secant:
+                    gain = float(self.evidence.gains(self.posterior, (c,))[0]) - c.odds
                 gain -= sensor_noise.share(residual, self.evidence, self.posterior, c)
             best[key] = max(best.get(key, -np.inf), gain)
         return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
