@@ -18,7 +18,7 @@ from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.plant import Plant
-from jax_inertia.replay.record import record_of, step_means
+from jax_inertia.replay.record import SETTLING, record_of, step_means
 from jax_inertia.replay.result import Effect, Size
 from jax_inertia.replay.simulate import replay
 from jax_inertia.text.report_page import with_section
@@ -420,3 +420,27 @@ def test_the_loop_of_cases_that_have_torque():
         log = ji.read_log(CASES / case / "log.npz")
         found = command.findings(command.command_half(log), kp, kd, log.joint_names)
         assert {e["family"] for e in found} == families, case
+
+
+def test_a_replay_counts_from_where_its_start_is_forgotten():
+    """A first target jolts a joint from rest, where differences of positions say that it is fast already."""
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><option timestep="0.002"/><worldbody><body><joint name="a" axis="0 1 0" damping="0.15"/>
+        <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+        <actuator><position joint="a" kp="20"/></actuator></mujoco>"""
+    )
+    model, noise = spec.compile(), 2e-4
+    data, rows, rng = mujoco.MjData(model), [], np.random.default_rng(0)
+    for k in range(1000):
+        data.ctrl[0] = 0.5 + 0.2 * np.sin(0.06 * k)
+        rows.append((0.02 * k, data.qpos[0] + noise * rng.normal(), data.ctrl[0]))
+        mujoco.mj_step(model, data, nstep=10)
+    time, q, target = np.array(rows).T
+    log = ji.Log(time, ("a",), q[:, None], qpos_target=target[:, None])
+    loop = position_loop(log, model)
+    plant, record = Plant(spec, log.joint_names, loop), record_of(log, loop)
+    error = np.abs(replay(plant, (), np.zeros((1, 0)), record)[0] - record.q)
+    assert error[record.settled].max() > 0.05
+    (record,) = checks.settling(plant, [record])
+    assert SETTLING < record.settles < 2.0
+    assert error[record.settled].max() < 10 * noise

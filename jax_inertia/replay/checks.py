@@ -101,6 +101,26 @@ def least(records: Sequence[Record], loop: Loop) -> Float[np.ndarray, " m"]:
     return np.concatenate([positions, torque_floor(records, loop, 0.0)])
 
 
+def settling(plant: Plant, records: Sequence[Record]) -> list[Record]:
+    """Records that count from where their start is forgotten.
+
+    The velocity at the first stamp is a parabola's through the first samples, which is none where a first target jolts
+    the joint. It may be the first difference as well, or nothing, as of a robot at rest. The nominal model replays the
+    targets from each; until they are less apart than encoders see, the start shows.
+    """
+    seen = least(records, plant.loop)[: len(plant.names)]
+    return [r._replace(settles=max(r.settles, _forgotten(plant, r, seen))) for r in records]
+
+
+def _forgotten(plant: Plant, record: Record, seen: Float[np.ndarray, " n"]) -> float:
+    """When the start no longer shows [s]."""
+    first = (record.q[1] - record.q[0]) / (record.time[1] - record.time[0])
+    starts = (record.start, first, np.zeros_like(first))
+    paths = [replay(plant, (), np.zeros((1, 0)), record._replace(start=v))[0] for v in starts]
+    shows = np.flatnonzero((np.ptp(paths, axis=0) > seen).any(axis=1))
+    return float(record.time[shows[-1]]) if len(shows) else 0.0
+
+
 def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
     """What `LOOSE_TIME` adds to each number's deviation: kp · δ is a damping or so much of kd, kd · δ an inertia."""
     sd = LOOSE_TIME / np.sqrt(3.0)

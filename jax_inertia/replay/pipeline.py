@@ -61,8 +61,8 @@ def diagnose(
         loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
         test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
     loop = loops[0]
-    wholes, records, held, of = _parts(logs, loops, test_log, test_loop, torque_logged)
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
+    wholes, records, held, of = _parts(plant, logs, loops, test_log, test_loop, torque_logged)
     progress("replaying the nominal model")
     nothing = (), np.zeros(0)
     nominal = proof.paths(bare, *nothing, held)
@@ -184,6 +184,7 @@ def _ordinary(
 
 
 def _parts(
+    plant: Plant,
     logs: Sequence[Log],
     loops: Sequence[Loop],
     test_log: Log | None,
@@ -204,13 +205,11 @@ def _parts(
         records = [r.between(0, k) for r, k in zip(records, cuts, strict=True)]
         of = f"the rest of the log{'s' if len(logs) > 1 else ''}"
     longest = max(LONGEST / len(records), SHORTEST)
-    records = [_first(r, longest) for r in records]
-    return (
-        [_first(r, longest) for r in wholes],
-        records,
-        held if test_log is not None else tuple(_first(r, longest) for r in held),
-        of,
-    )
+    wholes, records = ([_first(r, longest) for r in rs] for rs in (wholes, records))
+    if test_log is None:
+        held = tuple(_first(r, longest) for r in held)
+    wholes, records, shown = (checks.settling(plant, rs) for rs in (wholes, records, held))
+    return wholes, records, tuple(shown), of
 
 
 def _first(r: Record, seconds: float) -> Record:

@@ -10,7 +10,7 @@ from jax_inertia.logs.log import Log
 from jax_inertia.replay.loop import Loop
 
 SETTLING = 0.2
-"""Of a replay's start, what does not count [s]."""
+"""Of a replay's start, what does not count at least [s]."""
 _LATE_AT_MOST = 1e-4
 _IS_THE_LOOPS = 0.2
 
@@ -47,6 +47,8 @@ class Record(NamedTuple):
     """As the drive measured it, where it did and torque is logged."""
     touched: Bool[np.ndarray, " T"] | None = None
     """Samples in which the robot touches something, so that they do not count."""
+    settles: float = SETTLING
+    """Of its start, what does not count [s], and no more than a tenth of it."""
 
     @property
     def period(self) -> float:
@@ -69,7 +71,7 @@ class Record(NamedTuple):
     @property
     def settled(self) -> Bool[np.ndarray, " T"]:
         """Samples that count: what was commanded before the log began, and how fast joints were, is soon forgotten."""
-        settled = self.time >= min(SETTLING, 0.1 * self.time[-1])
+        settled = self.time >= min(self.settles, 0.1 * self.time[-1])
         return settled if self.touched is None else settled & ~self.touched
 
     def between(self, first: int, last: int) -> "Record":
@@ -78,8 +80,9 @@ class Record(NamedTuple):
         before = len(self.commanded.time) - len(self.time)
         commanded = self.commanded.upto(before + first + len(time), time[0])
         every = self.torque, self.velocity, self.touched
-        more = [None if x is None else x[first:last] for x in every]
-        return Record(time - time[0], q, slope(time, q), commanded, self.loop, *more)
+        tau, velocity, touched = (None if x is None else x[first:last] for x in every)
+        seen = tau, velocity, touched, SETTLING if first else self.settles
+        return Record(time - time[0], q, slope(time, q), commanded, self.loop, *seen)
 
 
 def record_of(log: Log, loop: Loop | None = None, *, torque: bool = False) -> Record:
@@ -92,8 +95,9 @@ def record_of(log: Log, loop: Loop | None = None, *, torque: bool = False) -> Re
     if feeds_forward(log, loop):
         fed = np.nan_to_num(np.asarray(log.tau_command, float))
     logged = log.tau if torque else None, log.qvel if torque else None
-    more = [None if x is None else _bridged(time, np.asarray(x, float)) for x in logged]
-    return Record(time, q, slope(time, q), Commanded(time, target, speed, fed), loop, *more)
+    tau, velocity = (None if x is None else _bridged(time, np.asarray(x, float)) for x in logged)
+    commanded = Commanded(time, target, speed, fed)
+    return Record(time, q, slope(time, q), commanded, loop, tau, velocity)
 
 
 def feeds_forward(log: Log, loop: Loop | None) -> bool:

@@ -140,8 +140,11 @@ class Payload(_Inertial):
         return np.array([spread, *(mass * np.array([lever, lever, lever, size]))])
 
     def possible(self, context, place, theta):
-        lever = np.linalg.norm(theta[1:4]) / max(float(theta[0]), 1e-9)
-        return bool(theta[0] > 0 and lever < context.scale)
+        mass = max(float(theta[0]), 1e-9)
+        lever = np.linalg.norm(theta[1:4]) / mass
+        # Nothing is rounder than a point, by more than how well that is known.
+        round_enough = theta[4] > -mass * (SIZE * context.scale) ** 2
+        return bool(theta[0] > 0 and lever < context.scale and round_enough)
 
     def numbers(self, context, place, shape, theta):
         mass = float(theta[0])

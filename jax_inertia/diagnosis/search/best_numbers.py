@@ -28,7 +28,9 @@ def at_best(
     `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
     friction is the motor's or the link's, say, has its own optimum. Of those that a robot can have, if any.
     """
-    steps = () if h.effect.secant else _steps(residual, h)
+    if h.effect.secant:
+        return _own_value(residual, evidence, rest, h, every)
+    steps = _steps(residual, h)
     if not np.any(steps):
         return h
     starts = {_unmoved(h, steps): h}
@@ -42,6 +44,23 @@ def at_best(
     )
     best = (x for x, _ in laid if _there(residual, evidence, rest, x))
     return laid[0][0] if len(laid) == 1 else next(best, laid[0][0])
+
+
+MOST_SECANTS = 4
+"""Of one effect, the best as they are laid, which are asked at their own value."""
+
+
+def _own_value(
+    residual, evidence: Evidence, rest: Posterior, h: Hypothesis, every: Sequence[Hypothesis]
+) -> Hypothesis:
+    """The secant that explains most at its own value: one that is laid elsewhere may explain what none there does."""
+    alike = [c for c in every if c.key == h.key]
+    if len(alike) < 2:
+        return h
+    order = np.argsort(-evidence.gains(rest, alike))[:MOST_SECANTS]
+    laid = [relinearised(residual, evidence, (*rest.chosen, alike[k])).chosen[-1] for k in order]
+    best = sorted(laid, key=lambda x: -float(evidence.gains(rest, (x,))[0]))
+    return next((x for x in best if _there(residual, evidence, rest, x)), h)
 
 
 def _there(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> bool:

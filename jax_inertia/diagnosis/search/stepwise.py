@@ -225,9 +225,8 @@ def _merged(residual, evidence, now, bank: Bank, seen) -> Posterior | None:
             rest = rest.without(h)
         together = now.log_evidence - rest.log_evidence
         together -= sum(h.odds + evidence.unsaid(h) for h in several)
-        keys = {h.key for h in several}
-        own = {id(c) for c in bank.candidates if c.key in keys}
-        better = next(_best(residual, evidence, now, bank, own, several), None)
+        # One of them with other nonlinear numbers, too: a load of another mass.
+        better = next(_best(residual, evidence, now, bank, set(), several), None)
         if better is None or better[1] <= together:
             continue
         after = with_one_more(residual, evidence, rest, better[0], bank)
