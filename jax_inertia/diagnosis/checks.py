@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.candidates import pushes
@@ -414,6 +415,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     # What makes one likelier beforehand than its kind makes the others so: that something is there is known.
     usual = max((c.odds for c in selection.candidates if c.key == h.key), default=h.odds)
     own = float(evidence.gains(rest, (h,))[0]) - usual
+    own -= sensor_noise.owed(selection.residual, evidence, rest, h)
     gains = np.concatenate([evidence.gains(now, bank, (h,)) - bank.odds for bank in banks])
     reach = settings.reach(own) + NEAR
     best: dict[tuple[str, str, str], Rival] = {}
@@ -432,6 +434,7 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
         if behind <= reach and c.possible(selection.residual, with_it.of(c)[0]):
             if is_law_of(c, h) and _no_more(with_it, c, settings):
                 continue
+            behind += sensor_noise.owed(selection.residual, evidence, rest, c)
             best[c.key] = Rival(c, behind)
     out = sorted(best.values(), key=lambda r: r.behind)
     return tuple(out)

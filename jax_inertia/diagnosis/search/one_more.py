@@ -79,18 +79,17 @@ def settled(residual, evidence, now: Posterior) -> Posterior:
     else:
         now = learned(evidence, now.chosen, 1)
     now = relinearised(residual, evidence, now.chosen)
-    return pruned(evidence, bounded(residual, evidence, now))
+    return pruned(residual, evidence, bounded(residual, evidence, now))
 
 
-def pruned(evidence: Evidence, now: Posterior) -> Posterior:
-    """Without effects, ordinary ones apart, that have lost their evidence to others."""
+def pruned(residual, evidence: Evidence, now: Posterior) -> Posterior:
+    """Without effects, ordinary ones apart, that have lost their evidence to others, or owe it to noise."""
     while True:
-        worths = evidence.worths(now)
-        loss = [
-            (w - h.odds, k)
-            for k, (h, w) in enumerate(zip(now.chosen, worths, strict=True))
+        left = [
+            (worth - h.odds - sensor_noise.owed(residual, evidence, now.without(h), h), k)
+            for k, (h, worth) in enumerate(zip(now.chosen, evidence.worths(now), strict=True))
             if h.is_odd
         ]
-        if not loss or min(loss)[0] >= -1.0:
+        if not left or min(left)[0] >= -1.0:
             return now
-        now = now.without(now.chosen[min(loss)[1]])
+        now = now.without(now.chosen[min(left)[1]])

@@ -33,6 +33,11 @@ def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis)
     return float(0.5 * (whole - clean))
 
 
+def owed(residual: Residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> float:
+    """What a hypothesis owes to noise given others [nats]; what noise hides of it is none of its evidence."""
+    return max(share(residual, evidence, rest, h), 0.0)
+
+
 def by_noise(
     residual: Residual,
     root: Float[np.ndarray, "R n"],

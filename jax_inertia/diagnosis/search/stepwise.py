@@ -114,7 +114,7 @@ def _stepwise(
         barred |= gone
         now = moved
     now = learned(evidence, now.chosen, 2)
-    return pruned(evidence, bounded(residual, evidence, now))
+    return pruned(residual, evidence, bounded(residual, evidence, now))
 
 
 def _raised(
@@ -258,7 +258,7 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
         better = next(_best(residual, evidence, now, bank, gone | own, (h,)), None)
         if better is None or better[1] <= worth - h.odds + EXCHANGE:
             continue
-        by_noise = [sensor_noise.share(residual, evidence, rest, c) for c in (better[0], h)]
+        by_noise = [sensor_noise.owed(residual, evidence, rest, c) for c in (better[0], h)]
         if better[1] - by_noise[0] > max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
             after = with_one_more(residual, evidence, rest, better[0], bank)
             # Once exchanged, it does not come back: no two take turns.
