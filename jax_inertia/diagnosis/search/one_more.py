@@ -32,12 +32,7 @@ def with_one_more(
     if len(tried) < 2:
         return tried[0][0] if tried else None
     # By variances learned with each: those that are there take most of what is to be explained for noise.
-    gains = [
-        relearned_evidence(evidence, after)
-        - added.odds
-        - sensor_noise.share(residual, evidence, now, added)
-        for after, added in tried
-    ]
+    gains = [relearned_evidence(evidence, after) - added.odds for after, added in tried]
     return tried[int(np.argmax(gains))][0]
 
 

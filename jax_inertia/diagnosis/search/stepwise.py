@@ -132,9 +132,9 @@ def _raised(
     learned_with_it = evidence.noise
     evidence.noise = before
     if evidence.exact:
-        gained = _gained(evidence, now, after)
+        gained = _gained(residual, evidence, now, after)
         evidence.noise = learned_with_it
-        leads = gained + _gained(evidence, now, after) > 0.0
+        leads = gained + _gained(residual, evidence, now, after) > 0.0
     else:
         leads = _odd_of(after) not in seen
     evidence.noise = learned_with_it if leads else before
@@ -149,15 +149,21 @@ def _odd_of(now: Posterior) -> frozenset[tuple]:
     return frozenset((h.key, () if h.effect.secant else h.shape) for h in now.chosen if h.is_odd)
 
 
-def _gained(evidence: Evidence, now: Posterior, after: Posterior) -> float:
-    """By how much a log is likelier by other hypotheses, prior odds counted, nats.
+def _gained(residual, evidence: Evidence, now: Posterior, after: Posterior) -> float:
+    """By how much a log is likelier by other hypotheses, what they owe to prior odds and to noise taken off, nats.
 
     Variances and tolerances are learned with each; the discrepancy is as slow as the present noise has it.
     """
-    without, with_it = (
-        relearned_evidence(evidence, p) - sum(h.odds for h in p.chosen) for p in (now, after)
-    )
-    return with_it - without
+    odds = sum(h.odds for h in after.chosen) - sum(h.odds for h in now.chosen)
+    noise = sum(_owed(residual, evidence, p) * sign for p, sign in ((after, 1), (now, -1)))
+    gained = relearned_evidence(evidence, after) - relearned_evidence(evidence, now)
+    return gained - odds - noise
+
+
+def _owed(residual, evidence: Evidence, now: Posterior) -> float:
+    """What the odd effects owe to noise, each given the others, nats."""
+    odd = (h for h in now.chosen if h.is_odd)
+    return sum(sensor_noise.owed(residual, evidence, now.without(h), h) for h in odd)
 
 
 EXCHANGE = 2.0
@@ -263,9 +269,14 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
             after = with_one_more(residual, evidence, rest, better[0], bank)
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            if after is not None and _odd_of(after) != _odd_of(now):
+            if after is None or _odd_of(after) == _odd_of(now):
+                continue
+            if evidence.exact:
+                after = _raised(residual, evidence, now, after, seen)
+            else:
                 after = settled(residual, evidence, after)
                 seen.add(_odd_of(after))
+            if after is not None:
                 return after
     return None
 
