@@ -163,7 +163,7 @@ def _gained(residual, evidence: Evidence, now: Posterior, after: Posterior) -> f
 def _owed(residual, evidence: Evidence, now: Posterior) -> float:
     """What the odd effects owe to noise, each given the others, nats."""
     odd = (h for h in now.chosen if h.is_odd)
-    return sum(sensor_noise.owed(residual, evidence, now.without(h), h) for h in odd)
+    return float(sum(sensor_noise.owed(residual, evidence, now.without(h), h) for h in odd))
 
 
 EXCHANGE = 2.0
