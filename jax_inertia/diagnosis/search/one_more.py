@@ -78,13 +78,22 @@ def settled(residual, evidence, now: Posterior) -> Posterior:
 
 
 def pruned(residual, evidence: Evidence, now: Posterior) -> Posterior:
-    """Without effects, ordinary ones apart, that have lost their evidence to others, or owe it to noise."""
+    """Without effects, ordinary ones apart, that have lost their evidence to others, or owe it to noise.
+
+    To noise where equations are taken to be right. Of a robot as bought variances are those of its misfit, and asked so
+    a UR10e lost its motors' gains and a double pendulum its teeth: 3.28 N m for 1.35 on the other run, 0.21 for 0.15.
+    """
     while True:
-        left = [
-            (worth - h.odds - sensor_noise.owed(residual, evidence, now.without(h), h), k)
-            for k, (h, worth) in enumerate(zip(now.chosen, evidence.worths(now), strict=True))
-            if h.is_odd
-        ]
+        worths = enumerate(zip(now.chosen, evidence.worths(now), strict=True))
+        left = [(worth - h.odds, k) for k, (h, worth) in worths if h.is_odd]
+        if evidence.exact:
+            left = [(kept - _owed(residual, evidence, now, k), k) for kept, k in left]
         if not left or min(left)[0] >= -1.0:
             return now
         now = now.without(now.chosen[min(left)[1]])
+
+
+def _owed(residual, evidence: Evidence, now: Posterior, k: int) -> float:
+    """What one of the chosen owes to noise given the others [nats]."""
+    h = now.chosen[k]
+    return sensor_noise.owed(residual, evidence, now.without(h), h)
