@@ -80,6 +80,28 @@ def found(robot, **truth):
     return report, [(f.family, f.place.name) for f in report.found]
 
 
+@in_double_precision
+def test_a_push_that_no_other_stretch_knows_is_explained(robot):
+    """Predicted from other stretches of its log it would be left whole, and the log loud."""
+    log = logged(1)
+    model, jacobian = mujoco.MjModel.from_xml_string(NOMINAL), np.zeros((3, 3))
+    data, tau = mujoco.MjData(model), np.array(log.tau)
+    for k in np.flatnonzero((log.time > 5.0) & (log.time < 5.6)):
+        data.qpos[:] = log.qpos[k]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacBodyCom(model, data, jacobian, None, model.body("hand").id)
+        tau[k] -= jacobian.T @ [12.0, 0.0, 0.0]
+    report = pipeline.diagnose(
+        robot,
+        dataclasses.replace(log, tau=tau),
+        test_log=logged(2),
+        state=CalibrationState.CALIBRATED,
+    )
+    assert [(f.family, f.place.name) for f in report.found] == [("push", "hand")]
+    assert report.verdict == "explained"
+    assert report.heldout.after < 0.2 * report.heldout.before
+
+
 def test_a_rotor_inertia_far_beyond_its_tolerance_is_an_effect(robot):
     """Its tolerance explains most of it, and takes the noise in its column with it."""
     report, named = found(robot, rotor=(0.15, 0.045, 0.02))

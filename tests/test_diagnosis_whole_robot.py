@@ -156,6 +156,13 @@ def early(model, t, q, v, a, tau):
     return needed(model, q, v, a) + ordinary(v, a)
 
 
+def warming(model, t, q, v, a, tau):
+    """The elbow's damping falls from 0.8 N m s/rad above what it comes to, by a time constant of 3 s."""
+    out = tau.copy()
+    out[:, 1] += 0.8 * np.exp(-t / 3.0) * v[:, 1]
+    return out
+
+
 def pushed(model, t, q, v, a, tau):
     """A hand pulls at the hand, 12 N along x for 0.6 s of the first log."""
     if not np.array_equal(q, MOTIONS[0][1]):
@@ -185,6 +192,8 @@ def pushed(model, t, q, v, a, tau):
                 ("joint_spring", "elbow", "stiffness", 1.5, sprung, None),
                 ("time_delay", "global", "delay", 0.0068, early, None),
                 ("push", "hand", "force_x", 12.0, pushed, None),
+                ("friction_drift", "elbow", "damping_final", VISCOUS[1], warming, None),
+                ("friction_drift", "elbow", "damping", VISCOUS[1] + 0.8, warming, None),
             )
         ),
     ],
