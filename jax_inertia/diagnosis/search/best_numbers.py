@@ -46,8 +46,8 @@ def at_best(
     return laid[0][0] if len(laid) == 1 else next(best, laid[0][0])
 
 
-MOST_SECANTS = 4
-"""Of one effect, the best as they are laid, which are asked at their own value."""
+MOST_SECANTS, FEW_ROUNDS = 4, 4
+"""Of one effect, the best as they are laid, which are asked about their own value, and how often each is laid again."""
 
 
 def _own_value(
@@ -58,9 +58,20 @@ def _own_value(
     if len(alike) < 2:
         return h
     order = np.argsort(-evidence.gains(rest, alike))[:MOST_SECANTS]
-    laid = [relinearised(residual, evidence, (*rest.chosen, alike[k])).chosen[-1] for k in order]
+    laid = [_alone(residual, evidence, rest, alike[k]) for k in order]
     best = sorted(laid, key=lambda x: -float(evidence.gains(rest, (x,))[0]))
     return next((x for x in best if _there(residual, evidence, rest, x)), h)
+
+
+def _alone(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> Hypothesis:
+    """A secant about where it would be, those of the others as they are."""
+    for _ in range(FEW_ROUNDS):
+        value = h.effect.at_value(h.shape, evidence.posterior((*rest.chosen, h)).of(h)[0])
+        at, found = np.array(h.shape), np.array(value)
+        if _close(h, at, found) or not np.all(np.isfinite(found)):
+            break
+        h = reshaped(h, residual, tuple(value))
+    return h
 
 
 def _there(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> bool:
