@@ -212,8 +212,8 @@ def _stated(selection: Selection, h: Hypothesis | None, family: str, unit: str) 
         return Interval(0.0, 0.0, 0.0, unit)
     now, k = selection.posterior, STATED.index(family)
     at = now.part(h).start + k
-    relative = StatedNumbers.relative(h.shape)
-    own = (relative * StatedNumbers.own(selection.residual.context, h.place))[k]
-    value = own / h.shape[0] + own * float(now.mean[at])
-    half = 1.96 * own * float(np.sqrt(now.covariance[at, at] + selection.spread[at, at]))
+    nominal = float(StatedNumbers.own(selection.residual.context, h.place)[k])
+    sd = nominal * float(StatedNumbers.relative(h.shape)[k])
+    value = nominal + sd * float(now.mean[at])
+    half = 1.96 * sd * float(np.sqrt(now.covariance[at, at] + selection.spread[at, at]))
     return Interval(value, max(value - half, 0.0), value + half, unit)
