@@ -29,7 +29,8 @@ def at_best(
     friction is the motor's or the link's, say, has its own optimum. Of those that a robot can have, if any.
     """
     if h.effect.secant:
-        return _own_value(residual, evidence, rest, h, every)
+        # As bought, more is misfit than any one secant tells: there the likeliest as it is laid leads on.
+        return _own_value(residual, evidence, rest, h, every) if evidence.exact else h
     steps = _steps(residual, h)
     if not np.any(steps):
         return h
