@@ -280,9 +280,9 @@ class HeldOut(_Run):
         return [self.evidence.without(self.fold == k).posterior(now.chosen) for k in folds]
 
     def _left(self, now: Posterior, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
-        left = self.residual.y.copy()
-        for h in fits[0].chosen:
-            left -= self._torque(now, fits, h)
+        left = self.residual.y - self._of_folds([fit.fitted for fit in fits])
+        for h in (h for h in fits[0].chosen if h.family in PASSING):
+            left += self._of_folds([fit.torque(h) for fit in fits]) - now.torque(h)
         return left
 
     def _torque(
@@ -291,7 +291,11 @@ class HeldOut(_Run):
         """Of one of the chosen in every stretch, by numbers of the others."""
         if h.family in PASSING:
             return now.torque(h)
-        return np.array([fit.torque(h) for fit in fits])[self.fold, np.arange(len(self.fold))]
+        return self._of_folds([fit.torque(h) for fit in fits])
+
+    def _of_folds(self, every: list[Float[np.ndarray, "R n"]]) -> Float[np.ndarray, "R n"]:
+        """Of what each fit says of the whole log, its own stretch."""
+        return np.array(every)[self.fold, np.arange(len(self.fold))]
 
 
 def share(

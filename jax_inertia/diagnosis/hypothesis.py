@@ -145,8 +145,7 @@ def hypothesis(
     scale, mean = (np.concatenate(x) for x in zip(*priors, strict=True))
     form = effect.form_error_at(residual.context_of(effect), place, shape)
     return Hypothesis(
-        *(effect, place, shape, columns, row, scale, mean),
-        *(odds, level, assumed, cut, form),
+        effect, place, shape, columns, row, scale, mean, odds, level, assumed, cut, form
     )
 
 

@@ -205,10 +205,12 @@ def _parts(
         records = [r.between(0, k) for r, k in zip(records, cuts, strict=True)]
         of = f"the rest of the log{'s' if len(logs) > 1 else ''}"
     longest = max(LONGEST / len(records), SHORTEST)
-    wholes, records = ([_first(r, longest) for r in rs] for rs in (wholes, records))
-    if test_log is None:
-        held = tuple(_first(r, longest) for r in held)
-    wholes, records, shown = (checks.settling(plant, rs) for rs in (wholes, records, held))
+    wholes = checks.settling(plant, [_first(r, longest) for r in wholes])
+    if test_log is not None:
+        return wholes, wholes, tuple(checks.settling(plant, held)), of
+    records, shown = (
+        checks.settling(plant, [_first(r, longest) for r in rs]) for rs in (records, held)
+    )
     return wholes, records, tuple(shown), of
 
 

@@ -87,13 +87,8 @@ def pruned(residual, evidence: Evidence, now: Posterior) -> Posterior:
         worths = enumerate(zip(now.chosen, evidence.worths(now), strict=True))
         left = [(worth - h.odds, k) for k, (h, worth) in worths if h.is_odd]
         if evidence.exact:
-            left = [(kept - _owed(residual, evidence, now, k), k) for kept, k in left]
+            owed = [sensor_noise.owed_in(residual, evidence, now, now.chosen[k]) for _, k in left]
+            left = [(kept - by_noise, k) for (kept, k), by_noise in zip(left, owed, strict=True)]
         if not left or min(left)[0] >= -1.0:
             return now
         now = now.without(now.chosen[min(left)[1]])
-
-
-def _owed(residual, evidence: Evidence, now: Posterior, k: int) -> float:
-    """What one of the chosen owes to noise given the others [nats]."""
-    h = now.chosen[k]
-    return sensor_noise.owed(residual, evidence, now.without(h), h)

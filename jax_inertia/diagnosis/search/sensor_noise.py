@@ -38,6 +38,11 @@ def owed(residual: Residual, evidence: Evidence, rest: Posterior, h: Hypothesis)
     return max(share(residual, evidence, rest, h), 0.0)
 
 
+def owed_in(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> float:
+    """The same of one of the chosen, given the others [nats]."""
+    return owed(residual, evidence, now.without(h), h)
+
+
 def by_noise(
     residual: Residual,
     root: Float[np.ndarray, "R n"],

@@ -163,7 +163,7 @@ def _gained(residual, evidence: Evidence, now: Posterior, after: Posterior) -> f
 def _owed(residual, evidence: Evidence, now: Posterior) -> float:
     """What the odd effects owe to noise, each given the others, nats."""
     odd = (h for h in now.chosen if h.is_odd)
-    return float(sum(sensor_noise.owed(residual, evidence, now.without(h), h) for h in odd))
+    return float(sum(sensor_noise.owed_in(residual, evidence, now, h) for h in odd))
 
 
 EXCHANGE = 2.0
@@ -265,19 +265,20 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
         if better is None or better[1] <= worth - h.odds + EXCHANGE:
             continue
         by_noise = [sensor_noise.owed(residual, evidence, rest, c) for c in (better[0], h)]
-        if better[1] - by_noise[0] > max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
-            after = with_one_more(residual, evidence, rest, better[0], bank)
-            # Once exchanged, it does not come back: no two take turns.
-            gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
-            if after is None or _odd_of(after) == _odd_of(now):
-                continue
-            if evidence.exact:
-                after = _raised(residual, evidence, now, after, seen)
-            else:
-                after = settled(residual, evidence, after)
-                seen.add(_odd_of(after))
-            if after is not None:
-                return after
+        if better[1] - by_noise[0] <= max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
+            continue
+        after = with_one_more(residual, evidence, rest, better[0], bank)
+        # Once exchanged, it does not come back: no two take turns.
+        gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
+        if after is None or _odd_of(after) == _odd_of(now):
+            continue
+        if evidence.exact:
+            after = _raised(residual, evidence, now, after, seen)
+        else:
+            after = settled(residual, evidence, after)
+            seen.add(_odd_of(after))
+        if after is not None:
+            return after
     return None
 
 
