@@ -162,18 +162,56 @@ def elsewhere(h: Hypothesis, residual: Residual) -> Hypothesis:
 
 MOST_KNOWN = 4000
 """Columns that a log keeps: a search between a grid's points comes by the same numbers many times."""
+AT_ONCE = 32_000_000
+"""Bytes of columns on the fast grid that go through the chain's last filter together."""
+
+
+def foreseen(
+    residual: Residual,
+    effect: Effect,
+    place: Place,
+    shapes: Iterable[Shape],
+    level: Effect | None = None,
+) -> None:
+    """Make the columns of many nonlinear numbers at once: later `hypothesis` calls find them."""
+    new = [s for s in shapes if (effect, place, s, level) not in residual.known]
+    waiting: list[tuple[Shape, Columns]] = []
+    for shape in new:
+        waiting.append((shape, _raw(residual, effect, place, shape, level)))
+        values = waiting[-1][1].values
+        if shape is new[-1] or values.nbytes * (len(waiting) + 1) > AT_ONCE:
+            _finish(residual, effect, place, waiting, level)
+            waiting = []
+
+
+def _finish(
+    residual: Residual,
+    effect: Effect,
+    place: Place,
+    made: list[tuple[Shape, Columns]],
+    level: Effect | None,
+) -> None:
+    """Columns of one effect at one place on the residual's rows, kept; the latest are."""
+    known = residual.known
+    values, row = residual.rows_of(
+        Columns(np.concatenate([c.values for _, c in made], axis=-1), made[0][1].row)
+    )
+    ends = np.cumsum([c.values.shape[-1] for _, c in made])
+    for (shape, _), part in zip(made, np.split(values, ends[:-1], axis=-1), strict=True):
+        if len(known) >= MOST_KNOWN:
+            known.pop(next(iter(known)))
+        cut = _cut(residual, effect, place, shape)
+        known[effect, place, shape, level] = np.ascontiguousarray(part), row, cut
 
 
 def _seen(
     residual: Residual, effect: Effect, place: Place, shape: Shape, level: Effect | None
 ) -> tuple[np.ndarray, int | None, Cut | None]:
     """Columns on the residual's rows, the row that they act on, and what is cut off; the latest are kept."""
-    key, known = (effect, place, shape, level), residual.known
-    if key not in known:
-        if len(known) >= MOST_KNOWN:
-            known.pop(next(iter(known)))
-        known[key] = *_columns(residual, *key), _cut(residual, effect, place, shape)
-    return known[key]
+    key = (effect, place, shape, level)
+    if key not in residual.known:
+        _finish(residual, effect, place, [(shape, _raw(residual, *key))], level)
+    return residual.known[key]
 
 
 def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut | None:
@@ -185,14 +223,15 @@ def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut 
     return Cut(share, np.maximum(mean, 0.0) / np.maximum(share, 1e-9))
 
 
-def _columns(
+def _raw(
     residual: Residual, effect: Effect, place: Place, shape: Shape, level: Effect | None
-) -> tuple[np.ndarray, int | None]:
+) -> Columns:
+    """Columns on the fast grid, those of its `level` before them."""
     columns = effect.columns(residual.context_of(effect), place, shape)
     if level is not None:
         before = effect.of_level(level, residual.context_of(effect), place, shape).values
         columns = Columns(np.concatenate([before, columns.values], axis=-1), columns.row)
-    return residual.rows_of(columns)
+    return columns
 
 
 def excluded(residual: Residual, h: Hypothesis, chosen: Iterable[Hypothesis]) -> bool:

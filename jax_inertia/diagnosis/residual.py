@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import functools
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -60,8 +61,10 @@ class Residual:
         )
         band = wanted.at(log.rate)
         self.log, self.robot, self.settings, self.band = log, robot, settings, band
+        Context.foresee(robot)
         self.prepared: Prepared = prepare(robot, log, band)
         self.context = Context(self.prepared)
+        self.context.foresee_sensitivity()
         self.beside = self.context
         """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)
@@ -82,9 +85,9 @@ class Residual:
             self.prepared,
             robot=dataclasses.replace(
                 robot,
-                armature=robot.armature + ordinary.armature,
-                damping=robot.damping + ordinary.viscous,
-                frictionloss=robot.frictionloss + ordinary.coulomb,
+                armature=jnp.asarray(np.asarray(robot.armature) + ordinary.armature),
+                damping=jnp.asarray(np.asarray(robot.damping) + ordinary.viscous),
+                frictionloss=jnp.asarray(np.asarray(robot.frictionloss) + ordinary.coulomb),
             ),
             inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
             dry=self.prepared.dry + dry,

@@ -50,6 +50,7 @@ def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+@jax.jit
 def centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
     """Centre of mass h/m [m] in the body frame; zero for a massless body.
 
@@ -144,6 +145,7 @@ def from_pseudo_inertia(p: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
     )
 
 
+@jax.jit
 def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     """Whether the pseudo-inertia is positive definite: m > 0, I_c ≻ 0 and the triangle inequalities.
 

@@ -151,7 +151,7 @@ class Compared:
     @functools.cached_property
     def mass(self) -> float:
         """Of the robot [kg]."""
-        return max(float(np.sum(self.parts.robot.pi[:, 0])), 1e-12)
+        return max(float(np.asarray(self.parts.robot.pi)[:, 0].sum()), 1e-12)
 
     @property
     def _load_columns(self) -> np.ndarray:

@@ -167,24 +167,30 @@ def parts(log: Log, robot: Robot) -> Parts | None:
 
 def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
     """Gravity (R, nv, 3), inertia (R, nv), load (R, nv, masses) of some moments, at most `ROWS`."""
-    still, limp = np.zeros_like(v), dataclasses.replace(robot, stiffness=jnp.zeros(robot.nv))
-    gravity = [_needed(dataclasses.replace(limp, gravity=e), q, still, still) for e in jnp.eye(3)]
-    inertia = _needed(dataclasses.replace(robot, gravity=jnp.zeros(3)), q, v, a)
-    bare = dataclasses.replace(limp, armature=jnp.zeros(robot.nv))
-    if robot.compensated is not None:
-        bare = dataclasses.replace(bare, compensated=jnp.zeros_like(robot.compensated))
-    bare = dataclasses.replace(bare, pi=jnp.zeros_like(robot.pi))
-    load = [
-        _needed(bare.believed((body,), jnp.asarray(point)[None]), q, v, a)
-        for body in carriers(robot)
-        for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH))
+    # Made by NumPy: each small operation of jax would be compiled for itself.
+    still, none = np.zeros_like(v), jnp.asarray(np.zeros(robot.nv))
+    limp = dataclasses.replace(robot, stiffness=none)
+    gravity = [
+        _needed(dataclasses.replace(limp, gravity=jnp.asarray(e)), q, still, still)
+        for e in np.eye(3)
     ]
+    inertia = _needed(dataclasses.replace(robot, gravity=jnp.asarray(np.zeros(3))), q, v, a)
+    bare = dataclasses.replace(limp, armature=none)
+    if robot.compensated is not None:
+        none_held = jnp.asarray(np.zeros(robot.compensated.shape))
+        bare = dataclasses.replace(bare, compensated=none_held)
+    load = []
+    for body in carriers(robot):
+        for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH)):
+            pi = np.zeros((robot.nb, 10))
+            pi[body] = point
+            load.append(_needed(dataclasses.replace(bare, pi=jnp.asarray(pi)), q, v, a))
     return np.stack(gravity, axis=-1), inertia, np.stack(load, axis=-1)
 
 
 def _needed(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Float[np.ndarray, "R nv"]:
     """Torque that the model needs without its dry and viscous friction."""
-    none = jnp.zeros(robot.nv)
+    none = jnp.asarray(np.zeros(robot.nv))
     robot = dataclasses.replace(robot, frictionloss=none, damping=none)
     count = len(q)
     padded = [np.concatenate([x, np.repeat(x[-1:], ROWS - count, axis=0)]) for x in (q, v, a)]
@@ -226,7 +232,7 @@ def carriers(robot: Robot) -> tuple[int, ...]:
 
 def _centre(robot: Robot, body: int) -> Float[np.ndarray, "3"]:
     """Centre of mass of a body in its frame [m]."""
-    pi = np.asarray(robot.pi[body])
+    pi = np.asarray(robot.pi)[body]
     return pi[1:4] / max(float(pi[0]), 1e-12)
 
 

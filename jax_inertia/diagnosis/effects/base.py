@@ -5,6 +5,7 @@ To add an effect, write one class in one file of this folder and list it in `reg
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Iterable, Mapping
 from types import ModuleType
 from typing import Any, ClassVar, NamedTuple
@@ -126,12 +127,12 @@ class Bound:
     period: float
     """Of a step [s]."""
 
-    @property
+    @functools.cached_property
     def rows(self) -> np.ndarray:
         """Which rows it acts on, of a joint's or a global effect (nv,)."""
         return self.driven if self.index < 0 else np.arange(len(self.driven)) == self.index
 
-    @property
+    @functools.cached_property
     def body(self) -> np.ndarray:
         """Which body it acts on, as a column (nb, 1)."""
         return (np.arange(len(self.centres)) == self.index)[:, None]

@@ -1,6 +1,7 @@
 """Generic alternatives of one form each: what robots have, and no effect of the library is; they name no cause."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -40,8 +41,9 @@ class OtherLength(_Generic):
         observation = context.prepared.observation
         base, moved = context.inverse - context.prepared.dry, []
         for axis in range(3):
-            longer = robot.placement_position.at[node, axis].add(LONGER)
-            other = eqx.tree_at(lambda r: r.placement_position, robot, longer)
+            longer = np.array(robot.placement_position)
+            longer[node, axis] += LONGER
+            other = eqx.tree_at(lambda r: r.placement_position, robot, jnp.asarray(longer))
             moved.append((needed_torques(other, observation) - base) / LONGER)
         return Columns(-np.stack(moved, axis=2))
 

@@ -3,6 +3,7 @@
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from scipy import signal
 from jax_inertia.diagnosis.features import derivatives
 from jax_inertia.diagnosis.features.two_mass import DrivenLink, OwnFriction
 from jax_inertia.maths.inertial_parameters import centre_of_mass
-from jax_inertia.model.robot import HINGE, SLIDE
+from jax_inertia.model.robot import HINGE, SLIDE, Robot
 from jax_inertia.signals.creep import DAMPING, softness
 from jax_inertia.signals.dry_friction import bristle, direction, share_below, stillness
 from jax_inertia.signals.torque_residual import (
@@ -132,6 +133,16 @@ class Context:
         energy = np.cumsum(power.sum(axis=1))
         at = frequency[np.searchsorted(energy, 0.9 * energy[-1])]
         return float(np.clip(1.5 * at, 1.5, 5.0))
+
+    @staticmethod
+    def foresee(robot: Robot) -> None:
+        """Compile the regressor while a log is prepared."""
+        derivatives.regressor.ahead(robot, tuple(map(np.zeros, (robot.nq, robot.nv, robot.nv))))
+
+    def foresee_sensitivity(self) -> None:
+        """Compile `sensitivity` while ordinary physics is fitted."""
+        first = jax.tree.map(lambda x: np.asarray(x)[0], self.prepared.observation)
+        derivatives.sensitivity.ahead(without_friction(self.robot), first)
 
     @functools.cached_property
     def regressor(self) -> np.ndarray:

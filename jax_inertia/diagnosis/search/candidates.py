@@ -6,7 +6,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
-from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, foreseen, hypothesis
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.pushes import FLANK, windows
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
@@ -38,9 +38,16 @@ def make(
         odds = settings.odd_odds if effect.named else settings.generic_odds
     if residual.prepared.support is not None and not (bought and effect.ordinary):
         odds = max(odds, settings.unmeasured_odds)
-    level = None if bought else next((e for e in library if e.name == effect.level), None)
+    level = _level(effect, state, library)
     assumed = bought and effect.ordinary
     return hypothesis(residual, effect, place, shape, odds, level, assumed=assumed)
+
+
+def _level(effect: Effect, state: CalibrationState, library: Sequence[Effect]) -> Effect | None:
+    """The ordinary effect that is fitted as one law with it."""
+    if state is CalibrationState.AS_BOUGHT:
+        return None
+    return next((e for e in library if e.name == effect.level), None)
 
 
 def candidates(
@@ -63,6 +70,8 @@ def candidates(
             if isinstance(effect, DryFriction) and place.index in presliding:
                 # All forms of a joint's dry friction turn round alike, between a grid's points too.
                 shapes = dict.fromkeys((presliding[place.index], *rest) for _, *rest in shapes)
+            shapes = tuple(shapes)
+            foreseen(residual, effect, place, shapes, _level(effect, state, library))
             for shape in shapes:
                 h = make(residual, effect, place, shape, settings, state, library)
                 # What this motion does not show is no candidate.

@@ -7,6 +7,7 @@ round as the log shows (`turning`): by bristles, as sharply as the step allows, 
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,14 +22,15 @@ from jax_inertia.signals.sensor_noise import perturbed
 from jax_inertia.signals.torque_residual import Prepared
 
 _STEP = 5e-4
-# Draws of the sensors' noise: by one alone a floor of few windows errs by a tenth or two.
-_DRAWS = 3
+# Windows with the sensors' noise once more: by fewer a floor errs by a tenth or two.
+_NOISY = 36
 _STILL = 0.05  # no joint faster than this, and friction at rest decides what happens [rad/s]
 
 
 @dataclasses.dataclass(frozen=True)
 class Rollouts:
-    """Errors of W windows and n joints, at S times from each window's start; of the noise, D: each window's draws."""
+    """Errors of W windows and n joints, at S times from each window's start; of the noise, D: every window, as many
+    times as its floor needs."""
 
     horizon: float
     joints: tuple[str, ...]
@@ -92,12 +94,13 @@ def rollouts(
         return None
     effects = correction.effects
     clean, rng = Recording(robot, log, effects), np.random.default_rng(seed)
-    noisy = [Recording(robot, perturbed(log, rng), effects) for _ in range(_DRAWS)]
     prepared = clean.prepared
     passing = [e.values["start"] for e in effects if e.family == "push"]
     starts = _starts(prepared, horizon, windows, passing)
     if not len(starts):
         return None
+    draws = math.ceil(_NOISY / len(starts))
+    noisy = [Recording(robot, perturbed(log, rng), effects) for _ in range(draws)]
     period = 1.0 / log.rate
     step = period / max(1, round(period / _STEP))
     samples = np.linspace(0.0, horizon, 26)
