@@ -222,7 +222,8 @@ class Cogging(_AlongTheJoint):
         # Faster than the analysis band lets through at half the moments, teeth are not seen.
         fastest = 0.7 * context.prepared.bands.cutoff * 2 * np.pi
         highest = min(60.0, fastest / max(float(np.percentile(np.abs(v), 50)), 1e-3))
-        lowest = max(4.0, 2 * np.pi / span)
+        # From half a wave: of less, a spring says the same.
+        lowest = max(4.0, np.pi / span)
         step = max(0.5, 1.5 / span)
         return [(float(n),) for n in np.arange(lowest, max(highest, lowest), step)]
 

@@ -2,25 +2,34 @@
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, peak_of
+from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT
+from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.spec_joint import (
     actuators_of,
     add_damping,
     joint_named,
     set_first,
 )
+from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.signals.dry_friction import bristle
+
+TYPICAL = 0.2
+"""Of c."""
 
 
 class JointCoupling(Effect):
     """The motor of joint j turns by w = q̇ⱼ + c q̇ᵢ: what it gives, less what itself takes, acts on j and c of it on i.
 
-        yⱼ = − I c q̈ᵢ − F (sign w − sign q̇ⱼ) − f q̇ᵢ
+        yⱼ = − J q̈ᵢ − F (z_w − z_j) − f q̇ᵢ
         yᵢ = c (tⱼ + d q̇ⱼ) − f q̇ⱼ
 
-    tⱼ: what the link of j needs; I, F, d: the joint's rotor inertia, dry and viscous friction, of which f / c is the
-    motor's. The nonlinear number is c, about which dry friction is the secant.
+    tⱼ: what the link of j needs; d: the joint's viscous friction. Of the joint's rotor inertia J / c is the motor's, of
+    its viscous friction f / c, of its dry friction F; z: the direction of that along the motor's path and along the
+    joint's. The nonlinear number is c, about which dry friction is the secant.
     """
 
     name, equation, form_error = (
@@ -33,8 +42,16 @@ class JointCoupling(Effect):
         "belts and bevels through a wrist; Siciliano et al., Robotics, 2009, sec. 5.1",
         advice.ONE_AT_A_TIME,
     )
-    units = {"coefficient": "1", "friction_of_other_speed": "N m s/rad"}
-    prior = "c: 0.2, below 2; friction: 0.05 of the joint's peak torque at 1 rad/s"
+    units = {
+        "coefficient": "1",
+        "inertia_of_other_speed": "kg m²",
+        "friction_of_other_speed": "N m s/rad",
+        "dry_friction_of_motor": "N m",
+    }
+    prior = (
+        "c: 0.2, below 2; a fifth of the rotor inertia that the joint may have; friction: 0.05 of the joint's peak "
+        "torque at 1 rad/s, 0.15 dry"
+    )
     mjcf = "a fixed tendon over both joints for rotor, friction and actuators of j; torques in qfrc_applied by step law"
     takes_over = True
 
@@ -48,26 +65,25 @@ class JointCoupling(Effect):
         ]
 
     def shapes(self, context, place):
-        return [(0.0, 0.0)]
+        return [(0.0,) * 4]
 
     def columns(self, context, place, shape):
         j, i = place.index, context.joint_dofs[place.other]
-        out = np.zeros((*context.tau.shape, 2))
+        out = np.zeros((*context.tau.shape, 4))
         out[:, i, 0] = context.link_torque[:, j] + context.damping[j] * context.v[:, j]
-        out[:, j, 0] = -context.armature[j] * context.a[:, i]
-        if shape[0]:
-            turned = np.sign(context.v[:, j] + shape[0] * context.v[:, i]) - context.side[:, j]
-            out[:, j, 0] -= context.frictionloss[j] * turned / shape[0]
-        out[:, i, 1], out[:, j, 1] = -context.v[:, j], -context.v[:, i]
+        out[:, j, 1] = -context.a[:, i]
+        out[:, i, 2], out[:, j, 2] = -context.v[:, j], -context.v[:, i]
+        out[:, j, 3] = -_turned(context, j, i, shape[0])
         return Columns(out)
 
     def scale(self, context, place, shape):
-        return np.array([0.2, 0.05 * peak_of(context, place.index)])
+        friction = np.array([0.05, 0.15]) * peak_of(context, place.index)
+        return np.array([TYPICAL, TYPICAL * Armature().scale(context, place, ())[0], *friction])
 
     def numbers(self, context, place, shape, theta):
         return {
-            "coefficient": Parameter(float(theta[0]), "1"),
-            "friction_of_other_speed": Parameter(float(theta[1]), "N m s/rad"),
+            name: Parameter(float(x), unit)
+            for (name, unit), x in zip(self.units.items(), theta, strict=True)
         }
 
     def possible(self, context: object, place: Place, theta: np.ndarray) -> bool:
@@ -79,9 +95,12 @@ class JointCoupling(Effect):
         tendon = spec.add_tendon(name=f"{own.name}_with_{other.name}")
         tendon.wrap_joint(own.name, 1.0)
         tendon.wrap_joint(other.name, c)
-        # Of the motor now: what turns and rubs there. Viscous friction that it has not got stays the joint's.
-        tendon.armature, own.armature = own.armature, 0.0
-        tendon.frictionloss, own.frictionloss = own.frictionloss, 0.0
+        # Of the motor now: what turns and rubs there. What it has not got stays the joint's.
+        turning = found.values["inertia_of_other_speed"] / c if c else 0.0
+        turning = float(np.clip(turning, 0.0, own.armature))
+        tendon.armature, own.armature = turning, own.armature - turning
+        dry = float(np.clip(found.values["dry_friction_of_motor"], 0.0, own.frictionloss))
+        tendon.frictionloss, own.frictionloss = dry, own.frictionloss - dry
         of_motor = found.values["friction_of_other_speed"] / c if c else 0.0
         of_motor = float(np.clip(of_motor, 0.0, own.damping[0]))
         add_damping(own, -of_motor)
@@ -98,3 +117,15 @@ class JointCoupling(Effect):
         rows = np.arange(len(at.driven))
         drawn = at.values["coefficient"] * now.u[at.index] * (rows == at.other)
         return applied._replace(torque=applied.torque + drawn)
+
+
+def _turned(context: Context, j: int, i: int, c: float) -> Float[np.ndarray, " T"]:
+    """By how much friction's direction along the motor's path differs from that along its joint's (T,)."""
+    presliding, way = context.turning.get(j, (0.0, BENT))
+    start = np.sign(context.v[:, j] + c * context.v[:, i])
+    if presliding <= 0.0:
+        return start - context.side[:, j]
+    straight = way == STRAIGHT
+    path = context.joint_position[:, j] + c * context.joint_position[:, i]
+    along = bristle(path, float(start[0]), presliding, straight=straight)
+    return along - context.bristle(j, presliding, straight=straight)
