@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, peak_of
-from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT
+from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT, direction
 from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.spec_joint import (
     actuators_of,
@@ -14,7 +14,7 @@ from jax_inertia.diagnosis.effects.spec_joint import (
     joint_named,
     set_first,
 )
-from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.features.context import TURNS_OVER, Context
 from jax_inertia.signals.dry_friction import bristle
 
 TYPICAL = 0.2
@@ -122,10 +122,9 @@ class JointCoupling(Effect):
 def _turned(context: Context, j: int, i: int, c: float) -> Float[np.ndarray, " T"]:
     """By how much friction's direction along the motor's path differs from that along its joint's (T,)."""
     presliding, way = context.turning.get(j, (0.0, BENT))
-    start = np.sign(context.v[:, j] + c * context.v[:, i])
-    if presliding <= 0.0:
-        return start - context.side[:, j]
-    straight = way == STRAIGHT
+    # How it creeps, as far as a joint's own path seems to say, is no way of the motor's.
+    reach = presliding if presliding > 0.0 else TURNS_OVER
     path = context.joint_position[:, j] + c * context.joint_position[:, i]
-    along = bristle(path, float(start[0]), presliding, straight=straight)
-    return along - context.bristle(j, presliding, straight=straight)
+    start = np.sign(context.v[0, j] + c * context.v[0, i])
+    along = bristle(path, float(start), reach, straight=way == STRAIGHT)
+    return along - direction(context, j, presliding, way)
