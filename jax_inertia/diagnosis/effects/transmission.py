@@ -122,9 +122,11 @@ class JointCoupling(Effect):
 def _turned(context: Context, j: int, i: int, c: float) -> Float[np.ndarray, " T"]:
     """By how much friction's direction along the motor's path differs from that along its joint's (T,)."""
     presliding, way = context.turning.get(j, (0.0, BENT))
+    speed = context.v[:, j] + c * context.v[:, i]
+    if not presliding:
+        return np.sign(speed) - context.side[:, j]
     # How it creeps, as far as a joint's own path seems to say, is no way of the motor's.
     reach = presliding if presliding > 0.0 else TURNS_OVER
     path = context.joint_position[:, j] + c * context.joint_position[:, i]
-    start = np.sign(context.v[0, j] + c * context.v[0, i])
-    along = bristle(path, float(start), reach, straight=way == STRAIGHT)
+    along = bristle(path, float(np.sign(speed[0])), reach, straight=way == STRAIGHT)
     return along - direction(context, j, presliding, way)
