@@ -25,13 +25,30 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
     """The selection without odd effects that only mop up what no equation says exactly: no causes, if good to predict.
 
     `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
-    refitted, until each brings its odds (`evidence_of_causes`).
+    refitted, until each brings its odds (`evidence_of_causes`). What happens at the same moments as more of its kind
+    elsewhere goes before: by an equation that errs one push leaves others at bodies beside it.
     """
+    for h in _echoes(selection):
+        selection = remembering(selection, selection.posterior.without(h))
     while True:
         worst = _faintest(selection.odd, evidence_of_causes(selection, selection.odd, judges))
         if worst is None:
             return selection
         selection = remembering(selection, selection.posterior.without(worst))
+
+
+def _echoes(selection: Selection) -> list[Hypothesis]:
+    """What happens once while the same of more evidence happens at another place."""
+    context, now = selection.residual.context, selection.posterior
+    passing = [h for h in selection.odd if h.family in PASSING]
+    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+    out, kept = [], []
+    for h in sorted(passing, key=lambda h: -worths[id(h)]):
+        alone = all(
+            h.effect.apart(context, h.place, h.shape, c.shape) for c in kept if c.family == h.family
+        )
+        (kept if alone else out).append(h)
+    return out
 
 
 def _faintest(odd: Sequence[Hypothesis], evidence: Sequence[float]) -> Hypothesis | None:
