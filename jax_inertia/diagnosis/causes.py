@@ -26,7 +26,7 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
 
     `selection` has its noise's whole memory (`remembering`). The faintest first, one at a time, everything else
     refitted, until each brings its odds (`evidence_of_causes`). What happens at the same moments as more of its kind
-    elsewhere goes before: by an equation that errs one push leaves others at bodies beside it.
+    elsewhere goes before: by an equation that errs one push leaves others at bodies next to it.
     """
     for h in _echoes(selection):
         selection = remembering(selection, selection.posterior.without(h))
