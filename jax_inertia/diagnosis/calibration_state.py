@@ -6,8 +6,7 @@ model as it is bought lacks them everywhere. So each joint votes on each ordinar
     v = ln P(x > t) / P(x < t),    |v| ≤ the prior odds of a single effect,
 
 x being what the joint has beyond the model and t what a good model may be off by. A number that the log does not
-determine has no vote, and no joint says more than what a single effect there would cost. Before any vote a model that
-states no friction, damping or rotor of any joint is likely to be one as it is bought, any other one to be calibrated.
+determine has no vote, and no joint says more than what a single effect there would cost.
 """
 
 import numpy as np
@@ -29,7 +28,7 @@ NUMBERS = {
 
 
 def log_odds_as_bought(selection: Selection, settings: Settings) -> float:
-    """Prior log odds and votes of all joints on the number that most of them lack [nats]."""
+    """Votes of all joints on the number that most of them lack [nats]."""
     chosen = {h.key: h for h in selection.posterior.chosen}
     votes = dict.fromkeys(NUMBERS, 0.0)
     gap = _beside_odd(selection)
@@ -39,13 +38,7 @@ def log_odds_as_bought(selection: Selection, settings: Settings) -> float:
         elif h.family in NUMBERS:
             # Its best value is below what any joint has.
             votes[h.family] -= settings.odd_odds
-    states_any = any(np.any(_stated(selection, name)) for name in NUMBERS.values())
-    return max(votes.values()) + (-settings.as_bought if states_any else settings.as_bought)
-
-
-def _stated(selection: Selection, name: str) -> Float[np.ndarray, " n"]:
-    """A joint's number as the model has it."""
-    return np.asarray(getattr(selection.residual.context, name))
+    return max(votes.values())
 
 
 def _beside_odd(selection: Selection) -> Float[np.ndarray, " n"]:
@@ -61,7 +54,7 @@ def _vote(
 ) -> float:
     """v of one number."""
     row = h.place.index
-    own = float(_stated(selection, NUMBERS[h.family])[row])
+    own = float(getattr(selection.residual.context, NUMBERS[h.family])[row])
     per_unit = max(float(rms(h.own_columns, selection.residual.weight[:, [row]])), 1e-12)
     good = max(
         settings.ordinary_tolerance * own,

@@ -126,11 +126,11 @@ def _selected_as_bought(
     progress("ordinary physics of every joint")
     bought = started(residual, library, settings, CalibrationState.AS_BOUGHT)
     odds = log_odds_as_bought(bought, settings)
-    if odds <= -settings.odd_odds - settings.as_bought:
+    if odds <= -settings.odd_odds:
         return None, odds
     bought = searched(bought, library, settings, progress)
     odds = log_odds_as_bought(bought, settings)
-    return bought if odds > 0.0 else None, odds
+    return bought if odds > settings.as_bought else None, odds
 
 
 def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:

@@ -60,8 +60,8 @@ class Settings:
     """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""
     as_bought: float = 3.0
-    """Prior log odds [nats] that a model is as it is bought where it states no friction, damping or rotor of any joint,
-    and that it is calibrated where it states one: 20 to 1 (Kass and Raftery, JASA 90(430), 1995: strong)."""
+    """Log odds [nats] from which a model counts as bought, not calibrated: 20 to 1 (Kass and Raftery, JASA 90(430),
+    1995). Where a log says next to nothing of friction, joints' votes add up to a fraction of a nat of either sign."""
     rest_speed: float = 0.02
     """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""
     distinct: float = 3.0
