@@ -301,7 +301,6 @@ def test_mjx_does_what_c_does():
             "elbow",
             {
                 "coefficient": 0.2,
-                "inertia_of_other_speed": 0.0,
                 "friction_of_other_speed": 0.05,
                 "dry_friction_of_motor": 0.0,
             },

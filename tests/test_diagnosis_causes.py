@@ -2,16 +2,22 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
+from diagnosis_robot import NOMINAL, log_of
+from diagnosis_robot import motion as sines
 
-from jax_inertia.diagnosis.causes import carried_over
+from jax_inertia.diagnosis.causes import _echoes, carried_over
 from jax_inertia.diagnosis.checks import OtherRun, rms
 from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.external_force import Push
 from jax_inertia.diagnosis.effects.joint import JointSpring
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence
+from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.model.load import load_model
 
 ROWS = 500
 
@@ -90,3 +96,22 @@ def test_causes_that_make_the_other_run_worse_than_no_cause_are_none(motion):
         left = carried_over(now, other)
         assert left.chosen == kept
         assert other.error(left) <= rms(rows.y, rows.weight)
+
+
+def push(name, body, size, motion, start=1.0):
+    place, shape = Place("body", name, body), (start, start + 0.4, 0.5, 0.0)
+    columns = size * np.stack([motion, 0.0 * motion, 0.0 * motion], axis=-1)
+    return Hypothesis(Push(), place, shape, columns, 0, np.ones(3), np.zeros(3), 8.0)
+
+
+def test_pushes_at_the_moments_of_a_larger_one_are_its_echoes(motion):
+    later = np.roll(motion, ROWS // 2)
+    small, large = push("hand", 2, 1.0, walk(20.0, 3)), push("lower", 1, 1.0, motion)
+    apart = push("upper", 0, 1.0, later, start=3.0)
+    y = 5.0 * motion + 0.5 * walk(20.0, 3) + 2.0 * later
+    evidence = Evidence(y[:, None], np.ones((ROWS, 1)), np.array([0.1]))
+    now = evidence.posterior((small, large, apart))
+    time, q, v, _ = sines(1, seconds=2.0)
+    robot = load_model(mujoco.MjModel.from_xml_string(NOMINAL))
+    context = Residual(robot, log_of(time, q, 0.0 * v), Settings()).context
+    assert _echoes(context, evidence.worths(now), now.chosen) == [small]

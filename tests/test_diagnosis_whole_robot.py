@@ -18,7 +18,9 @@ from diagnosis_robot import (
     ordinary,
 )
 
+from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.identified import effects_in
+from jax_inertia.diagnosis.effects.joint import Cogging
 from jax_inertia.diagnosis.effects.registry import EFFECTS
 from jax_inertia.diagnosis.pipeline import diagnose
 from jax_inertia.diagnosis.report.json_report import to_report
@@ -85,6 +87,16 @@ def test_one_dry_friction_on_a_good_model_is_no_robot_as_bought(robot):
         return tau + np.array([0.0, 0.7, 0.0]) * np.tanh(v / 0.002)
 
     assert found(robot, rubbing, level=0.0).as_bought < 0
+
+
+def test_a_wave_of_which_a_joint_sees_half_is_looked_for(robot):
+    time, q, v, _ = motion(1)
+    context = Residual(robot, log_of(time, q, 0.0 * v), Settings()).context
+    place = Place("joint", "elbow", 1)
+    waves = [n for (n,) in Cogging().shapes(context, place)]
+    span = np.ptp(context.joint_position[:, 1])
+    assert waves[0] == pytest.approx(max(4.0, np.pi / span))
+    assert waves[-1] * span > 4 * np.pi
 
 
 def test_a_sound_robot_has_no_gap(robot):

@@ -159,7 +159,7 @@ class ReportTorque:
         load = bodies + self.viscous * motor_v + self.dry * np.tanh(motor_v / SIGN)
         dry, turn = self._dry(load + self.rotor * motor_a - self.bias, motor_v, s.dt)
         out = bodies + self.viscous * turn + dry + self.rotor * motor_a - self.bias
-        self._coupled(out, bodies, motor_v, motor_a)
+        self._coupled(out, bodies, motor_v, motor_a, s.dt)
         return out
 
     def _springs(self, q: np.ndarray) -> np.ndarray:
@@ -213,12 +213,17 @@ class ReportTorque:
                 extra[:, j] += number(e, "difference") * np.abs(v[:, j])
             elif f == "friction_drift":
                 self.left_out.add(f)
-        sign = np.tanh(v / SIGN)
-        for j in np.flatnonzero(self.presliding):
-            sign[:, j] = dahl(v[:, j], dt, self.presliding[j])
+        sign = np.stack([self._way(j, v[:, j], dt) for j in range(v.shape[1])], axis=1)
         return level * sign + extra, v
 
-    def _coupled(self, out: np.ndarray, bodies: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+    def _way(self, j: int, v: np.ndarray, dt: float) -> np.ndarray:
+        """What multiplies the level of a joint's dry friction at some speed."""
+        slides = self.presliding[j]
+        return dahl(v, dt, slides) if slides else np.tanh(v / SIGN)
+
+    def _coupled(
+        self, out: np.ndarray, bodies: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float
+    ) -> None:
         """A motor that turns with another joint, θ = q + c q_other: its rotor feels both, both feel its output."""
         for e in self.odd:
             if e["family"] != "joint_coupling":
@@ -229,8 +234,12 @@ class ReportTorque:
                 out[:, j] += self.rotor[j] * c * a[:, i]
                 out[:, i] -= c * (bodies[:, j] - self.bias[j])
             elif "friction_of_other_speed" in e["parameters"]:
-                out[:, j] += number(e, "friction_of_other_speed") * v[:, i]
-                out[:, i] -= number(e, "coefficient") * out[:, j]
+                c, f = number(e, "coefficient"), number(e, "friction_of_other_speed")
+                level = number(e, "dry_friction_of_motor", default=0.0)
+                out[:, j] += f * v[:, i] + self.rotor[j] * c * a[:, i]
+                turned = self._way(j, v[:, j] + c * v[:, i], dt) - self._way(j, v[:, j], dt)
+                out[:, j] += level * turned
+                out[:, i] += f * v[:, j] - c * (bodies[:, j] + self.viscous[j] * v[:, j])
             else:
                 out[:, j] += number(e, "coefficient") * v[:, i]
 

@@ -4,9 +4,11 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_inertia.diagnosis.checks import PASSING, HeldOut, OtherRun, rms
 from jax_inertia.diagnosis.effects.actuator import GainTolerance, TorqueGain
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Posterior
@@ -28,7 +30,8 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
     refitted, until each brings its odds (`evidence_of_causes`). What happens at the same moments as more of its kind
     elsewhere goes before: by an equation that errs one push leaves others at bodies next to it.
     """
-    for h in _echoes(selection):
+    now, context = selection.posterior, selection.residual.context
+    for h in _echoes(context, selection.evidence.worths(now), now.chosen):
         selection = remembering(selection, selection.posterior.without(h))
     while True:
         worst = _faintest(selection.odd, evidence_of_causes(selection, selection.odd, judges))
@@ -37,17 +40,17 @@ def borne_out(selection: Selection, judges: Judges) -> Selection:
         selection = remembering(selection, selection.posterior.without(worst))
 
 
-def _echoes(selection: Selection) -> list[Hypothesis]:
-    """What happens once while the same of more evidence happens at another place."""
-    context, now = selection.residual.context, selection.posterior
-    passing = [h for h in selection.odd if h.family in PASSING]
-    worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
+def _echoes(
+    context: Context, worths: Float[np.ndarray, " m"], chosen: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Of the chosen what happens once while the same of more evidence happens at another place."""
+    ranked = sorted(zip(worths, chosen, strict=True), key=lambda x: -x[0])
     out, kept = [], []
-    for h in sorted(passing, key=lambda h: -worths[id(h)]):
-        alone = all(
-            h.effect.apart(context, h.place, h.shape, c.shape) for c in kept if c.family == h.family
-        )
-        (kept if alone else out).append(h)
+    for _, h in ranked:
+        if h.family in PASSING:
+            others = (c for c in kept if c.family == h.family)
+            alone = all(h.effect.apart(context, h.place, h.shape, c.shape) for c in others)
+            (kept if alone else out).append(h)
     return out
 
 

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, peak_of
 from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT, direction
-from jax_inertia.diagnosis.effects.joint import Armature
 from jax_inertia.diagnosis.effects.spec_joint import (
     actuators_of,
     add_damping,
@@ -17,19 +16,17 @@ from jax_inertia.diagnosis.effects.spec_joint import (
 from jax_inertia.diagnosis.features.context import TURNS_OVER, Context
 from jax_inertia.signals.dry_friction import bristle
 
-TYPICAL = 0.2
-"""Of c."""
-
 
 class JointCoupling(Effect):
     """The motor of joint j turns by w = q̇ⱼ + c q̇ᵢ: what it gives, less what itself takes, acts on j and c of it on i.
 
-        yⱼ = − J q̈ᵢ − F (z_w − z_j) − f q̇ᵢ
+        yⱼ = − I c q̈ᵢ − F (z_w − z_j) − f q̇ᵢ
         yᵢ = c (tⱼ + d q̇ⱼ) − f q̇ⱼ
 
-    tⱼ: what the link of j needs; d: the joint's viscous friction. Of the joint's rotor inertia J / c is the motor's, of
-    its viscous friction f / c, of its dry friction F; z: the direction of that along the motor's path and along the
-    joint's. The nonlinear number is c, about which dry friction is the secant.
+    tⱼ: what the link of j needs; I, d: the joint's rotor inertia and viscous friction, of which f / c is the motor's;
+    F: what of its dry friction is; z: the direction of that along the motor's path and along the joint's. The nonlinear
+    number is c, about which dry friction is the secant. A rotor inertia of its own would be any inertia between two
+    joints: on a Panda and an LWR4+ it stood for links that weigh otherwise.
     """
 
     name, equation, form_error = (
@@ -44,14 +41,10 @@ class JointCoupling(Effect):
     )
     units = {
         "coefficient": "1",
-        "inertia_of_other_speed": "kg m²",
         "friction_of_other_speed": "N m s/rad",
         "dry_friction_of_motor": "N m",
     }
-    prior = (
-        "c: 0.2, below 2; a fifth of the rotor inertia that the joint may have; friction: 0.05 of the joint's peak "
-        "torque at 1 rad/s, 0.15 dry"
-    )
+    prior = "c: 0.2, below 2; friction: 0.05 of the joint's peak torque at 1 rad/s, 0.15 dry, not below zero"
     mjcf = "a fixed tendon over both joints for rotor, friction and actuators of j; torques in qfrc_applied by step law"
     takes_over = True
 
@@ -65,20 +58,20 @@ class JointCoupling(Effect):
         ]
 
     def shapes(self, context, place):
-        return [(0.0,) * 4]
+        return [(0.0,) * 3]
 
     def columns(self, context, place, shape):
         j, i = place.index, context.joint_dofs[place.other]
-        out = np.zeros((*context.tau.shape, 4))
+        out = np.zeros((*context.tau.shape, 3))
         out[:, i, 0] = context.link_torque[:, j] + context.damping[j] * context.v[:, j]
-        out[:, j, 1] = -context.a[:, i]
-        out[:, i, 2], out[:, j, 2] = -context.v[:, j], -context.v[:, i]
-        out[:, j, 3] = -_turned(context, j, i, shape[0])
+        out[:, j, 0] = -context.armature[j] * context.a[:, i]
+        out[:, i, 1], out[:, j, 1] = -context.v[:, j], -context.v[:, i]
+        out[:, j, 2] = -_turned(context, j, i, shape[0])
         return Columns(out)
 
     def scale(self, context, place, shape):
         friction = np.array([0.05, 0.15]) * peak_of(context, place.index)
-        return np.array([TYPICAL, TYPICAL * Armature().scale(context, place, ())[0], *friction])
+        return np.array([0.2, *friction])
 
     def numbers(self, context, place, shape, theta):
         return {
@@ -87,7 +80,7 @@ class JointCoupling(Effect):
         }
 
     def possible(self, context: object, place: Place, theta: np.ndarray) -> bool:
-        return bool(abs(theta[0]) < 2.0)
+        return bool(abs(theta[0]) < 2.0 and theta[2] >= 0.0)
 
     def edit(self, spec, model, found):
         own, other = (joint_named(spec, name) for name in (found.name, found.other))
@@ -96,9 +89,7 @@ class JointCoupling(Effect):
         tendon.wrap_joint(own.name, 1.0)
         tendon.wrap_joint(other.name, c)
         # Of the motor now: what turns and rubs there. What it has not got stays the joint's.
-        turning = found.values["inertia_of_other_speed"] / c if c else 0.0
-        turning = float(np.clip(turning, 0.0, own.armature))
-        tendon.armature, own.armature = turning, own.armature - turning
+        tendon.armature, own.armature = own.armature, 0.0
         dry = float(np.clip(found.values["dry_friction_of_motor"], 0.0, own.frictionloss))
         tendon.frictionloss, own.frictionloss = dry, own.frictionloss - dry
         of_motor = found.values["friction_of_other_speed"] / c if c else 0.0
