@@ -302,7 +302,6 @@ def test_mjx_does_what_c_does():
             {
                 "coefficient": 0.2,
                 "friction_of_other_speed": 0.05,
-                "dry_friction_of_motor": 0.0,
             },
             "shoulder",
         ),

@@ -58,8 +58,8 @@ CASES = {
     "encoder_scale": (ELBOW, (), [0.02], 0.02),
     "joint_coupling": (
         Place("joint", "wrist", 2, "elbow"),
-        (0.3, 0.0, 0.0),
-        [0.3, 0.0, 0.0],
+        (0.3, 0.0),
+        [0.3, 0.0],
         0.01,
     ),
     "gravity_tilt": (ALL, (0.9, -1.4), [0.9, -1.4], 0.01),

@@ -51,32 +51,28 @@ def test_columns_are_the_motors_own_equation():
     robot = load_model(mujoco.MjModel.from_xml_string(RUBBING)).astype("float64")
     log = log_of(TIME, Q, asked, noise=0.0)
     residual = Residual(robot, dataclasses.replace(log, qpos=Q), Settings())
-    values, row = residual.rows_of(JointCoupling().columns(residual.context, PLACE, (C, 0.0, 0.0)))
+    values, row = residual.rows_of(JointCoupling().columns(residual.context, PLACE, (C, 0.0)))
     assert row is None
-    theta = np.array([C, C * DAMPING, LEVEL])
+    theta = np.array([C, C * DAMPING])
     inside = slice(5, -5)
     wanted = residual.y[inside]
     off = (values @ theta)[inside] - wanted
     # Dry friction turns at once here, and over a small displacement there.
     assert np.sqrt(np.mean(off**2)) < 0.03 * np.sqrt(np.mean(wanted**2))
-    fitted = np.linalg.lstsq(values[inside].reshape(-1, 3), wanted.ravel())[0]
+    fitted = np.linalg.lstsq(values[inside].reshape(-1, 2), wanted.ravel())[0]
     assert fitted == pytest.approx(theta, rel=0.05)
 
 
 def test_the_tendon_turns_rubs_and_weighs_as_the_motor():
-    values = {
-        "coefficient": C,
-        "friction_of_other_speed": C * DAMPING,
-        "dry_friction_of_motor": 0.8 * LEVEL,
-    }
+    values = {"coefficient": C, "friction_of_other_speed": C * DAMPING}
     found = Identified("joint_coupling", "joint", "wrist", values, "elbow")
     more = Identified("viscous_friction", "joint", "wrist", {"damping": 0.1})
     model = corrected(mujoco.MjSpec.from_string(RUBBING), [found, more]).spec.compile()
     # Whatever else is found of the joint comes first.
     assert model.tendon_damping == pytest.approx([DAMPING])
     assert model.dof_damping[2] == pytest.approx(0.1)
-    assert model.tendon_frictionloss == pytest.approx([0.8 * LEVEL])
-    assert model.dof_frictionloss[2] == pytest.approx(0.2 * LEVEL)
+    assert model.tendon_frictionloss == pytest.approx([LEVEL])
+    assert model.dof_frictionloss[2] == 0.0
     own = mujoco.MjModel.from_xml_string(NOMINAL)
     assert mass_matrix(model) - mass_matrix(own) == pytest.approx(
         ROTOR * np.outer(TURNS, TURNS), abs=1e-12

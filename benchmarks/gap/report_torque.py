@@ -235,10 +235,9 @@ class ReportTorque:
                 out[:, i] -= c * (bodies[:, j] - self.bias[j])
             elif "friction_of_other_speed" in e["parameters"]:
                 c, f = number(e, "coefficient"), number(e, "friction_of_other_speed")
-                level = number(e, "dry_friction_of_motor", default=0.0)
                 out[:, j] += f * v[:, i] + self.rotor[j] * c * a[:, i]
                 turned = self._way(j, v[:, j] + c * v[:, i], dt) - self._way(j, v[:, j], dt)
-                out[:, j] += level * turned
+                out[:, j] += self.dry[j] * turned
                 out[:, i] += f * v[:, j] - c * (bodies[:, j] + self.viscous[j] * v[:, j])
             else:
                 out[:, j] += number(e, "coefficient") * v[:, i]

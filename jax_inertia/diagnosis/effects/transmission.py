@@ -23,10 +23,9 @@ class JointCoupling(Effect):
         yⱼ = − I c q̈ᵢ − F (z_w − z_j) − f q̇ᵢ
         yᵢ = c (tⱼ + d q̇ⱼ) − f q̇ⱼ
 
-    tⱼ: what the link of j needs; I, d: the joint's rotor inertia and viscous friction, of which f / c is the motor's;
-    F: what of its dry friction is; z: the direction of that along the motor's path and along the joint's. The nonlinear
-    number is c, about which dry friction is the secant. A rotor inertia of its own would be any inertia between two
-    joints: on a Panda and an LWR4+ it stood for links that weigh otherwise.
+    tⱼ: what the link of j needs; I, F, d: the joint's rotor inertia, dry and viscous friction, of which f / c is the
+    motor's; z: the direction of dry friction along the motor's path and along the joint's. The nonlinear number is c,
+    about which dry friction is the secant.
     """
 
     name, equation, form_error = (
@@ -39,12 +38,8 @@ class JointCoupling(Effect):
         "belts and bevels through a wrist; Siciliano et al., Robotics, 2009, sec. 5.1",
         advice.ONE_AT_A_TIME,
     )
-    units = {
-        "coefficient": "1",
-        "friction_of_other_speed": "N m s/rad",
-        "dry_friction_of_motor": "N m",
-    }
-    prior = "c: 0.2, below 2; friction: 0.05 of the joint's peak torque at 1 rad/s, 0.15 dry, not below zero"
+    units = {"coefficient": "1", "friction_of_other_speed": "N m s/rad"}
+    prior = "c: 0.2, below 2; friction: 0.05 of the joint's peak torque at 1 rad/s"
     mjcf = "a fixed tendon over both joints for rotor, friction and actuators of j; torques in qfrc_applied by step law"
     takes_over = True
 
@@ -58,29 +53,29 @@ class JointCoupling(Effect):
         ]
 
     def shapes(self, context, place):
-        return [(0.0,) * 3]
+        return [(0.0, 0.0)]
 
     def columns(self, context, place, shape):
         j, i = place.index, context.joint_dofs[place.other]
-        out = np.zeros((*context.tau.shape, 3))
+        out = np.zeros((*context.tau.shape, 2))
         out[:, i, 0] = context.link_torque[:, j] + context.damping[j] * context.v[:, j]
         out[:, j, 0] = -context.armature[j] * context.a[:, i]
+        if shape[0]:
+            out[:, j, 0] -= context.frictionloss[j] * _turned(context, j, i, shape[0]) / shape[0]
         out[:, i, 1], out[:, j, 1] = -context.v[:, j], -context.v[:, i]
-        out[:, j, 2] = -_turned(context, j, i, shape[0])
         return Columns(out)
 
     def scale(self, context, place, shape):
-        friction = np.array([0.05, 0.15]) * peak_of(context, place.index)
-        return np.array([0.2, *friction])
+        return np.array([0.2, 0.05 * peak_of(context, place.index)])
 
     def numbers(self, context, place, shape, theta):
         return {
-            name: Parameter(float(x), unit)
-            for (name, unit), x in zip(self.units.items(), theta, strict=True)
+            "coefficient": Parameter(float(theta[0]), "1"),
+            "friction_of_other_speed": Parameter(float(theta[1]), "N m s/rad"),
         }
 
     def possible(self, context: object, place: Place, theta: np.ndarray) -> bool:
-        return bool(abs(theta[0]) < 2.0 and theta[2] >= 0.0)
+        return bool(abs(theta[0]) < 2.0)
 
     def edit(self, spec, model, found):
         own, other = (joint_named(spec, name) for name in (found.name, found.other))
@@ -88,10 +83,9 @@ class JointCoupling(Effect):
         tendon = spec.add_tendon(name=f"{own.name}_with_{other.name}")
         tendon.wrap_joint(own.name, 1.0)
         tendon.wrap_joint(other.name, c)
-        # Of the motor now: what turns and rubs there. What it has not got stays the joint's.
+        # Of the motor now: what turns and rubs there. Viscous friction that it has not got stays the joint's.
         tendon.armature, own.armature = own.armature, 0.0
-        dry = float(np.clip(found.values["dry_friction_of_motor"], 0.0, own.frictionloss))
-        tendon.frictionloss, own.frictionloss = dry, own.frictionloss - dry
+        tendon.frictionloss, own.frictionloss = own.frictionloss, 0.0
         of_motor = found.values["friction_of_other_speed"] / c if c else 0.0
         of_motor = float(np.clip(of_motor, 0.0, own.damping[0]))
         add_damping(own, -of_motor)
