@@ -50,7 +50,6 @@ def rotational_inertia(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3 3"]:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-@jax.jit
 def centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
     """Centre of mass h/m [m] in the body frame; zero for a massless body.
 
@@ -60,6 +59,12 @@ def centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
     >>> centre_of_mass(pi)
     Array([0. , 0. , 0.1], dtype=float64)
     """
+    return _centre_of_mass(pi)
+
+
+# Called with numbers, each of its operations would be compiled for itself.
+@jax.jit
+def _centre_of_mass(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 3"]:
     m = pi[..., :1]
     return jnp.where(m == 0, 0.0, pi[..., 1:4] / jnp.where(m == 0, 1.0, m))
 
@@ -145,7 +150,6 @@ def from_pseudo_inertia(p: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
     )
 
 
-@jax.jit
 def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     """Whether the pseudo-inertia is positive definite: m > 0, I_c ≻ 0 and the triangle inequalities.
 
@@ -158,6 +162,11 @@ def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     >>> bool(is_physical(pi)), bool(is_physical(pi.at[0].set(-1.0)))
     (True, False)
     """
+    return _is_physical(pi)
+
+
+@jax.jit
+def _is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     p = pseudo_inertia(pi)
     diagonal: Array = jnp.diagonal(p, axis1=-2, axis2=-1)
     ok = jnp.all(diagonal > 0, axis=-1) & jnp.all(jnp.isfinite(pi), axis=-1)
