@@ -299,10 +299,7 @@ def test_mjx_does_what_c_does():
             "joint_coupling",
             "joint",
             "elbow",
-            {
-                "coefficient": 0.2,
-                "friction_of_other_speed": 0.05,
-            },
+            {"coefficient": 0.2, "friction_of_other_speed": 0.05},
             "shoulder",
         ),
     ]

@@ -56,12 +56,7 @@ CASES = {
     "actuator_lag": (ELBOW, (0.04,), [0.04], 0.06),
     "encoder_offset": (ELBOW, (0.04,), [0.04], 0.01),
     "encoder_scale": (ELBOW, (), [0.02], 0.02),
-    "joint_coupling": (
-        Place("joint", "wrist", 2, "elbow"),
-        (0.3, 0.0),
-        [0.3, 0.0],
-        0.01,
-    ),
+    "joint_coupling": (Place("joint", "wrist", 2, "elbow"), (0.3, 0.0), [0.3, 0.0], 0.01),
     "gravity_tilt": (ALL, (0.9, -1.4), [0.9, -1.4], 0.01),
     "payload": (HAND, CARRIED, [*CARRIED], 0.01),
     "com_shift": (HAND, (0.01, 0.005, -0.02), [0.01, 0.005, -0.02], 0.01),

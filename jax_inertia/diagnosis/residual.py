@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import functools
-from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,17 +30,14 @@ class Ordinary:
     """N m."""
     armature: Float[np.ndarray, " n"]
     """kg m²."""
-    turning: Mapping[int, tuple[float, float]]
-    """How a row's dry friction turns round, where that was found: presliding [rad] and way (`dry_friction`)."""
 
 
 class _Calibrated(Context):
     """What effects are made of on a model with friction and rotor inertia beyond `nominal`'s."""
 
-    def __init__(self, prepared: Prepared, nominal: Context, ordinary: Ordinary):
+    def __init__(self, prepared: Prepared, nominal: Context):
         super().__init__(prepared)
         self._nominal = nominal
-        self.turning = ordinary.turning
 
     def bristle(self, row, reach, *, straight=False):
         return self._nominal.bristle(row, reach, straight=straight)
@@ -96,7 +92,7 @@ class Residual:
             inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
             dry=self.prepared.dry + dry,
         )
-        out.beside = _Calibrated(prepared, c, ordinary)
+        out.beside = _Calibrated(prepared, c)
         return out
 
     def context_of(self, effect: Effect) -> Context:

@@ -2,30 +2,25 @@
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, peak_of
-from jax_inertia.diagnosis.effects.dry_friction import BENT, STRAIGHT, direction
 from jax_inertia.diagnosis.effects.spec_joint import (
     actuators_of,
     add_damping,
     joint_named,
     set_first,
 )
-from jax_inertia.diagnosis.features.context import TURNS_OVER, Context
-from jax_inertia.signals.dry_friction import bristle
 
 
 class JointCoupling(Effect):
     """The motor of joint j turns by w = q̇ⱼ + c q̇ᵢ: what it gives, less what itself takes, acts on j and c of it on i.
 
-        yⱼ = − I c q̈ᵢ − F (z_w − z_j) − f q̇ᵢ
+        yⱼ = − I c q̈ᵢ − F (sign w − sign q̇ⱼ) − f q̇ᵢ
         yᵢ = c (tⱼ + d q̇ⱼ) − f q̇ⱼ
 
     tⱼ: what the link of j needs; I, F, d: the joint's rotor inertia, dry and viscous friction, of which f / c is the
-    motor's; z: the direction of dry friction along the motor's path and along the joint's. The nonlinear number is c,
-    about which dry friction is the secant.
+    motor's. The nonlinear number is c, about which dry friction is the secant.
     """
 
     name, equation, form_error = (
@@ -61,7 +56,8 @@ class JointCoupling(Effect):
         out[:, i, 0] = context.link_torque[:, j] + context.damping[j] * context.v[:, j]
         out[:, j, 0] = -context.armature[j] * context.a[:, i]
         if shape[0]:
-            out[:, j, 0] -= context.frictionloss[j] * _turned(context, j, i, shape[0]) / shape[0]
+            turned = np.sign(context.v[:, j] + shape[0] * context.v[:, i]) - context.side[:, j]
+            out[:, j, 0] -= context.frictionloss[j] * turned / shape[0]
         out[:, i, 1], out[:, j, 1] = -context.v[:, j], -context.v[:, i]
         return Columns(out)
 
@@ -102,16 +98,3 @@ class JointCoupling(Effect):
         rows = np.arange(len(at.driven))
         drawn = at.values["coefficient"] * now.u[at.index] * (rows == at.other)
         return applied._replace(torque=applied.torque + drawn)
-
-
-def _turned(context: Context, j: int, i: int, c: float) -> Float[np.ndarray, " T"]:
-    """By how much friction's direction along the motor's path differs from that along its joint's (T,)."""
-    presliding, way = context.turning.get(j, (0.0, BENT))
-    speed = context.v[:, j] + c * context.v[:, i]
-    if not presliding:
-        return np.sign(speed) - context.side[:, j]
-    # How it creeps, as far as a joint's own path seems to say, is no way of the motor's.
-    reach = presliding if presliding > 0.0 else TURNS_OVER
-    path = context.joint_position[:, j] + c * context.joint_position[:, i]
-    along = bristle(path, float(np.sign(speed[0])), reach, straight=way == STRAIGHT)
-    return along - direction(context, j, presliding, way)

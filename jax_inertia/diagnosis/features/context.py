@@ -1,7 +1,6 @@
 """What the families of effects are made of: the motion on the fast grid, and the model's derivatives along it."""
 
 import functools
-from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -59,8 +58,6 @@ class Context:
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
-        self.turning: Mapping[int, tuple[float, float]] = {}
-        """How a row's dry friction turns round, where that was found: presliding [rad] and way."""
         self._driven_links: dict[int, DrivenLink] = {}
         self._bristles: dict[tuple[int, float, bool], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}

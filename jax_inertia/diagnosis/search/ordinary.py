@@ -253,13 +253,7 @@ def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
     for h in now.chosen:
         if h.family in values:
             values[h.family][h.place.index] = now.of(h)[0][0]
-    turning = {
-        h.place.index: (float(h.shape[0]), float(h.shape[1]))
-        for h in now.chosen
-        if isinstance(h.effect, CoulombFriction)
-    }
-    viscous, coulomb, armature = (np.maximum(x, 0.0) for x in values.values())
-    return Ordinary(viscous, coulomb, armature, turning)
+    return Ordinary(*(np.maximum(x, 0.0) for x in values.values()))
 
 
 FRICTION = ("viscous_friction", "coulomb_friction")
