@@ -174,14 +174,16 @@ def foreseen(
     level: Effect | None = None,
 ) -> None:
     """Make the columns of many nonlinear numbers at once: later `hypothesis` calls find them."""
-    new = [s for s in shapes if (effect, place, s, level) not in residual.known]
     waiting: list[tuple[Shape, Columns]] = []
-    for shape in new:
+    for shape in shapes:
+        if (effect, place, shape, level) in residual.known:
+            continue
         waiting.append((shape, _raw(residual, effect, place, shape, level)))
-        values = waiting[-1][1].values
-        if shape is new[-1] or values.nbytes * (len(waiting) + 1) > AT_ONCE:
+        if waiting[-1][1].values.nbytes * (len(waiting) + 1) > AT_ONCE:
             _finish(residual, effect, place, waiting, level)
             waiting = []
+    if waiting:
+        _finish(residual, effect, place, waiting, level)
 
 
 def _finish(

@@ -13,6 +13,7 @@ from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated, told_apart
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
@@ -69,7 +70,9 @@ def _begun(robot, log: Log, exclude, extra, settings: Settings, progress: Progre
     if taken := sorted({e.name for e in extra} & set(NAMES)):
         raise ValueError(f"the library has families {taken} already; give yours another name")
     progress("filtering the log")
+    Context.foresee(robot)
     residual = Residual(robot, log, settings)
+    residual.context.foresee_sensitivity()
     _require_rows(residual, log)
     return (*(e for e in effects_of(log) if e.name not in exclude), *extra), residual
 

@@ -61,10 +61,8 @@ class Residual:
         )
         band = wanted.at(log.rate)
         self.log, self.robot, self.settings, self.band = log, robot, settings, band
-        Context.foresee(robot)
         self.prepared: Prepared = prepare(robot, log, band)
         self.context = Context(self.prepared)
-        self.context.foresee_sensitivity()
         self.beside = self.context
         """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)

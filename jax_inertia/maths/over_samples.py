@@ -47,6 +47,3 @@ class OverSamples:
             out = self._chunk(shared, jax.tree.unflatten(shape, [x[at] for x in leaves]))
             parts.append(jax.tree.map(np.asarray, out))
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
-
-
-over_samples = OverSamples

@@ -27,7 +27,7 @@ from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.findings import run_bounds
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.finite_difference import derivative
-from jax_inertia.maths.over_samples import over_samples
+from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.filtering import Masked
 from jax_inertia.signals.generalised_motion import Motion, body_rates, generalised
@@ -284,16 +284,16 @@ def _centre(rotation, position, foot: Foot) -> Float[np.ndarray, "T 3"]:
     return position[:, foot.body] + rotation[:, foot.body] @ np.array(foot.point)
 
 
-_poses = over_samples(rigid_body.body_poses)
+_poses = OverSamples(rigid_body.body_poses)
 
 
-@over_samples
+@OverSamples
 def _needed(robot: Robot, x):
     q, v, a = x
     return rigid_body.inverse_dynamics(robot, q, v, a) - rigid_body.passive_torque(robot, q, v)
 
 
-@over_samples
+@OverSamples
 def _moves(shared, x):
     robot, bodies = shared
     q, v = x

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.log import LogError
-from jax_inertia.maths.over_samples import over_samples
+from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.sinking import sunk
 
@@ -240,10 +240,10 @@ def _ways(
     return np.stack(ways, axis=1)
 
 
-_poses = over_samples(rigid_body.body_poses)
+_poses = OverSamples(rigid_body.body_poses)
 
 
-@over_samples
+@OverSamples
 def _torques(shared, x):
     robot, bodies = shared
     q, ways = x

@@ -25,7 +25,7 @@ from scipy import ndimage, signal
 
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.log import Log
-from jax_inertia.maths.over_samples import over_samples
+from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT, Bands, holds
 from jax_inertia.signals.base_motion import motion_of, unmoved
@@ -275,7 +275,7 @@ def needed_torques(robot: Robot, observation: Observation) -> Float[np.ndarray, 
     return _needed_torques(robot, observation)
 
 
-@over_samples
+@OverSamples
 def _needed_torques(robot: Robot, o: Observation) -> jax.Array:
     return needed_torque(robot, o.motion.q, o.motion.v, o.a, o)
 

@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.maths.over_samples import over_samples
+from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import HINGE, SLIDE
 from jax_inertia.signals.torque_residual import needed_torque
 
 
-@over_samples
+@OverSamples
 def regressor(robot, x):
     """Torque regressor of all bodies at (q, q̇, q̈) (T, nv, nb, 10)."""
     return rigid_body.torque_regressor(robot, *x)
 
 
-@over_samples
+@OverSamples
 def sensitivity(robot, o):
     """∂/∂q, ∂/∂q̇, ∂/∂q̈ of the torque that an observation needs, along hinge and slide rows (T, nv, nv) each."""
     rows = np.array(
@@ -39,7 +39,7 @@ def sensitivity(robot, o):
     return jnp.zeros_like(da).at[:, dofs].set(wide), dv, da
 
 
-@over_samples
+@OverSamples
 def contact_rows(shared, x):
     """Torque of each contact's wrench w (C, 6) at q (T, C, nv); `shared`: the robot and the contacts' bodies."""
     robot, bodies = shared
