@@ -291,7 +291,7 @@ def check(before, after, noise, expected=1.0, joints=2):
     ],
 )
 def test_the_verdict_is_its_table(case, listed, another, wanted):
-    assert verdict(case, None, listed, another, False, Settings()) == wanted
+    assert verdict(case, None, listed, another, False, False, Settings()) == wanted
 
 
 @pytest.mark.parametrize(
@@ -303,13 +303,20 @@ def test_the_verdict_is_its_table(case, listed, another, wanted):
     ],
 )
 def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
-    def judged(*checks, strained=False):
-        return verdict(*checks, False, 0.0, strained, Settings())
+    def judged(*checks, strained=False, unnamed=False):
+        return verdict(*checks, False, 0.0, strained, unnamed, Settings())
 
     quiet = check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)
     assert judged(own, other) == Verdict.UNKNOWN
     assert judged(*quiet) == Verdict.NO_GAP
     assert judged(*quiet, strained=True) == Verdict.UNKNOWN
+    assert judged(*quiet, unnamed=True) == Verdict.UNKNOWN
+
+
+def test_an_effect_without_a_name_is_never_explained():
+    small = check(5.0, 0.5, 0.1)
+    assert verdict(small, None, True, 0.0, False, False, Settings()) == Verdict.EXPLAINED
+    assert verdict(small, None, True, 0.0, False, True, Settings()) == Verdict.PARTLY
 
 
 def test_settings_are_frozen():

@@ -99,7 +99,7 @@ class Remainder:
     share: float
     """Of the gap's energy, the sensors' noise taken off."""
     where: dict[str, float]
-    """Each joint's part of it, summing to one."""
+    """Each joint's part of it, and of shapes that name no cause, summing to one."""
     resembles: tuple[str, ...]
     """Shapes that name no cause, and effects that only stand in for one, that fit it."""
     after: float

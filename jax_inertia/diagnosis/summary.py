@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, share
+from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rows, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.registry import LEVEL_OF
@@ -70,13 +70,20 @@ def summarised(
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
     bent = tuple(x.line for x in refuted(told, settings))
     judged = verdict(
-        own_causes, None if other is None else by_cause, bool(likely), another, bool(bent), settings
+        own_causes,
+        None if other is None else by_cause,
+        bool(likely),
+        another,
+        bool(bent),
+        bool(generic),
+        settings,
     )
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, _by_other_stretches(heldout, causes, likely), trust)
     odd = [f.probability for f in found if not f.ordinary]
-    sure = confidence(by_cause, judged, odd, another, settings)
-    remainder = _remainder(by_cause, names, generic)
+    sure = confidence(by_cause, judged, odd, another, bool(generic), settings)
+    shapes = sum((now.torque(h) for h in generic), np.zeros_like(left))
+    remainder = _remainder(by_cause, names, generic, rows(shapes, residual.weight))
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints, gains = joint_numbers(told), motor_gains(told)
     return Diagnosis(
@@ -250,8 +257,15 @@ def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings)
             )
 
 
-def _remainder(check: Check, names: tuple[str, ...], generic: list[Hypothesis]) -> Remainder:
-    energy = np.maximum(check.per_joint_after**2 - check.expected**2, 0.0)
+def _remainder(
+    check: Check,
+    names: tuple[str, ...],
+    generic: list[Hypothesis],
+    shapes: Float[np.ndarray, " n"],
+) -> Remainder:
+    """What the causes leave; `shapes`: rms of each row's torque that names no cause [N m]."""
+    # Within what equations may err by, a shape that was told from it is there all the same.
+    energy = np.maximum(check.per_joint_after**2 - check.expected**2, shapes**2)
     total = float(energy.sum())
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}
     carried = tuple(f"{h.family} at {h.place.name}" for h in generic)

@@ -2,14 +2,15 @@
 
 | residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
 |---|---|---|---|
-| nothing is distinct, every run and joint is quiet, every number of the model within its tolerance | – | – | no_gap |
+| nothing is distinct, named or not, all runs and joints are quiet, the model within its tolerances | – | – | no_gap |
 | else | below `explained`, or | within `noise_ratio` | explained |
 | else | below `partly` | | partly |
 | else | | | unknown |
 
 All of what the named effects leave: a generic alternative explains nothing. A run is quiet within `noise_ratio`, a
 joint within `excess` of what its sensors, the equations' own errors and unknown numbers leave. `explained` becomes
-`partly` where a joint is not quiet in every run, and where it is not `likely` that no further effect is there.
+`partly` where a joint is not quiet in every run, where it is not `likely` that no further effect is there, and where
+one without a name is: small as it may be next to the gap, it is distinct, and its cause is not known.
 """
 
 import numpy as np
@@ -18,6 +19,9 @@ from jax_inertia.diagnosis.checks import Check
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 
+SURE = 0.95
+"""Probability of a verdict that no border is near to."""
+
 
 def verdict(
     own: Check,
@@ -25,23 +29,24 @@ def verdict(
     listed: bool,
     another: float,
     refuted: bool,
+    unnamed: bool,
     settings: Settings,
 ) -> Verdict:
     """Of the log itself, its stretches held out, and of another run.
 
     `listed`: any effect is; `another`: odds that one more is there; `refuted`: numbers of the model are further off
-    than their tolerance.
+    than their tolerance; `unnamed`: an effect is there that no name is known for.
     """
     runs = [own] if other is None else [own, other]
     if not listed:
-        quiet = all(_quiet(c, settings) for c in runs) and not refuted
+        quiet = all(_quiet(c, settings) for c in runs) and not (refuted or unnamed)
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     check = runs[-1]
     limit = settings.noise_ratio * check.noise
     small = check.unexplained < settings.explained or check.after <= limit
     if small and check.after < check.before:
         loud = any(np.any(c.excess > settings.excess) for c in runs)
-        doubted = loud or 1.0 / (1.0 + another) < settings.likely
+        doubted = loud or unnamed or 1.0 / (1.0 + another) < settings.likely
         return Verdict.PARTLY if doubted else Verdict.EXPLAINED
     return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
 
@@ -53,11 +58,17 @@ def _quiet(check: Check, settings: Settings) -> bool:
 
 
 def confidence(
-    check: Check, given: Verdict, probabilities: list[float], another: float, settings: Settings
+    check: Check,
+    given: Verdict,
+    probabilities: list[float],
+    another: float,
+    unnamed: bool,
+    settings: Settings,
 ) -> float:
     """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts.
 
-    What is explained needs that no other effect is there; `another`: odds that one is.
+    What is explained needs that no other effect is there; `another`: odds that one is. `unnamed`: one without a name
+    is, whatever is left.
     """
     sure = min(probabilities, default=0.99)
     ratio = max(check.unexplained, 1e-6) / settings.explained
@@ -65,8 +76,8 @@ def confidence(
         border = 1.0 / (1.0 + ratio**2)
         sure /= 1.0 + another
     elif given is Verdict.PARTLY:
-        border = ratio**2 / (1.0 + ratio**2)
+        border = SURE if unnamed else ratio**2 / (1.0 + ratio**2)
         sure = max(sure, 0.5)
     else:
-        border = 0.95
+        border = SURE
     return float(np.clip(sure * max(border, 0.5), 0.05, 0.99))

@@ -5,6 +5,8 @@ from jax_inertia.text import words
 from jax_inertia.text.words import number, percent, plain, unit
 
 MANY = 3
+LEAST = 0.005
+"""Share that is rounded to no per cent."""
 
 
 def headline(
@@ -30,7 +32,7 @@ def headline(
     if not found:
         return (
             f"The model misses the robot by {number(checked.before)} N m, mostly at {top}, and no effect that is "
-            "known here explains it."
+            f"known here explains it{_resembled(remainder, checked)}."
         )
     parts = [f"The model has no {lacking} at any joint; the robot has."] if lacking else []
     odd = [f for f in found if not f.ordinary]
@@ -46,16 +48,21 @@ def headline(
     causes += names
     listed = causes[0] if len(causes) == 1 else ", ".join(causes[:-1]) + " and " + causes[-1]
     parts.append(f"With {listed}{more}, {shrunk}.")
-    if verdict is not Verdict.EXPLAINED and remainder.share > 0:
-        like = ""
-        if remainder.resembles:
-            like = f", and resembles {remainder.resembles[0]}"
-            if checked.after < 0.9 * remainder.after:
-                like += (
-                    f"; such shapes, which name no cause, take it to {number(checked.after)} N m"
-                )
-        parts.append(f"{percent(remainder.share)} of its energy remains, mostly at {top}{like}.")
+    like = _resembled(remainder, checked)
+    if verdict is not Verdict.EXPLAINED and (remainder.share > 0 or like):
+        share = percent(remainder.share) if remainder.share >= LEAST else "Under 1 %"
+        parts.append(f"{share} of its energy remains, mostly at {top}{like}.")
     return " ".join(parts)
+
+
+def _resembled(remainder: Remainder, checked: Shrink) -> str:
+    """What the remainder looks like, if it is distinct from noise, and how much of it such shapes take."""
+    if not remainder.resembles:
+        return ""
+    like = f", and resembles {remainder.resembles[0]}"
+    if checked.after < 0.9 * remainder.after:
+        like += f"; such shapes, which name no cause, take it to {number(checked.after)} N m"
+    return like
 
 
 def named(f: Found) -> str:
