@@ -20,7 +20,7 @@ TIME = np.arange(0.0, 6.0, 0.004)
 def path(needed, carried, stiffness=STIFFNESS, dead_zone=0.0):
     still = np.zeros_like(TIME)
     link = DrivenLink(TIME, needed, carried, still + MASS, still, still)
-    return link.separation((stiffness, RATIO, dead_zone, 0.0, 0.0))
+    return link.separation((stiffness, RATIO, dead_zone, 1.0, 0.0))
 
 
 @pytest.mark.parametrize("frequency", [0.7, 3.0, 5.3])
@@ -92,6 +92,29 @@ def test_teeth_meet_where_they_are_measured_to():
     assert np.std((found - delta)[TIME > 1.0]) < 0.15 * np.std(delta)
 
 
+@pytest.mark.parametrize("of_link", [True, False], ids=["a hose at the link", "a sensor's zero"])
+def test_a_constant_torque_moves_a_link_through_its_play_if_it_is_the_links(of_link):
+    gap, pull = 0.02, 3.0
+    needed, loss = 0.3 * needed_near_resonance(), 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+
+    def force(x, v):
+        over = abs(x) - gap / 2
+        push = STIFFNESS * over + np.sign(x) * loss * v
+        return np.sign(x) * max(push, 0.0) if over > 0 else 0.0
+
+    delta, rate = solved(needed - of_link * pull, force, 0.011)
+    carried = np.array([force(x, v) for x, v in zip(delta, rate, strict=True)])
+    # What the log says the motor gives: a sensor's zero is not in it.
+    logged_torque = carried - (0.0 if of_link else pull)
+    still = np.zeros_like(TIME)
+    link = DrivenLink(TIME, needed, logged_torque, still + MASS, still, still, offset=pull)
+    right, wrong = (
+        np.std((link.separation((STIFFNESS, RATIO, gap, side, 0.0)) - delta)[TIME > 0.5])
+        for side in (float(of_link), float(not of_link))
+    )
+    assert right < 0.1 * np.std(delta) < 0.5 * np.std(delta) < wrong
+
+
 def test_a_link_that_rubs_stays_where_it_is_while_its_teeth_part():
     """Its own friction holds it in its play, by SciPy: friction of the motor's leaves it to what it needs."""
     gap, dry, viscous = 0.03, 6.0, 0.4
@@ -119,7 +142,7 @@ def test_a_link_that_rubs_stays_where_it_is_while_its_teeth_part():
     still = np.zeros_like(TIME)
     friction = OwnFriction(speed, viscous, dry, carried)
     link = DrivenLink(TIME, inertial, carried, still + MASS, still, still, friction)
-    on_link, on_motor = ((STIFFNESS, RATIO, gap, 0.0, side) for side in (1.0, 0.0))
+    on_link, on_motor = ((STIFFNESS, RATIO, gap, 1.0, side) for side in (1.0, 0.0))
     late = TIME > 0.5
     assert np.std((link.separation(on_link) - delta)[late]) < 0.05 * np.std(delta)
     assert np.std((link.separation(on_motor) - delta)[late]) > 0.2 * np.std(delta)
@@ -150,11 +173,14 @@ def log_of(
     wave=wave,
     ahead=0.0,
     of_link=(0.0, 0.0),
+    pull=0.0,
+    at_link=False,
 ):
     """A log of the real arm, whose encoders sit on the motors; `friction` of the elbow's motor [N m].
 
     `ahead`: how far its link is ahead of the motor when the log begins [rad]. `of_link`: dry [N m] and viscous
-    [N m s/rad] friction between the elbow's link and the upper arm.
+    [N m s/rad] friction between the elbow's link and the upper arm. `pull`: constant torque at its motor, or `at_link`
+    [N m].
     """
     model = mujoco.MjModel.from_xml_string(own.replace("COUPLING", coupling))
     data = mujoco.MjData(model)
@@ -172,8 +198,8 @@ def log_of(
             data.qfrc_applied[1] -= friction * np.tanh(data.qvel[1] / 0.01)
             speed = data.qvel[1] + data.qvel[2]
             rub = of_link[0] * np.tanh(speed / 0.005) + of_link[1] * speed
-            data.qfrc_applied[2] = -rub
-            data.qfrc_applied[1] -= rub
+            data.qfrc_applied[2] = -rub + at_link * pull
+            data.qfrc_applied[1] += pull - rub
             mujoco.mj_step(model, data)
     return logged(rows, encoder, TORQUE)
 
@@ -211,6 +237,23 @@ def test_play_between_stops_of_mujoco_is_named_and_sized(half):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("of_link", [True, False], ids=["a hose at the link", "a sensor's zero"])
+def test_play_of_a_robot_as_bought_that_a_constant_torque_pulls(of_link):
+    """A model without friction and rotor inertia, and a torque of a sixth of the elbow's peak."""
+    bare = ARM.replace('damping="0.2" armature="0.03"', "")
+    robot, half = load_model(mujoco.MjModel.from_xml_string(bare)), 0.01
+    logs = [
+        log_of(TEETH.format(half), seed, friction=0.4, pull=0.6, at_link=of_link) for seed in (0, 5)
+    ]
+    found = diagnose(robot, logs[0], test_log=logs[1])
+    (effect,) = found.odd
+    assert (effect.family, effect.place.name) == ("backlash", "elbow")
+    assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.15)
+    assert ("offset_on_link" in effect.parameters) == of_link
+    assert found.joints["elbow"]["torque_bias"].value == pytest.approx(0.6, rel=0.15)
+
+
+@pytest.mark.slow
 def test_play_before_a_link_that_rubs_is_named_and_sized():
     """Friction that the model has at the joint, and that is the link's: it holds the link while the teeth part."""
     own = ARM.replace('damping="0.2"', 'damping="0.2" frictionloss="0.5"')
@@ -224,6 +267,27 @@ def test_play_before_a_link_that_rubs_is_named_and_sized():
     assert effect.parameters["dead_zone"].value == pytest.approx(2 * half, rel=0.1)
     assert effect.parameters["friction_on_link"].value == 1.0
     assert found.test.share > 0.9
+
+
+def test_the_corrected_models_constant_torque_pulls_at_the_link():
+    """Wherever motor and link are: on both hinges alike, as a force at the link is."""
+    values = {"stiffness": 80.0, "dead_zone": 0.04, "offset_on_link": 1.0}
+    for pull, expected in ((1.0, 0.7), (0.0, 0.0)):
+        made = corrected(
+            mujoco.MjSpec.from_string(ARM),
+            [
+                Identified("torque_bias", "joint", "elbow", {"bias": 0.7}),
+                Identified("backlash", "joint", "elbow", values | {"offset_on_link": pull}),
+            ],
+        )
+        model = made.spec.compile()
+        data = mujoco.MjData(model)
+        elbow, between = (model.joint(n).dofadr[0] for n in ("elbow", "elbow_deflection"))
+        for motor, ahead in ((0.4, 0.01), (-1.2, -0.015)):
+            data.qpos[[elbow, between]] = motor, ahead
+            mujoco.mj_forward(model, data)
+            pulled = data.qfrc_passive[[elbow, between]]
+            np.testing.assert_allclose(pulled, [0.7, expected], rtol=5e-3)
 
 
 def test_the_corrected_models_friction_follows_the_link():

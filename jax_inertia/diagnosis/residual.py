@@ -30,14 +30,20 @@ class Ordinary:
     """N m."""
     armature: Float[np.ndarray, " n"]
     """kg m²."""
+    offset: Float[np.ndarray, " n"]
+    """Constant torque on the link [N m]."""
 
 
 class _Calibrated(Context):
     """What effects are made of on a model with friction and rotor inertia beyond `nominal`'s."""
 
-    def __init__(self, prepared: Prepared, nominal: Context):
+    def __init__(self, prepared: Prepared, nominal: Context, offset: Float[np.ndarray, " n"]):
         super().__init__(prepared)
-        self._nominal = nominal
+        self._nominal, self.offset = nominal, offset
+
+    def rubs(self, row):
+        # Friction that the model does not state is taken for the motor's.
+        return self._nominal.rubs(row)
 
     def bristle(self, row, reach, *, straight=False):
         return self._nominal.bristle(row, reach, straight=straight)
@@ -90,7 +96,7 @@ class Residual:
             inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
             dry=self.prepared.dry + dry,
         )
-        out.beside = _Calibrated(prepared, c)
+        out.beside = _Calibrated(prepared, c, ordinary.offset)
         return out
 
     def context_of(self, effect: Effect) -> Context:

@@ -9,8 +9,8 @@ from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 DEFLECTION = "_deflection"
 """Added to a joint's name for the hinge between motor and link."""
-FRICTION = "_friction"
-"""Added to a joint's name for the tendon by which its friction acts on the link."""
+LINK = "_link"
+"""Added to a joint's name for the tendon by which its friction or its spring acts on the link."""
 DAMPING_RATIO = 0.06
 """Of a coupling between motor and link, of the link alone: a log says little of it."""
 
@@ -53,8 +53,9 @@ def _two(effect: Identified) -> str:
         f"joint {joint!r} is its motor's side, where the encoder is; {joint}{DEFLECTION} is between motor and link, at "
         "zero where nothing is transmitted"
     )
-    if effect.values.get("friction_on_link"):
-        text += f"; friction acts on the link, by the tendon {joint}{FRICTION}"
+    own = [what for what, of_link in ON_LINK.items() if effect.values.get(of_link)]
+    if own:
+        text += f"; {' and '.join(own)} acts on the link, by the tendon {joint}{LINK}"
     return text
 
 
@@ -89,15 +90,26 @@ def _between(spec: MjSpec, model: MjModel, effect: Identified):
     hinge.armature, hinge.frictionloss, hinge.ref, hinge.springref = 0.0, 0.0, 0.0, 0.0
     hinge.damping, hinge.stiffness = np.zeros(3), np.zeros(3)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-    if effect.values.get("friction_on_link"):
-        _to_link(spec, joint, hinge)
+    if any(effect.values.get(of_link) for of_link in ON_LINK.values()):
+        _to_link(spec, effect, joint, hinge)
     return hinge, link
 
 
-def _to_link(spec: MjSpec, joint, hinge) -> None:
-    """A joint's friction from its motor to its link, which turns by the sum of both: a tendon along the two."""
-    tendon = spec.add_tendon(name=f"{joint.name}{FRICTION}")
+ON_LINK = {"friction": "friction_on_link", "constant torque": "offset_on_link"}
+"""What of a joint may be its link's, and the number that says so."""
+
+
+def _to_link(spec: MjSpec, effect: Identified, joint, hinge) -> None:
+    """A joint's friction, or its spring, from its motor to its link, which turns by the sum of both: a tendon's."""
+    tendon = spec.add_tendon(name=f"{joint.name}{LINK}")
     for side in (joint, hinge):
         tendon.wrap_joint(side.name, 1.0)
-    tendon.damping, tendon.frictionloss = joint.damping, joint.frictionloss
-    joint.damping, joint.frictionloss = np.zeros(3), 0.0
+    if effect.values.get("friction_on_link"):
+        tendon.damping, tendon.frictionloss = joint.damping, joint.frictionloss
+        joint.damping, joint.frictionloss = np.zeros(3), 0.0
+    if effect.values.get("offset_on_link"):
+        # A constant torque is a soft spring, wound up.
+        tendon.stiffness = joint.stiffness
+        rest = joint.springref * unit_of(spec, joint)
+        tendon.springlength = [rest, rest]
+        joint.stiffness, joint.springref = np.zeros(3), 0.0

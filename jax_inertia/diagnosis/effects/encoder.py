@@ -144,7 +144,7 @@ class TwoMass(Effect):
 
     @abc.abstractmethod
     def coupling(self, shape: Shape) -> Coupling:
-        """(K, ζ, b, s, h) of a shape, see `features.two_mass`."""
+        """(K, ζ, b, o, h) of a shape, see `features.two_mass`."""
 
     @abc.abstractmethod
     def grid(self, context: Context, place: Place) -> tuple[np.ndarray | tuple[float, ...], ...]:
@@ -196,6 +196,18 @@ def on_link(shape: Shape) -> dict[str, Parameter]:
     return {"friction_on_link": Parameter(1.0, "1")} if shape[-2] else {}
 
 
+LEAST_PULL = 0.02
+"""Constant torque of a joint's peak that moves a link through its play as none does."""
+
+
+def pulled(context: Context, place: Place) -> tuple[float, ...]:
+    """Where a constant torque may be: zero on the motor, one on the link."""
+    pull = abs(float(context.offset[place.index]))
+    if pull < LEAST_PULL * np.percentile(np.abs(context.link_torque[:, place.index]), 99.5):
+        return (1.0,) if pull else (0.0,)
+    return (1.0, 0.0)
+
+
 class JointElasticity(TwoMass):
     name, equation, form_error = "joint_elasticity", "q_motor = q + δ, K δ + D δ̇ transmitted", 0.1
     source = "Spong, J. Dyn. Syst. 109(4), 1987"
@@ -218,6 +230,7 @@ class JointElasticity(TwoMass):
         return LEAST_DAMPING <= shape[1] <= MOST_DAMPING
 
     def coupling(self, shape):
+        # A constant torque winds it up by a constant, whatever side it is of.
         return shape[0], shape[1], 0.0, 0.0, shape[2]
 
     def numbers(self, context, place, shape, theta):
@@ -242,7 +255,8 @@ class Backlash(TwoMass):
         gaps, bands = np.geomspace(LEAST_PLAY, 0.05, 13), (context.slow_band, ALL)
         # Stiffnesses so close that between two of them the effect is hardly larger or smaller.
         stiffness = stiffnesses(context, place, 19)
-        return (gaps, stiffness, (0.15,), (0.0,), sides(context, place), bands)
+        of_link = pulled(context, place), sides(context, place)
+        return (gaps, stiffness, (0.15,), *of_link, bands)
 
     def coarse(self, context, place):
         gap, stiffness, *others = self.grid(context, place)
@@ -270,6 +284,7 @@ class Backlash(TwoMass):
             "dead_zone": Parameter(shape[0], "rad", 0.0),
             "stiffness": Parameter(shape[1], "N m/rad", 0.0),
             **on_link(shape),
+            **({"offset_on_link": Parameter(1.0, "1")} if shape[3] else {}),
         }
 
     def edit(self, spec, model, found):

@@ -58,6 +58,8 @@ class Context:
         self.wrench = None if motion.wrench is None else np.asarray(motion.wrench)
         self.windows: tuple[tuple[float, float], ...] = ()
         """Stretches [s] that stand out from the rest of the log: where a push may have been."""
+        self.offset = np.zeros(prepared.robot.nv)
+        """Constant torque on each row that the robot has and the model has not [N m]."""
         self._driven_links: dict[int, DrivenLink] = {}
         self._bristles: dict[tuple[int, float, bool], np.ndarray] = {}
         self._slides: dict[float, np.ndarray] = {}
@@ -185,7 +187,7 @@ class Context:
     def link_torque(self) -> np.ndarray:
         """What each joint's link alone needs (T, nv): the rotor's inertia, damping and dry friction apart.
 
-        A model has one of each per joint; those of a geared joint sit on the motor (see `twomass` for where not).
+        A model has one of each per joint; those of a geared joint sit on the motor (see `two_mass` for where not).
         """
         return self.inverse - self.prepared.dry - self._rotor
 
@@ -296,6 +298,7 @@ class Context:
                 damping=dv[:, row, row] - self.damping[row],
                 stiffness=dq[:, row, row],
                 friction=self._own_friction(row),
+                offset=float(self.offset[row]),
             )
         return self._driven_links[row]
 

@@ -18,7 +18,8 @@ which the true path obeys as well, but for the coupling's own loss, and in which
 
 A model has one friction per joint. Of a geared motor it sits on the motor, of bearings and seals behind the coupling on
 the link. There it takes part in n and s, and follows the link's velocity θ̇ − δ̇: while the teeth part it may hold the
-link, whatever the motor does.
+link, whatever the motor does. So it is with a constant torque that the robot has and the model has not: a hose pulls at
+the link, which needs less by it and drifts through its play; a current sensor's zero is the motor's.
 """
 
 import dataclasses
@@ -43,9 +44,9 @@ LEANS = 0.03
 
 
 Coupling = tuple[float, float, float, float, float]
-"""(K [N m/rad], damping ratio ζ, dead zone b [rad], s, h): D = 2 ζ √(K mean M_jj), the path begins at s b/2.
+"""(K [N m/rad], damping ratio ζ, dead zone b [rad], o, h): D = 2 ζ √(K mean M_jj).
 
-h: one where the joint's own friction is the link's, zero where it is the motor's.
+o, h: one where a constant torque, and the joint's own friction, is the link's, zero where it is the motor's.
 """
 
 
@@ -75,6 +76,8 @@ class DrivenLink:
     stiffness: Float[np.ndarray, " T"]
     """The link's own: M_jj, (∂ID/∂v)_jj and (∂ID/∂q)_jj, like `needed` and `carried` without the joint's friction."""
     friction: OwnFriction | None = None
+    offset: float = 0.0
+    """Constant torque that the robot has and the model has not [N m]."""
     _paths: dict[Coupling, np.ndarray] = dataclasses.field(default_factory=dict)
     _begins: dict[int, np.ndarray] = dataclasses.field(default_factory=dict)
     """s and ṡ of either friction at the first sample, by how many samples they are read off."""
@@ -83,17 +86,14 @@ class DrivenLink:
     def leans(self) -> float:
         """On which side the teeth lie when the log begins, −1 or 1; zero where that is unknown.
 
-        A link that no weight turns rests anywhere within its play.
+        A path begins on that side; a link that no weight turns rests anywhere within its play.
         """
         first = self.carried[0]
         clear = abs(first) > LEANS * np.percentile(np.abs(self.carried), 99.5)
         return float(np.sign(first)) if clear else 0.0
 
     def separation(self, coupling: Coupling) -> Float[np.ndarray, " T"]:
-        """δ: how far the motor is ahead of the link through a coupling.
-
-        Where the log begins with torque on the teeth that says on which side they lie, whatever s is.
-        """
+        """δ: how far the motor is ahead of the link through a coupling."""
         self.separate([coupling])
         return self._paths[coupling][:, 0]
 
@@ -112,8 +112,6 @@ class DrivenLink:
         if not new:
             return
         values = np.array(new)
-        if self.leans:
-            values[:, 3] = self.leans
         period = float(self.time[1] - self.time[0])
         still = np.zeros_like(self.needed)
         own = self.friction or OwnFriction(still, 0.0, 0.0, self.carried)
@@ -122,7 +120,8 @@ class DrivenLink:
         rates = [derivative(self.time, s) for s in carried]
         # As arrays: a number would be compiled in, and every log has another.
         first, slope = self._begun(carried, values)
-        numbers = (jnp.array([own.viscous, own.dry]), jnp.asarray(first), jnp.asarray(slope))
+        of_either = jnp.array([own.viscous, own.dry, self.offset, self.leans])
+        numbers = (of_either, jnp.asarray(first), jnp.asarray(slope))
         substeps = max(1, math.ceil(period / STEP))
         paths = _separation(
             jnp.asarray(np.stack([*signals, *rates])),
@@ -163,8 +162,9 @@ def _separation(
     period: float,
     substeps: int,
 ) -> Array:
-    k, ratio, gap, side, on_link = coupling.T
-    (viscous, dry), first, slope = on_link * numbers[0][:, None], *numbers[1:]
+    k, ratio, gap, pulled, on_link = coupling.T
+    (*rubs, offset, leans), first, slope = numbers
+    viscous, dry = (on_link * x for x in rubs)
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[1]))
     d, drawn = ratio * critical, OBSERVED * critical
     half, h = 0.5 * gap, period / substeps
@@ -174,7 +174,8 @@ def _separation(
 
     def substep(state, x):
         delta, rate, _ = state
-        n, m, c, kq, speed, *ds = x
+        needed, m, c, kq, speed, *ds = x
+        n = needed - pulled * offset
         tooth = jnp.sign(delta)
         force = k * (delta - tooth * half) + d * rate
         touching = (half == 0.0) | ((jnp.abs(delta) > half) & (force * tooth >= 0.0))
@@ -196,7 +197,7 @@ def _separation(
         return state, (state[0], state[2])
 
     # A log may begin in the middle of a motion.
-    start = of_side(*first) / k + side * half
+    start = (of_side(*first) + (1.0 - pulled) * offset) / k + leans * half
     begun = (start, of_side(*slope) / k, dry * jnp.sign(signals[4, 0]))
     pairs = (signals.T[:-1], signals.T[1:])
     _, path = jax.lax.scan(sample, begun, pairs)

@@ -25,8 +25,9 @@ def at_best(
 ) -> Hypothesis:
     """The hypothesis at the nonlinear numbers of most evidence: uphill from its own and from other starts.
 
-    `every` candidate of its family and place is a start, the best for each value of what no search moves: whether
-    friction is the motor's or the link's, say, has its own optimum. Of those that a robot can have, if any.
+    `every` candidate of its family and place that explains anything is a start, the best for each value of what no
+    search moves: whether friction is the motor's or the link's, say, has its own optimum. Of those that a robot can
+    have, if any.
     """
     if h.effect.secant:
         # As bought, more is misfit than any one secant tells: there the likeliest as it is laid leads on.
@@ -37,7 +38,7 @@ def at_best(
     starts = {_unmoved(h, steps): h}
     others = [c for c in every if c.key == h.key and not h.effect.many]
     gains = evidence.gains(rest, others) if others else []
-    for k in np.argsort(gains)[::-1]:
+    for k in (k for k in np.argsort(gains)[::-1] if gains[k] > 0.0):
         starts.setdefault(_unmoved(others[k], steps), others[k])
     climbed = [_between_points(residual, evidence, rest, start, steps) for start in starts.values()]
     laid = sorted(

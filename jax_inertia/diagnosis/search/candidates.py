@@ -65,8 +65,9 @@ def candidates(
     for effect in library:
         if effect.ordinary and bought:
             continue
-        for place in effect.places(residual.context):
-            shapes = effect.shapes(residual.context, place)
+        context = residual.context_of(effect)
+        for place in effect.places(context):
+            shapes = effect.shapes(context, place)
             if isinstance(effect, DryFriction) and place.index in presliding:
                 # All forms of a joint's dry friction turn round alike, between a grid's points too.
                 shapes = dict.fromkeys((presliding[place.index], *rest) for _, *rest in shapes)

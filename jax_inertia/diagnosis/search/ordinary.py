@@ -250,10 +250,14 @@ ANOTHER = 2.0
 def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
     """Ordinary numbers at the posterior mean, by row."""
     values = {family: np.zeros(residual.robot.nv) for family in (*FRICTION, "armature")}
+    offset = np.zeros(residual.robot.nv)
     for h in now.chosen:
         if h.family in values:
             values[h.family][h.place.index] = now.of(h)[0][0]
-    return Ordinary(*(np.maximum(x, 0.0) for x in values.values()))
+        elif h.family == "torque_bias":
+            offset[h.place.index] = now.of(h)[0][0]
+    viscous, coulomb, armature = (np.maximum(x, 0.0) for x in values.values())
+    return Ordinary(viscous, coulomb, armature, offset)
 
 
 FRICTION = ("viscous_friction", "coulomb_friction")
