@@ -268,18 +268,31 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
         if better[1] - by_noise[0] <= max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
             continue
         after = with_one_more(residual, evidence, rest, better[0], bank)
-        # Once exchanged, it does not come back: no two take turns.
-        gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
         if after is None or _odd_of(after) == _odd_of(now):
             continue
         if evidence.exact:
             after = _raised(residual, evidence, now, after, seen)
         else:
-            after = settled(residual, evidence, after)
-            seen.add(_odd_of(after))
+            after = _settled_with(residual, evidence, rest, after, seen)
         if after is not None:
+            # Once exchanged, it does not come back: no two take turns.
+            gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             return after
     return None
+
+
+def _settled_with(
+    residual, evidence: Evidence, rest: Posterior, after: Posterior, seen: set[frozenset[tuple]]
+) -> Posterior | None:
+    """What comes of an exchange once it is settled; None, the noise as before, where what came in went out again."""
+    came = {h.key for h in after.chosen} - {h.key for h in rest.chosen}
+    before = evidence.noise
+    after = settled(residual, evidence, after)
+    if came.isdisjoint(h.key for h in after.chosen):
+        evidence.noise = before
+        return None
+    seen.add(_odd_of(after))
+    return after
 
 
 FAINT, MOST_FAINT = 8.0, 5
