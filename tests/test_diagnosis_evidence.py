@@ -195,7 +195,7 @@ def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
     for h in others:
         one = dataclasses.replace(h, columns=h.columns[..., :1], scale=h.scale[:1], mean=h.mean[:1])
         now = evidence.posterior(chosen)
-        z = smallest(float(information(evidence, now, one)[0]), odds=8.0)
+        z = smallest(float(information(evidence, now, [one])[0][0]), odds=8.0)
         evidence.y = one.torque(np.array([z]), evidence.y.shape)
         gain = evidence.gains(evidence.posterior(chosen), (one,))[0]
         assert gain == pytest.approx(8.0, rel=1e-6)

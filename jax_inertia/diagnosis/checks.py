@@ -197,6 +197,8 @@ class OtherRun(_Run):
     def __init__(self, residual: Residual, evidence: Evidence):
         self.residual, self.evidence = residual, evidence
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
+        self._refined: set[tuple[object, ...]] = set()
+        """Moments between a grid's points, which are searched from each of that once."""
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of this run at numbers from the first."""
@@ -233,9 +235,10 @@ class OtherRun(_Run):
         gains = evidence.gains(nothing, moments) - [c.odds for c in moments]
         if not np.any(gains > 0):
             return np.zeros_like(left)
-        likeliest = moments[int(np.argmax(gains))]
-        best = at_best(self.residual, evidence, nothing, likeliest, ())
-        if best is not likeliest:
+        best = moments[int(np.argmax(gains))]
+        if (h.key, best.shape) not in self._refined:
+            best = at_best(self.residual, evidence, nothing, best, ())
+            self._refined.add((h.key, best.shape))
             self._moments[h.key] = (*moments, best)
         return evidence.posterior((best,)).fitted
 

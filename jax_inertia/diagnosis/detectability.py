@@ -1,12 +1,13 @@
 """How small an effect may be for a log to show it: below that, its absence is not known."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.base import Parameter, Place
 from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.selection import Selection
 
@@ -39,8 +40,7 @@ MOST_AXES = 3
 def _smallest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:
     if group[0].effect.misses:
         return _faintest(selection, group)
-    h = group[len(group) // 2]
-    found = list(_along_axes(selection, h))
+    found = list(_along_axes(selection, group[len(group) // 2]))
     return min(found, key=lambda x: x[0])[1] if found else None
 
 
@@ -48,8 +48,9 @@ def _along_axes(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, Pa
     """Along each of its axes: how many prior standard deviations have to be there, and what is reported of them."""
     # Beyond the ordinary number that it is one law with: that is an effect of its own.
     first = 0 if h.level is None else 1
+    (every,) = information(selection.evidence, selection.posterior, [h])
     for axis in range(first, h.count if h.count <= MOST_AXES else 1):
-        s = information(selection.evidence, selection.posterior, h)[axis]
+        s = float(every[axis])
         if s <= 0:
             continue
         z = smallest(s, h.odds)
@@ -68,8 +69,8 @@ def _along_axes(selection: Selection, h: Hypothesis) -> Iterator[tuple[float, Pa
 def _faintest(selection: Selection, group: list[Hypothesis]) -> Parameter | None:
     """Of effects that are all there or not at all, the first number of the one that does least and still pays."""
     best, least = None, np.inf
-    for h in group:
-        s = float(information(selection.evidence, selection.posterior, h)[0])
+    every = information(selection.evidence, selection.posterior, group)
+    for h, (s, *_) in zip(group, every, strict=True):
         gain = 0.5 * s * float(h.prior_mean[0]) ** 2 - 0.5 * np.log1p(s) if s > 0 else -np.inf
         gain -= selection.evidence.unsaid(h)
         if h.odds < gain < least:
@@ -84,15 +85,14 @@ def smallest(s: float, odds: float) -> float:
     return float(np.sqrt((2.0 * odds + np.log1p(s)) * (1.0 + s)) / s)
 
 
-def information(evidence: Evidence, now: Posterior, h: Hypothesis) -> Float[np.ndarray, " k"]:
-    """diag(AᵀA − AᵀX C XᵀA): A the hypothesis' columns per prior standard deviation, X the chosen ones', C their
+def information(
+    evidence: Evidence, now: Posterior, asked: Sequence[Hypothesis]
+) -> list[Float[np.ndarray, " k"]]:
+    """diag(AᵀA − AᵀX C XᵀA) of each of some: A its columns per prior standard deviation, X the chosen ones', C their
     covariance, both weighed by the residual's precision."""
-    root = np.sqrt(evidence.precision)
-    base = evidence.design(now.chosen).reshape(*evidence.y.shape, len(now.mean))
-    if h.row is None:
-        own = (h.scaled * root[..., None]).reshape(-1, h.count)
-        x = base.reshape(-1, base.shape[-1])
-    else:
-        own, x = h.scaled * root[:, h.row, None], base[:, h.row]
-    cross = x.T @ own
-    return np.sum(own**2, axis=0) - np.sum(cross * (now.covariance @ cross), axis=0)
+    out = {
+        int(i): np.diag(s) - 1.0
+        for seen in evidence.seen_of(now, Bank(asked))[0]
+        for i, s in zip(seen.at, seen.s, strict=True)
+    }
+    return [out[i] for i in range(len(asked))]

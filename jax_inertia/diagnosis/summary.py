@@ -264,7 +264,7 @@ def _remainder(
     shapes: Float[np.ndarray, " n"],
 ) -> Remainder:
     """What the causes leave; `shapes`: rms of each row's torque that names no cause [N m]."""
-    # Within what equations may err by, a shape that was told from it is there all the same.
+    # Within what equations may err by, a shape that is distinct is there all the same.
     energy = np.maximum(check.per_joint_after**2 - check.expected**2, shapes**2)
     total = float(energy.sum())
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}

@@ -121,8 +121,8 @@ MISSES = 0.2
 """How far a joint's motion apart is from what is computed of it, relative: teeth rattle at other moments."""
 
 
-LEAST_PLAY = 2e-4
-"""Of a precision gear, half a minute of arc: less is a soft joint [rad]."""
+LEAST_PLAY, MOST_PLAY = 2e-4, 0.05
+"""Of a precision gear, half a minute of arc: less is a soft joint; of a worn one, three degrees [rad]."""
 LEAST_DAMPING, MOST_DAMPING = 0.005, 0.6
 """Damping ratios of springs and teeth."""
 
@@ -252,7 +252,7 @@ class Backlash(TwoMass):
     mjcf = "a second hinge in line with the first, whose range is the play"
 
     def grid(self, context, place):
-        gaps, bands = np.geomspace(LEAST_PLAY, 0.05, 13), (context.slow_band, ALL)
+        gaps, bands = np.geomspace(LEAST_PLAY, MOST_PLAY, 13), (context.slow_band, ALL)
         # Stiffnesses so close that between two of them the effect is hardly larger or smaller.
         stiffness = stiffnesses(context, place, 19)
         of_link = pulled(context, place), sides(context, place)
@@ -274,7 +274,8 @@ class Backlash(TwoMass):
         return (0.3 * shape[0], 0.3 * shape[1], 0.4 * shape[2], 0.0, 0.0, 0.0)
 
     def within(self, shape):
-        return shape[0] >= LEAST_PLAY and LEAST_DAMPING <= shape[2] <= MOST_DAMPING
+        damped = LEAST_DAMPING <= shape[2] <= MOST_DAMPING
+        return damped and LEAST_PLAY <= shape[0] <= MOST_PLAY
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0], shape[3], shape[4]

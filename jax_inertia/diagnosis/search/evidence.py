@@ -236,7 +236,7 @@ class Evidence:
         Had some of the chosen not been chosen: `without` them (`Posterior.without`).
         """
         bank = others if isinstance(others, Bank) else Bank(others)
-        every, unsaid = self._seen_of(now, bank)
+        every, unsaid = self.seen_of(now, bank)
         if without:
             gone = np.concatenate([np.arange(len(now.mean))[now.part(h)] for h in without])
             every = [x.without(gone, now.mean, now.covariance) for x in every]
@@ -245,7 +245,7 @@ class Evidence:
             out[x.at] = x.gains()
         return out - unsaid
 
-    def _seen_of(self, now: Posterior, bank: Bank) -> tuple[list[Seen], Float[np.ndarray, " c"]]:
+    def seen_of(self, now: Posterior, bank: Bank) -> tuple[list[Seen], Float[np.ndarray, " c"]]:
         """What is seen of a bank's candidates, and what each owes (`unsaid`); the latest is kept.
 
         One posterior is asked many times over: of one bank, or where numbers between a grid's points are searched.
@@ -256,7 +256,7 @@ class Evidence:
             return self._seen[3:]
         root = np.sqrt(self.precision)
         if self._base is None or self._base[0] is not now or self._base[1] is not self.noise:
-            base = scaled(now.chosen, root).reshape(*self.y.shape, len(now.mean))
+            base = self.design(now.chosen).reshape(*self.y.shape, len(now.mean))
             self._base = now, self.noise, base
         seen = bank.seen(root, self._base[2], root * (self.y - now.fitted), now.covariance)
         unsaid = np.array([self.unsaid(h) for h in bank.candidates])

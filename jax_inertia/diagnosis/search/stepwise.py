@@ -92,6 +92,7 @@ def _stepwise(
     # What is not added to some may do better in the place of one of them.
     barred: set[int] = set()
     gone: set[int] = set()
+    vain: set[tuple] = set()
     seen = {_odd_of(now)}
     most = np.inf if settings.most_effects is None else settings.most_effects
     ways = [
@@ -101,7 +102,7 @@ def _stepwise(
             else None
         ),
         # One for one, and for good: that may be back to what was driven out by the way.
-        lambda now: _exchanged(residual, evidence, now, bank, gone, seen),
+        lambda now: _exchanged(residual, evidence, now, bank, gone, vain, seen),
         lambda now: _merged(residual, evidence, now, bank, seen),
     ]
     if evidence.exact:
@@ -253,8 +254,13 @@ def _alike(residual, now: Posterior) -> Iterator[tuple[Hypothesis, ...]]:
     yield from dict.fromkeys((*pairs, *(x for x in families if len(x) > 1)))
 
 
-def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Posterior | None:
-    """One odd effect for a better one that is not `gone`, everything else given; None where none is better."""
+def _exchanged(
+    residual, evidence, now, bank: Bank, gone: set[int], vain: set[tuple], seen
+) -> Posterior | None:
+    """One odd effect for a better one that is not `gone`, everything else given; None where none is better.
+
+    `vain`: which exchanges came to nothing, to be tried once.
+    """
     worths = evidence.worths(now)
     for h, worth in zip(now.chosen, worths, strict=True):
         if not h.is_odd:
@@ -263,6 +269,9 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, now, bank, gone | own, (h,)), None)
         if better is None or better[1] <= worth - h.odds + EXCHANGE:
+            continue
+        exchange = h.key, better[0].key
+        if exchange in vain:
             continue
         by_noise = [sensor_noise.owed(residual, evidence, rest, c) for c in (better[0], h)]
         if better[1] - by_noise[0] <= max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
@@ -274,7 +283,9 @@ def _exchanged(residual, evidence, now, bank: Bank, gone: set[int], seen) -> Pos
             after = _raised(residual, evidence, now, after, seen)
         else:
             after = _settled_with(residual, evidence, rest, after, seen)
-        if after is not None:
+        if after is None:
+            vain.add(exchange)
+        else:
             # Once exchanged, it does not come back: no two take turns.
             gone.update(id(c) for c in bank.candidates if c.key == h.key and c.shape == h.shape)
             return after
