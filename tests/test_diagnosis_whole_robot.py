@@ -17,6 +17,7 @@ from diagnosis_robot import (
     needed,
     ordinary,
 )
+from scipy.integrate import solve_ivp
 
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.identified import effects_in
@@ -26,6 +27,7 @@ from jax_inertia.diagnosis.pipeline import diagnose
 from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.logs.log import Log
@@ -447,6 +449,30 @@ def test_every_effect_keeps_the_interface(residual, effect):
             numbers = effect.numbers(residual.context, place, shape, 0.5 * scale)
             assert all(np.isfinite(p.value) for p in numbers.values())
             assert numbers or not effect.named
+
+
+@pytest.mark.slow
+def test_what_swings_on_a_joint_is_placed_and_never_explained(robot):
+    """A cover on a spring, by SciPy's Runge–Kutta: no effect is named so, and it takes a hundredth of the gap."""
+    inertia, omega, ratio = 0.1, 2 * np.pi * 2.0, 0.05
+
+    def swung(model, t, q, v, a, tau):
+        def rates(now, state):
+            at, speed = np.interp(now, t, q[:, 1]), np.interp(now, t, v[:, 1])
+            pull = omega**2 * (at - state[0]) + 2 * ratio * omega * (speed - state[1])
+            return state[1], pull
+
+        state = solve_ivp(rates, t[[0, -1]], (q[0, 1], v[0, 1]), t_eval=t, max_step=2e-3).y
+        out = tau.copy()
+        out[:, 1] += inertia * rates(t, state)[1]
+        return out
+
+    diagnosis = found(robot, swung)
+    assert diagnosis.verdict is Verdict.PARTLY
+    assert diagnosis.remainder.share < 0.05
+    assert diagnosis.remainder.resembles[0] == "something that swings on the joint at elbow"
+    assert max(diagnosis.remainder.where, key=diagnosis.remainder.where.get) == "elbow"
+    assert "swings on the joint at elbow" in diagnosis.headline
 
 
 def test_names_are_distinct():
