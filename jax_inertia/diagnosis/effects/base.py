@@ -216,7 +216,7 @@ class Effect(abc.ABC):
         """`form_error` where that is known better of some nonlinear numbers."""
         return self.form_error
 
-    def within(self, shape: Shape) -> bool:
+    def within(self, context: Context, place: Place, shape: Shape) -> bool:
         """Whether a search between the grid's points may go there."""
         return True
 

@@ -144,7 +144,7 @@ class StribeckFriction(DryFriction):
     def steps(self, context, place, shape):
         return (*super().steps(context, place, shape[:2]), 0.3 * shape[2], 0.0)
 
-    def within(self, shape):
+    def within(self, context, place, shape):
         return STRIBECK_SPEEDS[0] <= shape[2] <= STRIBECK_SPEEDS[-1]
 
     def columns(self, context, place, shape):
@@ -224,7 +224,7 @@ class LoadFriction(DryFriction):
         further = max(0.5 * shape[3], 0.5 * FURTHER[0] / peak_of(context, place.index))
         return (*super().steps(context, place, shape[:3]), further, 0.0)
 
-    def within(self, shape):
+    def within(self, context, place, shape):
         return shape[3] >= 0.0
 
     def at_value(self, shape, theta):

@@ -191,6 +191,12 @@ def stiffnesses(context: Context, place: Place, n: int) -> Float[np.ndarray, " n
     return peak / np.geomspace(0.12, 3e-4, n)
 
 
+def _a_coupling(context: Context, place: Place, stiffness: float, ratio: float) -> bool:
+    """Whether a spring or teeth may be as stiff and as damped."""
+    softest, stiffest = stiffnesses(context, place, 2)
+    return LEAST_DAMPING <= ratio <= MOST_DAMPING and softest <= stiffness <= stiffest
+
+
 def on_link(shape: Shape) -> dict[str, Parameter]:
     """That the joint's own friction is the link's, where it is."""
     return {"friction_on_link": Parameter(1.0, "1")} if shape[-2] else {}
@@ -226,8 +232,8 @@ class JointElasticity(TwoMass):
     def steps(self, context, place, shape):
         return (0.2 * shape[0], 0.4 * shape[1], 0.0, 0.0)
 
-    def within(self, shape):
-        return LEAST_DAMPING <= shape[1] <= MOST_DAMPING
+    def within(self, context, place, shape):
+        return _a_coupling(context, place, *shape[:2])
 
     def coupling(self, shape):
         # A constant torque winds it up by a constant, whatever side it is of.
@@ -273,9 +279,8 @@ class Backlash(TwoMass):
     def steps(self, context, place, shape):
         return (0.3 * shape[0], 0.3 * shape[1], 0.4 * shape[2], 0.0, 0.0, 0.0)
 
-    def within(self, shape):
-        damped = LEAST_DAMPING <= shape[2] <= MOST_DAMPING
-        return damped and LEAST_PLAY <= shape[0] <= MOST_PLAY
+    def within(self, context, place, shape):
+        return LEAST_PLAY <= shape[0] <= MOST_PLAY and _a_coupling(context, place, *shape[1:3])
 
     def coupling(self, shape):
         return shape[1], shape[2], shape[0], shape[3], shape[4]

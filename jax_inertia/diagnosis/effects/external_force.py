@@ -144,7 +144,7 @@ class Push(_Force):
         # What overlaps in time is one push of another form.
         return one[1] <= other[0] or other[1] <= one[0]
 
-    def within(self, shape):
+    def within(self, context, place, shape):
         start, end, flank, skew = shape
         return SHORTEST <= end - start <= LONGEST and 0.05 <= flank <= 0.5 and abs(skew) <= 1.0
 

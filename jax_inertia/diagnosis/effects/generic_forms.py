@@ -93,7 +93,7 @@ class SoftStop(_Generic):
     def steps(self, context, place, shape):
         return (0.3 * shape[0], 0.0)
 
-    def within(self, shape):
+    def within(self, context, place, shape):
         return 0.01 <= shape[0] <= 0.5
 
     def columns(self, context, place, shape):

@@ -132,7 +132,7 @@ class FrictionDrift(_AlongTheJoint):
     def steps(self, context, place, shape):
         return (0.3 * shape[0],)
 
-    def within(self, shape):
+    def within(self, context, place, shape):
         # What takes longer than such a log is no drift in it but a joint's damping.
         return 0.5 <= shape[0] <= 24.0
 

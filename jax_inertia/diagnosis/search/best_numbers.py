@@ -110,13 +110,15 @@ def _between_points(
 ) -> tuple[Hypothesis, float]:
     """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
     best, gain = h, float(evidence.gains(rest, (h,))[0])
+    context = residual.context_of(h.effect)
     for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
         for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
             # On while it leads up: an optimum may be several steps from the grid's point.
             for _ in range(MOST_MOVES):
                 shape = list(best.shape)
                 shape[k] += float(sign * step[k])
-                if shape[k] * best.shape[k] < 0 or not h.effect.within(tuple(shape)):
+                possible = h.effect.within(context, h.place, tuple(shape))
+                if shape[k] * best.shape[k] < 0 or not possible:
                     break
                 trial = reshaped(h, residual, tuple(shape))
                 got = float(evidence.gains(rest, (trial,))[0])
