@@ -31,7 +31,7 @@ class Ordinary:
     armature: Float[np.ndarray, " n"]
     """kg m²."""
     offset: Float[np.ndarray, " n"]
-    """Constant torque on the link [N m]."""
+    """Constant torque of link or motor, none where it is a torque sensor's zero [N m]."""
 
 
 class _Calibrated(Context):

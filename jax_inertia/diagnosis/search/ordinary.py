@@ -23,6 +23,7 @@ from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.search.candidates import make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.logs.schema import TorqueKind
 from jax_inertia.signals.held import timing_of
 
 
@@ -254,7 +255,8 @@ def ordinary_of(residual: Residual, now: Posterior) -> Ordinary:
     for h in now.chosen:
         if h.family in values:
             values[h.family][h.place.index] = now.of(h)[0][0]
-        elif h.family == "torque_bias":
+        # Of a sensor behind the gear it is the sensor's zero, and moves nothing.
+        elif h.family == "torque_bias" and residual.log.tau_kind is not TorqueKind.SENSOR:
             offset[h.place.index] = now.of(h)[0][0]
     viscous, coulomb, armature = (np.maximum(x, 0.0) for x in values.values())
     return Ordinary(viscous, coulomb, armature, offset)
