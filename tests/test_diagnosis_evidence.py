@@ -303,14 +303,13 @@ def test_the_verdict_is_its_table(case, listed, another, wanted):
     ],
 )
 def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
-    def judged(*checks, strained=False, unnamed=False):
-        return verdict(*checks, False, 0.0, strained, unnamed, Settings())
+    def judged(*checks, strained=False):
+        return verdict(*checks, False, 0.0, strained, False, Settings())
 
     quiet = check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)
     assert judged(own, other) == Verdict.UNKNOWN
     assert judged(*quiet) == Verdict.NO_GAP
     assert judged(*quiet, strained=True) == Verdict.UNKNOWN
-    assert judged(*quiet, unnamed=True) == Verdict.UNKNOWN
 
 
 def test_an_effect_without_a_name_is_never_explained():

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -191,14 +192,19 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     return np.maximum(out, np.minimum(short, most))
 
 
+MOST_SEARCHES = 8
+"""Of when something happens in another run: given other effects it was at about the same time, and a run is asked of
+hundreds of sets of them."""
+
+
 class OtherRun(_Run):
     """Another log of the same robot, predicted from the first."""
 
     def __init__(self, residual: Residual, evidence: Evidence):
         self.residual, self.evidence = residual, evidence
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
-        self._refined: set[tuple[object, ...]] = set()
-        """Moments between a grid's points, which are searched from each of that once."""
+        self._searches: Counter[tuple[str, str, str]] = Counter()
+        """How often moments between a grid's points were searched, of each effect."""
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of this run at numbers from the first."""
@@ -236,9 +242,9 @@ class OtherRun(_Run):
         if not np.any(gains > 0):
             return np.zeros_like(left)
         best = moments[int(np.argmax(gains))]
-        if (h.key, best.shape) not in self._refined:
+        if self._searches[h.key] < MOST_SEARCHES:
+            self._searches[h.key] += 1
             best = at_best(self.residual, evidence, nothing, best, ())
-            self._refined.add((h.key, best.shape))
             self._moments[h.key] = (*moments, best)
         return evidence.posterior((best,)).fitted
 

@@ -2,7 +2,7 @@
 
 | residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
 |---|---|---|---|
-| nothing is distinct, named or not, all runs and joints are quiet, the model within its tolerances | – | – | no_gap |
+| no effect is named, all runs and joints are quiet, every number of the model within its tolerance | – | – | no_gap |
 | else | below `explained`, or | within `noise_ratio` | explained |
 | else | below `partly` | | partly |
 | else | | | unknown |
@@ -39,7 +39,7 @@ def verdict(
     """
     runs = [own] if other is None else [own, other]
     if not listed:
-        quiet = all(_quiet(c, settings) for c in runs) and not (refuted or unnamed)
+        quiet = all(_quiet(c, settings) for c in runs) and not refuted
         return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
     check = runs[-1]
     limit = settings.noise_ratio * check.noise

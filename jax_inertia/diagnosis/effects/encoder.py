@@ -194,7 +194,7 @@ def stiffnesses(context: Context, place: Place, n: int) -> Float[np.ndarray, " n
 def _a_coupling(context: Context, place: Place, stiffness: float, ratio: float) -> bool:
     """Whether a spring or teeth may be as stiff and as damped."""
     softest, stiffest = stiffnesses(context, place, 2)
-    return LEAST_DAMPING <= ratio <= MOST_DAMPING and softest <= stiffness <= stiffest
+    return LEAST_DAMPING <= ratio <= MOST_DAMPING and bool(softest <= stiffness <= stiffest)
 
 
 def on_link(shape: Shape) -> dict[str, Parameter]:
