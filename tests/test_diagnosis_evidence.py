@@ -20,7 +20,7 @@ from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.search.selection import bayes_factor
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.verdict import verdict
+from jax_inertia.diagnosis.verdict import Doubts, verdict
 
 ROWS, JOINTS = 30, 2
 
@@ -291,7 +291,7 @@ def check(before, after, noise, expected=1.0, joints=2):
     ],
 )
 def test_the_verdict_is_its_table(case, listed, another, wanted):
-    assert verdict(case, None, listed, another, False, False, Settings()) == wanted
+    assert verdict(case, None, listed, Doubts(another), Settings()) == wanted
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_the_verdict_is_its_table(case, listed, another, wanted):
 )
 def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
     def judged(*checks, strained=False):
-        return verdict(*checks, False, 0.0, strained, False, Settings())
+        return verdict(*checks, False, Doubts(refuted=strained), Settings())
 
     quiet = check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)
     assert judged(own, other) == Verdict.UNKNOWN
@@ -314,8 +314,8 @@ def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
 
 def test_an_effect_without_a_name_is_never_explained():
     small = check(5.0, 0.5, 0.1)
-    assert verdict(small, None, True, 0.0, False, False, Settings()) == Verdict.EXPLAINED
-    assert verdict(small, None, True, 0.0, False, True, Settings()) == Verdict.PARTLY
+    assert verdict(small, None, True, Doubts(), Settings()) == Verdict.EXPLAINED
+    assert verdict(small, None, True, Doubts(unnamed=True), Settings()) == Verdict.PARTLY
 
 
 def test_settings_are_frozen():

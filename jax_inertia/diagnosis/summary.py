@@ -28,7 +28,7 @@ from jax_inertia.diagnosis.search.ordinary import bounded
 from jax_inertia.diagnosis.search.refuted_tolerances import refuted
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.verdict import confidence, verdict
+from jax_inertia.diagnosis.verdict import Doubts, confidence, verdict
 from jax_inertia.maths.inertial_parameters import is_physical
 
 SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
@@ -69,21 +69,14 @@ def summarised(
     told = dataclasses.replace(selection, posterior=causes)
     another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
     bent = tuple(x.line for x in refuted(told, settings))
-    judged = verdict(
-        own_causes,
-        None if other is None else by_cause,
-        bool(likely),
-        another,
-        bool(bent),
-        bool(generic),
-        settings,
-    )
+    doubts = Doubts(another, bool(bent), bool(generic))
+    on_other = None if other is None else by_cause
+    judged = verdict(own_causes, on_other, bool(likely), doubts, settings)
     trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
     found = as_listed(told, _by_other_stretches(heldout, causes, likely), trust)
     odd = [f.probability for f in found if not f.ordinary]
-    sure = confidence(by_cause, judged, odd, another, bool(generic), settings)
-    shapes = sum((now.torque(h) for h in generic), np.zeros_like(left))
-    remainder = _remainder(by_cause, names, generic, rows(shapes, residual.weight))
+    sure = confidence(by_cause, judged, odd, doubts, settings)
+    remainder = _remainder(by_cause, selection, generic)
     shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
     joints, gains = joint_numbers(told), motor_gains(told)
     return Diagnosis(
@@ -257,15 +250,14 @@ def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings)
             )
 
 
-def _remainder(
-    check: Check,
-    names: tuple[str, ...],
-    generic: list[Hypothesis],
-    shapes: Float[np.ndarray, " n"],
-) -> Remainder:
-    """What the causes leave; `shapes`: rms of each row's torque that names no cause [N m]."""
+def _remainder(check: Check, selection: Selection, generic: list[Hypothesis]) -> Remainder:
+    """What the causes leave, and shapes that name no cause."""
+    now, residual = selection.posterior, selection.residual
+    names = residual.context.row_names
+    shapes = sum((now.torque(h) for h in generic), np.zeros_like(residual.y))
+    rms = rows(shapes, residual.weight)
     # Within what equations may err by, a shape that is distinct is there all the same.
-    energy = np.maximum(check.per_joint_after**2 - check.expected**2, shapes**2)
+    energy = np.maximum(check.per_joint_after**2 - check.expected**2, rms**2)
     total = float(energy.sum())
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}
     carried = tuple(f"{h.family} at {h.place.name}" for h in generic)
