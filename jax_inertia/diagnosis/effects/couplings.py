@@ -55,7 +55,8 @@ def _two(effect: Identified) -> str:
     )
     own = [what for what, of_link in ON_LINK.items() if effect.values.get(of_link)]
     if own:
-        text += f"; {' and '.join(own)} acts on the link, by the tendon {joint}{LINK}"
+        acts = "acts" if len(own) == 1 else "act"
+        text += f"; {' and '.join(own)} {acts} on the link, by the tendon {joint}{LINK}"
     return text
 
 

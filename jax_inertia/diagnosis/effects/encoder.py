@@ -187,7 +187,7 @@ def sides(context: Context, place: Place) -> tuple[float, ...]:
 
 def stiffnesses(context: Context, place: Place, n: int) -> Float[np.ndarray, " n"]:
     """From 0.12 rad at the joint's peak torque, as a series-elastic drive has it, to 0.0003 rad [N m/rad]."""
-    peak = np.percentile(np.abs(context.link_torque[:, place.index]), 99.5) + 1e-6
+    peak = context.link_peak[place.index] + 1e-6
     return peak / np.geomspace(0.12, 3e-4, n)
 
 
@@ -203,13 +203,13 @@ def on_link(shape: Shape) -> dict[str, Parameter]:
 
 
 LEAST_PULL = 0.02
-"""Constant torque of a joint's peak that moves a link through its play as none does."""
+"""Share of a joint's peak torque: a constant torque that is less moves a link through its play as none does."""
 
 
 def pulled(context: Context, place: Place) -> tuple[float, ...]:
     """Where a constant torque may be: zero on the motor, one on the link."""
     pull = abs(float(context.offset[place.index]))
-    if pull < LEAST_PULL * np.percentile(np.abs(context.link_torque[:, place.index]), 99.5):
+    if pull < LEAST_PULL * context.link_peak[place.index]:
         return (1.0,) if pull else (0.0,)
     return (1.0, 0.0)
 

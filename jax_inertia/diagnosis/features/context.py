@@ -192,6 +192,11 @@ class Context:
         return self.inverse - self.prepared.dry - self._rotor
 
     @functools.cached_property
+    def link_peak(self) -> np.ndarray:
+        """Peak of that by row: the 99.5th percentile [N m]."""
+        return np.percentile(np.abs(self.link_torque), 99.5, axis=0)
+
+    @functools.cached_property
     def _rotor(self) -> np.ndarray:
         """Torque that each joint's motor takes for itself, dry friction apart (T, nv)."""
         return self.armature * self.a + self.damping * self.v

@@ -167,7 +167,7 @@ def _separation(
     viscous, dry = (on_link * x for x in rubs)
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[1]))
     d, drawn = ratio * critical, OBSERVED * critical
-    half, h = 0.5 * gap, period / substeps
+    half, h, constant = 0.5 * gap, period / substeps, pulled * offset
 
     def of_side(motor, link):
         return motor + on_link * (link - motor)
@@ -175,7 +175,7 @@ def _separation(
     def substep(state, x):
         delta, rate, _ = state
         needed, m, c, kq, speed, *ds = x
-        n = needed - pulled * offset
+        n = needed - constant
         tooth = jnp.sign(delta)
         force = k * (delta - tooth * half) + d * rate
         touching = (half == 0.0) | ((jnp.abs(delta) > half) & (force * tooth >= 0.0))
