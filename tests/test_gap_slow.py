@@ -23,7 +23,28 @@ def test_a_spring_is_named_where_it_is_within_noise():
     assert found.verdict is Verdict.EXPLAINED
 
 
-OVERLAP = Path(__file__).parents[2] / "shared" / "cases" / "18-three-right-called-unknown"
+CASES = Path(__file__).parents[2] / "shared" / "cases"
+OVERLAP = CASES / "18-three-right-called-unknown"
+BARE = CASES / "06-urdf-without-friction-or-armature"
+COULOMB = 6.0, 7.0, 4.5, 1.2, 1.1, 0.9
+VISCOUS = 5.0, 6.0, 4.0, 0.8, 0.8, 0.7
+ROTORS = 1.2, 1.4, 0.9, 0.25, 0.25, 0.2
+
+
+@pytest.mark.skipif(not BARE.is_dir(), reason="cases (../shared/cases) are not here")
+def test_eighteen_numbers_of_a_robot_as_bought_whose_torques_are_of_the_moment():
+    """The numbers that the case's own page states; nobody says what kind its torques are."""
+    log, other = (read_log(str(BARE / f"bare{k}.npz")) for k in (1, 2))
+    found = diagnose(load_model(str(BARE / "arm.urdf")), log, test_log=other)
+    assert found.verdict is Verdict.EXPLAINED
+    assert not found.odd
+    for family, right in (
+        ("coulomb_friction", COULOMB),
+        ("viscous_friction", VISCOUS),
+        ("armature", ROTORS),
+    ):
+        values = [numbers[family].value for numbers in found.joints.values()]
+        assert values == pytest.approx(right, rel=0.1)
 
 
 @pytest.mark.slow

@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from jax_inertia.logs.log import Log
-from jax_inertia.signals.held import LOOP_LATE, PositionLoop, _jolt, later, of_loop, position_loop
+from jax_inertia.logs.log import Log, TorqueKind
+from jax_inertia.signals.held import (
+    LOOP_LATE,
+    PositionLoop,
+    _jolt,
+    later,
+    of_loop,
+    position_loop,
+    timing_of,
+)
 
 ARMATURE, STEP, HOLD = 0.1, 1e-3, 20
 XML = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0"/><worldbody><body>
@@ -123,3 +131,13 @@ def test_what_pushes_along_the_motion_is_no_loop():
     assert (loop.kp[0], loop.kd[0]) == pytest.approx((500.0, 0.0), abs=1e-3)
     along = 500.0 * apart + np.std(500.0 * apart) * np.cos(2.0 * time)
     assert position_loop(dataclasses.replace(log, tau=along[:, None])) is None
+
+
+@pytest.mark.parametrize("kind", [TorqueKind.COMMANDED, TorqueKind.CURRENT, TorqueKind.UNKNOWN])
+@pytest.mark.parametrize("rate", [50.0, 500.0])
+def test_torques_of_the_moment_and_held_ones_are_within_what_is_known_of_when_they_act(kind, rate):
+    """A drive may be many times as fast as its log, or hold its torque from sample to sample: two σ or less each."""
+    time = np.arange(50) / rate
+    log = Log(time=time, joint_names=("a",), qpos=time[:, None], tau=time[:, None], tau_kind=kind)
+    late, error, most = timing_of(log)
+    assert max(late, 0.5 - late) <= min(2.0 * error, most)

@@ -26,8 +26,8 @@ _SEEN = 4.0
 _HEAVIEST = 20.0
 # Joints that are not part of a reading miss less than this share of their energy.
 FITS = 0.1
-# Below this, tilt is an effect of a diagnosis [rad].
-_TURNED = 0.2
+# Below this, tilt is an effect of a diagnosis [rad], which tells it from a constant force.
+_TURNED = 0.5
 # Gravity may come out this much off 9.81 m/s².
 _STRENGTH = 0.15
 # A motor whose joint needs next to nothing is felt from this share of the largest torque on.

@@ -46,7 +46,8 @@ SLOWEST_DRIVE = 200.0
 
 
 HOLD_ERROR = 0.08
-"""Standard deviation of when within its period a held torque acts, of the period: no hold at all is six of these."""
+"""Standard deviation of when within its period a torque acts, of the period, where its kind tells: of a position loop
+by its law, of a sensor behind the gear."""
 
 
 class Timing(NamedTuple):
@@ -62,13 +63,16 @@ class Timing(NamedTuple):
 def timing_of(log: Log) -> Timing:
     """When a log's torques act after their stamps.
 
-    A commanded torque or a current is held over its period: half of it. A sensor's sample may be of the moment or of
-    the period that follows, and so may every sample of a log that is slower than its drive: a quarter of it.
+    A commanded torque or a current is held over its drive's period, half of which it is late: of the log's, if the
+    drive is as slow, next to nothing if it is many times as fast. A sensor's sample may be of the moment or of the
+    period that follows, and so may any where nobody says what it is, and every sample of a log that is slower than its
+    drive: a quarter of it.
     """
-    if log.rate < SLOWEST_DRIVE:
+    if log.rate < SLOWEST_DRIVE or log.tau_kind is TorqueKind.UNKNOWN:
         return Timing(0.25, 0.25, 0.25)
-    late = 0.25 if log.tau_kind is TorqueKind.SENSOR else 0.5
-    return Timing(late, HOLD_ERROR, late)
+    if log.tau_kind is TorqueKind.SENSOR:
+        return Timing(0.25, HOLD_ERROR, 0.25)
+    return Timing(0.5, 0.25, 0.5)
 
 
 class PositionLoop(eqx.Module):

@@ -48,7 +48,7 @@ class DryFriction(Effect):
 
     def steps(self, context, place, shape):
         # Where its own; a form of a friction that is there turns round as that does.
-        return (0.3 * max(float(shape[0]), 0.0), *[0.0] * (len(shape) - 1))
+        return (0.3 * abs(float(shape[0])), *[0.0] * (len(shape) - 1))
 
     def direction(self, context, place, shape) -> np.ndarray:
         """z in [−1, 1] that multiplies the level (T,)."""

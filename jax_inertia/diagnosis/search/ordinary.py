@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
+from scipy.optimize import minimize_scalar
 
 from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
@@ -117,7 +118,30 @@ def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[
     shapes = list(dry.shapes(residual.context, place))
     tried = [_alike(residual, dry, place, shape, settings) for shape in shapes]
     gains = evidence.gains(now, [joined(both) for both in tried])
-    return tried[int(np.argmax(gains))]
+    best = tried[int(np.argmax(gains))]
+    creeps = isinstance(dry, CoulombFriction) and best[0].shape[0] < 0.0
+    return _creeping(residual, evidence, now, best, settings) if creeps else best
+
+
+def _creeping(
+    residual, evidence, now: Posterior, dry: tuple[Hypothesis, ...], settings
+) -> tuple[Hypothesis, ...]:
+    """Dry friction that creeps, by the level of most evidence between its grid's points."""
+    level, *way = dry[0].shape
+
+    def of(share: float) -> tuple[Hypothesis, ...]:
+        shape = (level * float(np.exp(share)), *way)
+        return _alike(residual, dry[0].effect, dry[0].place, shape, settings)
+
+    def loss(share: float) -> float:
+        return -float(evidence.gains(now, (joined(of(share)),))[0])
+
+    best = minimize_scalar(loss, bounds=LEVELS, method="bounded", options={"maxiter": 12})
+    return of(float(best.x)) if best.fun < loss(0.0) else dry
+
+
+LEVELS = -1.2, 1.2
+"""ln of how far from its grid's point the level of a friction that creeps is sought: to the next points."""
 
 
 def _alike(residual, dry: Effect, place: Place, shape, settings) -> tuple[Hypothesis, ...]:
