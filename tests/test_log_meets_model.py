@@ -133,7 +133,7 @@ SAID = [
     ("leg", off(2, 0.5 * np.pi), "the zero of qpos is elsewhere", "add -90° (-1.5708 rad) at knee"),
     ("crane", off(1, np.pi), "the zero of qpos is elsewhere", "add +180° (+3.1416 rad) at luff"),
     ("crane", mount(90.0, 0.0), "gravity is turned by 90°", "--mount="),
-    ("gantry", mount(0.0, 25.0), "gravity is turned by 25°", "--mount="),
+    ("gantry", mount(0.0, 40.0), "gravity is turned by 40°", "--mount="),
     # About the first joint's axis a turned base and that joint's zero are the same, and both are said.
     (
         "leg",
