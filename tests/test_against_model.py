@@ -196,7 +196,7 @@ def test_a_tilt_that_a_constant_force_resembles_is_left_to_the_diagnosis(arm):
     xml, robot, _ = arm
     gravity = np.asarray(mounted(robot, (10.0, 15.0)).gravity)
     log = log_of(xml.replace("0 0 -9.81", " ".join(map(str, gravity))), noise=0.01)
-    assert "mount" not in [message.code for message in against_model(log, robot)]
+    assert "mount" not in [finding.check for finding in against_model(log, robot)]
 
 
 def test_a_differential_pair(arm):
