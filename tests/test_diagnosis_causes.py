@@ -8,7 +8,8 @@ import pytest
 from diagnosis_robot import NOMINAL, log_of
 from diagnosis_robot import motion as sines
 
-from jax_inertia.diagnosis.causes import _echoes, carried_over
+from jax_inertia.diagnosis import causes
+from jax_inertia.diagnosis.causes import _echoes, carried_over, odds_of_another
 from jax_inertia.diagnosis.checks import OtherRun, rms
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.external_force import Push
@@ -16,6 +17,7 @@ from jax_inertia.diagnosis.effects.joint import JointSpring
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence
+from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.model.load import load_model
 
@@ -104,14 +106,55 @@ def push(name, body, size, motion, start=1.0):
     return Hypothesis(Push(), place, shape, columns, 0, np.ones(3), np.zeros(3), 8.0)
 
 
-def test_pushes_at_the_moments_of_a_larger_one_are_its_echoes(motion):
+@pytest.fixture
+def residual():
+    """Of an arm in motion; its context tells pushes apart."""
+    time, q, v, _ = sines(1, seconds=2.0)
+    robot = load_model(mujoco.MjModel.from_xml_string(NOMINAL))
+    return Residual(robot, log_of(time, q, 0.0 * v), Settings())
+
+
+def test_pushes_at_the_moments_of_a_larger_one_are_its_echoes(motion, residual):
     later = np.roll(motion, ROWS // 2)
     small, large = push("hand", 2, 1.0, walk(20.0, 3)), push("lower", 1, 1.0, motion)
     apart = push("upper", 0, 1.0, later, start=3.0)
     y = 5.0 * motion + 0.5 * walk(20.0, 3) + 2.0 * later
     evidence = Evidence(y[:, None], np.ones((ROWS, 1)), np.array([0.1]))
     now = evidence.posterior((small, large, apart))
-    time, q, v, _ = sines(1, seconds=2.0)
-    robot = load_model(mujoco.MjModel.from_xml_string(NOMINAL))
-    context = Residual(robot, log_of(time, q, 0.0 * v), Settings()).context
-    assert _echoes(context, evidence.worths(now), now.chosen) == [small]
+    assert _echoes(residual.context, evidence.worths(now), now.chosen) == [small]
+
+
+class _Offers(Selection):
+    """A search that ended where its log gives the last of its candidates ten nats beyond its odds."""
+
+    def further(self, barred):
+        h = self.candidates[-1]
+        if h.key not in barred:
+            yield 10.0, h, self.evidence.posterior((*self.posterior.chosen, h))
+
+
+@pytest.mark.parametrize(
+    ("brings", "refuted", "least", "most"),
+    [
+        (20.0, False, np.exp(10.0), np.exp(10.1)),  # by the log's own odds
+        (7.0, False, np.exp(-1.1), np.exp(-0.9)),  # no more than what it brings as a cause
+        (-3.0, False, 0.0, 1e-4),  # the other run bears it out not at all
+        (20.0, True, 0.0, 0.0),
+    ],
+)
+def test_another_effect_has_to_be_a_cause(
+    motion, residual, monkeypatch, brings, refuted, least, most
+):
+    """It has to bring what a listed one has to; the echo of a listed push is no other effect, whatever it brings."""
+    small, large = push("hand", 2, 1.0, walk(20.0, 3)), push("lower", 1, 1.0, motion)
+    other = spring(walk(20.0, 4))
+    evidence = Evidence(5.0 * motion[:, None], np.ones((ROWS, 1)), np.array([0.1]))
+    now = evidence.posterior((small, large))
+    told = {"push": 100.0, other.family: brings}
+    monkeypatch.setattr(
+        causes, "evidence_of_causes", lambda _search, asked, _: [told[h.family] for h in asked]
+    )
+    search = _Offers(residual, evidence, now, (other,), ())
+    listed = evidence.posterior((large,))
+    odds = odds_of_another(search, listed, (other,) if refuted else (), ())
+    assert least <= odds <= most

@@ -1,7 +1,7 @@
 """Which of the effects that help to predict are causes: what pays for itself where slow misfit is no sample."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -48,9 +48,7 @@ def _echoes(
     out, kept = [], []
     for _, h in ranked:
         if h.family in PASSING:
-            others = (c for c in kept if c.family == h.family)
-            alone = all(h.effect.apart(context, h.place, h.shape, c.shape) for c in others)
-            (kept if alone else out).append(h)
+            (kept if all(_apart(context, h, c) for c in kept) else out).append(h)
     return out
 
 
@@ -79,6 +77,34 @@ def evidence_of_causes(
     every = every + [strain(now.without(h)) - strain(now) for h in lasting]
     supports = dict(zip(map(id, lasting), every.tolist(), strict=True))
     return [min(p, supports.get(id(h), np.inf)) for h, p in zip(asked, parts, strict=True)]
+
+
+def odds_of_another(
+    selection: Selection, causes: Posterior, refuted: Collection[Hypothesis], judges: Judges
+) -> float:
+    """Odds that a named effect is there that is not among the causes.
+
+    Σ exp(log evidence − prior odds) of what was chosen and is no cause, and of what else may be there; each has to be a
+    cause (`evidence_of_causes`). What happens as a cause does, at another place, is its echo; what another run
+    `refuted` is not there.
+    """
+    now, context = selection.posterior, selection.residual.context
+    gone = [h for h in now.chosen if h.is_odd and h.named and h not in causes.chosen]
+    once = [h for h in causes.chosen if h.family in PASSING]
+    gone = [h for h in gone if all(_apart(context, h, c) for c in once)]
+    evidence = evidence_of_causes(selection, gone, judges)
+    best = [e - h.odds for h, e in zip(gone, evidence, strict=True)]
+    barred = {h.key for h in (*now.chosen, *refuted)}
+    for odds, h, with_it in selection.further(barred):
+        one_more = dataclasses.replace(selection, posterior=with_it)
+        (told,) = evidence_of_causes(one_more, (h,), judges)
+        best.append(min(odds, told - h.odds))
+    return float(np.exp(np.minimum(best, 50.0)).sum())
+
+
+def _apart(context: Context, a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two are no echoes of each other."""
+    return a.family != b.family or a.effect.apart(context, a.place, a.shape, b.shape)
 
 
 def strain(now: Posterior) -> float:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.causes import Judges, carried_over, evidence_of_causes, judges_of
+from jax_inertia.diagnosis.causes import carried_over, judges_of, odds_of_another
 from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rows, share
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
 from jax_inertia.diagnosis.effects.base import Interval
@@ -67,7 +67,8 @@ def summarised(
         test = by_cause if best is causes else other.check(ordinary, best)
     likely = [(h, f) for h, f in likely if h in causes.chosen]
     told = dataclasses.replace(selection, posterior=causes)
-    another = _odds_of_another(selection, everything, causes, dropped, judges_of(heldout, other))
+    before = dataclasses.replace(selection, posterior=everything)
+    another = odds_of_another(before, causes, dropped, judges_of(heldout, other))
     bent = tuple(x.line for x in refuted(told, settings))
     doubts = Doubts(another, bool(bent), bool(generic))
     on_other = None if other is None else by_cause
@@ -159,20 +160,6 @@ def _distinct(now: Posterior, h: Hypothesis, settings: Settings) -> bool:
     """Whether a gain is another than the one that the log's torques were computed with."""
     mean, covariance = now.of(h)
     return bool(abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]))
-
-
-def _odds_of_another(
-    selection: Selection,
-    everything: Posterior,
-    causes: Posterior,
-    dropped: tuple[Hypothesis, ...],
-    judges: Judges,
-) -> float:
-    """Odds that a named effect is there that is not among the causes."""
-    before = dataclasses.replace(selection, posterior=everything)
-    gone = [h for h in everything.chosen if h.is_odd and h.named and h not in causes.chosen]
-    evidence = evidence_of_causes(before, gone, judges)
-    return before.odds_of_another(dict(zip(gone, evidence, strict=True)), dropped)
 
 
 def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:

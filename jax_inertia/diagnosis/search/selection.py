@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -17,8 +17,7 @@ from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, prior_mea
 from jax_inertia.diagnosis.settings import CalibrationState
 
 UNLIKELY = -5.0
-"""Log odds [nats] below which an effect adds nothing to the odds that any is there: those of its columns' noise are not
-asked for."""
+"""Log odds [nats] below which an effect adds nothing to the odds that any is there."""
 SAID = 1e-6
 """Information of a log on numbers that it says nothing of, per prior variance: so that what it says has an inverse."""
 GROUPS = 10
@@ -91,39 +90,34 @@ class Selection:
         wide = _larger(own, spread) if self.evidence.exact else own + spread
         return bayes_factor(h, self.posterior.mean[part], own, wide)
 
-    def odds_of_another(
-        self, gone: Mapping[Hypothesis, float], refuted: Collection[Hypothesis]
-    ) -> float:
-        """Odds that one more named effect is there given the chosen, anywhere.
+    def further(
+        self, barred: Collection[tuple[str, str, str]]
+    ) -> Iterator[tuple[float, Hypothesis, Posterior]]:
+        """What else may be there, each family and place once: log odds that it is [nats], and the posterior with it.
 
-        Σ exp(log evidence gained − prior odds), each family and place at its best numbers where a robot can have them:
+        At its best numbers where a robot can have them, none whose odds come near to nothing or whose key is `barred`:
         of an effect that is as large as the noise the evidence says neither that it is there nor that it is not.
-        `gone`: chosen, and not stated, each with the evidence by which it went; those that another run `refuted` do
-        not count.
         """
-        best = {h.key: evidence - h.odds for h, evidence in gone.items()}
-        chosen, residual = self.posterior.chosen, self.residual
-        barred = {h.key for h in (*chosen, *refuted)}
-        gains = self.evidence.gains(self.posterior, self.named)
+        chosen, residual, evidence = self.posterior.chosen, self.residual, self.evidence
+        gains = evidence.gains(self.posterior, self.named)
         likeliest: dict[tuple[str, str, str], tuple[float, Hypothesis]] = {}
         for c, gain in zip(self.named.candidates, gains - self.named.odds, strict=True):
-            at = likeliest.get(c.key, (-np.inf, c))[0]
+            at = likeliest.get(c.key, (UNLIKELY, c))[0]
             if c.key in barred or not np.isfinite(gain) or gain <= at:
                 continue
             # Another law of what is chosen is not one more.
             if not excluded(residual, c, chosen):
                 likeliest[c.key] = float(gain), c
-        for key, (gain, c) in likeliest.items():
+        for gain, c in likeliest.values():
+            with_it = relinearised(residual, evidence, (*chosen, c))
+            c = with_it.chosen[-1]
+            if not c.possible(residual, with_it.of(c)[0]):
+                continue
+            if c.effect.secant:
+                gain = float(evidence.gains(self.posterior, (c,))[0]) - c.odds
+            gain -= sensor_noise.share(residual, evidence, self.posterior, c)
             if gain > UNLIKELY:
-                with_it = relinearised(residual, self.evidence, (*chosen, c))
-                c = with_it.chosen[-1]
-                if not c.possible(residual, with_it.of(c)[0]):
-                    continue
-                if c.effect.secant:
-                    gain = float(self.evidence.gains(self.posterior, (c,))[0]) - c.odds
-                gain -= sensor_noise.share(residual, self.evidence, self.posterior, c)
-            best[key] = max(best.get(key, -np.inf), gain)
-        return float(np.exp(np.minimum(list(best.values()), 50.0)).sum())
+                yield gain, c, with_it
 
     @property
     def ordinary(self) -> tuple[Hypothesis, ...]:
