@@ -16,6 +16,7 @@ from jax_inertia.diagnosis.effects.external_force import Push
 from jax_inertia.diagnosis.effects.joint import JointSpring
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.evidence import Evidence
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
@@ -158,3 +159,20 @@ def test_another_effect_has_to_be_a_cause(
     listed = evidence.posterior((large,))
     odds = odds_of_another(search, listed, (other,) if refuted else (), ())
     assert least <= odds <= most
+
+
+@pytest.mark.parametrize(("apart", "left"), [(0.5, True), (8.0, False)])
+def test_what_noise_may_bring_by_chance_is_its_own(motion, residual, monkeypatch, apart, left):
+    """A score of 30 spreads where noise brings 20 says something, unless it brings 20 give or take as much."""
+    h = spring(motion)
+    evidence = Evidence(np.zeros((ROWS, 1)), np.ones((ROWS, 1)), np.array([1.0]))
+    root = np.sqrt(evidence.precision)
+    own = h.columns.reshape(-1, 1) * float(h.scale[0]) * root
+    spread = float(np.sqrt(1.0 + np.sum(own**2)))
+    evidence.y = 30.0 * spread * own / root / np.sum(own**2)
+    scores = np.full((2, sensor_noise.GROUPS, 1), 20.0 * spread / sensor_noise.GROUPS)
+    scores[:, 0, 0] += np.array([apart, -apart]) * spread
+    monkeypatch.setattr(sensor_noise, "by_noise", lambda *_: scores)
+    share = sensor_noise.share(residual, evidence, evidence.nothing(), h)
+    whole = 0.5 * 30.0**2
+    assert share == pytest.approx(whole - 0.5 * 10.0**2 if left else whole, rel=0.02)

@@ -7,7 +7,8 @@ what noise adds to AᵀW (y − X m̂), m̂ = C XᵀW y the numbers of what is c
     E ΔAᵀ W Δr − AᵀW X C E ΔXᵀ W Δr,    r = y − X m̂
 
 (corrected score of errors in variables: Nakamura, Biometrika 77(1), 1990). The second term is the noise that the chosen
-take: what a rotor inertia's tolerance explains of it, another rotor inertia there does not.
+take: what a rotor inertia's tolerance explains of it, another rotor inertia there does not. Of one log it is as much by
+chance as from one replica to the next, which counts as well: a score within that has nothing beside noise.
 """
 
 import numpy as np
@@ -16,6 +17,9 @@ from jaxtyping import Float
 from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
+
+GROUPS = 10
+"""Parts of a log by which the noise's chance is counted."""
 
 
 def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis) -> float:
@@ -26,11 +30,17 @@ def share(residual: Residual, evidence: Evidence, now: Posterior, h: Hypothesis)
     cross = base.T @ own
     s = np.eye(h.count) + own.T @ own - cross.T @ now.covariance @ cross
     told = own.T @ (root * (evidence.y - now.fitted)).ravel() + h.prior_mean
-    of_own, of_chosen = by_noise(residual, root, now, h, here)
-    without = told - (of_own - cross.T @ now.covariance @ of_chosen)
-    both = np.stack([told, without], axis=1)
-    whole, clean = np.sum(both * np.linalg.solve(s, both), axis=0)
-    return float(0.5 * (whole - clean))
+    scores = by_noise(residual, root, now, h, here) @ np.concatenate(
+        [np.eye(h.count), -now.covariance @ cross]
+    )
+    without = told - scores.sum(axis=1).mean(axis=0)
+    apart = (scores - scores.mean(axis=0)).reshape(-1, h.count)
+    chance = apart.T @ apart * (1.0 + 1.0 / len(scores)) / (len(scores) - 1)
+    whole, clean, sure = (
+        0.5 * float(x @ np.linalg.solve(spread, x))
+        for x, spread in ((told, s), (without, s), (without, s + chance))
+    )
+    return whole - clean if sure > h.odds else whole
 
 
 def owed(residual: Residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> float:
@@ -49,19 +59,19 @@ def by_noise(
     now: Posterior,
     h: Hypothesis,
     here: Float[np.ndarray, "Rn q"],
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " p"]]:
-    """E ΔAᵀ W Δr and E ΔXᵀ W Δr over replicas of the log, per prior standard deviation of each number.
+) -> Float[np.ndarray, "replicas parts q"]:
+    """ΔAᵀ W Δr and ΔXᵀ W Δr of each part of each replica of the log, per prior standard deviation of each number.
 
     `here`: columns of `h` and of the chosen on the log itself, times `root`, the square root of the precision.
     """
     every = (h, *now.chosen)
     numbers = np.concatenate([np.zeros(h.count), now.mean])
-    parts = []
+    out = []
     for again in residual.replicas:
         # When a joint is held is one for all replicas.
         there = tuple(c if c.effect.of_log else elsewhere(c, again) for c in every)
         change = scaled(there, root) - here
         left = (root * (again.y - residual.y)).ravel() - change @ numbers
-        parts.append(change.T @ left)
-    mean = np.mean(parts, axis=0)
-    return mean[: h.count], mean[h.count :]
+        parts = np.array_split(change * left[:, None], GROUPS)
+        out.append([part.sum(axis=0) for part in parts])
+    return np.array(out)

@@ -1,0 +1,502 @@
+"""Development data: robots of any shape as MuJoCo itself plays them, bought without friction and rotors or calibrated.
+
+    python benchmarks/gap/any_robots.py OUT --n 20 --seed 1 [--first 0] [--jobs 1]
+
+writes OUT/00042/{nominal.xml, log.npz, test.npz, truth.json}. Trees of 2 to 7 hinges and slides about any axis, links
+of any proportions, MuJoCo's own friction loss, damping and armature, 100 to 1000 Hz, motions of sines or from pose to
+pose; one log in three has nothing odd, one in four two odd effects. Beside `cad.py`, whose five robots and bristles are
+always the same: what holds there by chance does not hold here. Shares no code with the package.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from friction import reflected_inertia
+from many import parser, write_all, write_folder
+
+STEP = 2.5e-4  # s
+NUMBER = 31  # of this stratum, in the seeds
+
+
+@dataclass
+class Joint:
+    """One joint and the link behind it."""
+
+    name: str
+    parent: int  # of the joints, −1: the base
+    slide: bool
+    place: np.ndarray  # in the parent link [m]
+    axis: np.ndarray
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray  # principal [kg m²]
+    turn: np.ndarray  # quaternion of the principal axes
+    damping: float = 0.0
+    loss: float = 0.0
+    armature: float = 0.0
+
+
+@dataclass
+class Odd:
+    """An effect that no model of the robot has: changes of the model, and what acts at each step."""
+
+    family: str
+    place: str
+    numbers: dict[str, float]
+    edit: Callable[[mujoco.MjModel], None] = lambda model: None
+    motor: Callable[[np.ndarray, mujoco.MjData], np.ndarray] = lambda tau, data: tau
+    """Torque at the joints of what is commanded."""
+    delay: float = 0.0  # s, of the torque behind the sensors
+    zero: np.ndarray | None = None  # of the encoders
+    force: Callable[[float, mujoco.MjData], None] = lambda time, data: None
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    x = rng.normal(size=3)
+    return x / np.linalg.norm(x)
+
+
+def tree(rng: np.random.Generator) -> list[Joint]:
+    """Links that grow lighter outwards; one joint in four branches off an earlier link."""
+    n, out = int(rng.integers(2, 8)), []
+    size, mass = rng.uniform(0.15, 0.4), rng.uniform(2.0, 8.0)
+    for k in range(n):
+        parent = k - 1 if k < 2 or rng.random() > 0.15 else int(rng.integers(0, k - 1))
+        length = size * rng.uniform(0.5, 1.2) * 0.85**k
+        square = rng.random() < 0.7
+        axis = np.eye(3)[rng.integers(3)] if square else unit(rng)
+        thick = length * rng.uniform(0.15, 0.4)
+        m = mass * 0.65**k * rng.uniform(0.6, 1.4)
+        box = np.array([thick, thick * rng.uniform(0.7, 1.3), length])
+        inertia = m / 12 * (np.sum(box**2) - box**2)
+        along = unit(rng) * np.array([0.4, 0.4, 1.0])
+        place = np.zeros(3) if k == 0 else unit(rng) * 0.1 * length + out[parent].centre * 2.0
+        out.append(
+            Joint(
+                "",
+                parent,
+                bool(rng.random() < 0.1),
+                place,
+                axis,
+                m,
+                along / np.linalg.norm(along) * 0.5 * length,
+                inertia,
+                np.array([1.0, *(0.3 * rng.normal(size=3))]),
+            )
+        )
+    return out
+
+
+def depth_first(joints: list[Joint]) -> list[Joint]:
+    """The same in MuJoCo's order, named anew along it."""
+    order: list[int] = []
+
+    def visit(k: int) -> None:
+        order.append(k)
+        for c, j in enumerate(joints):
+            if j.parent == k:
+                visit(c)
+
+    visit(0)
+    out = [joints[k] for k in order]
+    for j, letter in zip(out, "abcdefg", strict=False):
+        j.parent = order.index(j.parent) if j.parent >= 0 else -1
+        j.name = f"{'slide' if j.slide else 'joint'}_{letter}"
+    return out
+
+
+def mjcf(joints: list[Joint]) -> str:
+    def numbers(x) -> str:
+        return " ".join(f"{v:.10g}" for v in np.atleast_1d(x))
+
+    def body(k: int) -> str:
+        j = joints[k]
+        inside = "".join(body(c) for c in range(len(joints)) if joints[c].parent == k)
+        kind = "slide" if j.slide else "hinge"
+        return (
+            f'<body name="link_{j.name[-1]}" pos="{numbers(j.place)}">'
+            f'<joint name="{j.name}" type="{kind}" axis="{numbers(j.axis)}" damping="{j.damping:.8g}" '
+            f'frictionloss="{j.loss:.8g}" armature="{j.armature:.8g}"/>'
+            f'<inertial mass="{j.mass:.10g}" pos="{numbers(j.centre)}" quat="{numbers(j.turn)}" '
+            f'diaginertia="{numbers(j.inertia)}"/>{inside}</body>'
+        )
+
+    roots = "".join(body(k) for k in range(len(joints)) if joints[k].parent < 0)
+    return (
+        f'<mujoco model="robot"><option integrator="implicitfast" timestep="{STEP}"/><compiler autolimits="true"/>'
+        f"<worldbody>{roots}</worldbody></mujoco>"
+    )
+
+
+@dataclass
+class Motion:
+    """Sines of several frequencies, or minimum-jerk moves from pose to pose with rests."""
+
+    rng: np.random.Generator
+    span: np.ndarray  # half of each joint's range
+    sines: bool
+    seconds: float
+    top: float  # Hz
+    parts: list = field(default_factory=list)
+
+    def __post_init__(self):
+        rng, n = self.rng, len(self.span)
+        if self.sines:
+            f = rng.uniform(0.1, self.top, (6, n))
+            a = rng.normal(size=(6, n)) / f
+            self.parts = [
+                a * self.span / np.abs(a).sum(0) * 1.3,
+                2 * np.pi * f,
+                rng.uniform(0, 6.3, (6, n)),
+            ]
+            return
+        time, pose = 0.0, np.zeros(n)
+        while time < self.seconds + 2.0:
+            goal = rng.uniform(-1, 1, n) * self.span
+            last = rng.uniform(0.6, 1.8) / self.top
+            self.parts.append((time, last, pose, goal))
+            time, pose = time + last + rng.uniform(0.1, 0.6), goal
+
+    def __call__(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if self.sines:
+            a, w, p = self.parts
+            at = w * t + p
+            return (
+                (a * np.sin(at)).sum(0),
+                (a * w * np.cos(at)).sum(0),
+                (-a * w * w * np.sin(at)).sum(0),
+            )
+        begin, last, pose, goal = next(x for x in reversed(self.parts) if x[0] <= max(t, 0.0))
+        s, d = min(max((t - begin) / last, 0.0), 1.0), goal - pose
+        return (
+            pose + d * s**3 * (10 - 15 * s + 6 * s * s),
+            d * 30 * s**2 * (1 - s) ** 2 / last,
+            d * 60 * s * (1 - s) * (1 - 2 * s) / last**2,
+        )
+
+
+@dataclass
+class Sensors:
+    rate: float  # Hz, of the log
+    drive: float  # Hz
+    kind: str | None  # of the torque, as the log states it
+    angle: float  # rad, noise
+    speed: float  # rad/s, noise; below zero: no speed in the log
+    torque: float  # of each joint's rms, noise
+
+
+class Drive:
+    """Computed torque by the real robot's ordinary physics, with a loop of 5 Hz around it."""
+
+    STIFF, DAMPED = 30.0**2, 60.0
+
+    def __init__(self, real: mujoco.MjModel):
+        self.model = real.__copy__()
+        self.loss, self.damping = real.dof_frictionloss.copy(), real.dof_damping.copy()
+        self.model.dof_frictionloss[:] = self.model.dof_damping[:] = 0.0
+        self.data = mujoco.MjData(self.model)
+
+    def __call__(self, aim, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        d, (wanted, speed, a) = self.data, aim
+        d.qpos[:], d.qvel[:] = wanted, speed
+        d.qacc[:] = a + self.STIFF * (wanted - q) + self.DAMPED * (speed - v)
+        mujoco.mj_inverse(self.model, d)
+        return d.qfrc_inverse + self.damping * speed + self.loss * np.tanh(speed / 0.05)
+
+
+def play(
+    real: mujoco.MjModel, ordinary: mujoco.MjModel, odd: list[Odd], motion: Motion, s: Sensors, rng
+) -> dict[str, np.ndarray]:
+    """A log of the motion, and its torque without noise as `clean`; RuntimeError where the motion is lost."""
+    drive, d = Drive(ordinary), mujoco.MjData(real)
+    every, rows, count = (round(x / STEP) for x in (1 / s.drive, 1 / s.rate, motion.seconds))
+    late = round(max((o.delay for o in odd), default=0.0) / STEP)
+    zero = sum((o.zero for o in odd if o.zero is not None), np.zeros(real.nv))
+    d.qpos[:], d.qvel[:] = motion(0.0)[0] - zero, motion(0.0)[1]
+    told, q, v = np.zeros((count, real.nv)), [], []
+    for k in range(count):
+        if k % every == 0:
+            aim = motion(k * STEP)
+            told[k] = drive(aim, d.qpos + zero, d.qvel)
+        else:
+            told[k] = told[k - 1]
+        if k % rows == 0:
+            q.append(d.qpos + zero)
+            v.append(d.qvel.copy())
+        acts = told[max(0, k - late)]
+        d.xfrc_applied[:] = 0.0
+        for o in odd:
+            acts = o.motor(acts, d)
+            o.force(k * STEP, d)
+        d.qfrc_applied[:] = acts
+        mujoco.mj_step(real, d)
+        if not np.abs(d.qpos + zero - aim[0]).max() < 0.4:
+            raise RuntimeError("the loop lost its motion")
+    clean = told[::rows]
+    size = np.sqrt(np.mean(clean**2, 0))
+    noisy = lambda x, sigma: np.array(x) + sigma * rng.normal(size=np.shape(x))  # noqa: E731
+    out = {"time": np.arange(len(q)) / s.rate, "qpos": noisy(q, s.angle)}
+    if s.speed >= 0:
+        out["qvel"] = noisy(v, s.speed)
+    out |= {"tau": noisy(clean, s.torque * size), "clean": clean}
+    return out | ({"tau_kind": np.array(s.kind)} if s.kind else {})
+
+
+# -- odd effects: each from the robot, its joints' rms torques, and a size of one to be scaled
+
+
+def scaled(model: mujoco.MjModel, body: int, factor: float) -> None:
+    model.body_mass[body] *= factor
+    model.body_inertia[body] *= factor
+
+
+def loaded(model: mujoco.MjModel, body: int, mass: float, at: np.ndarray) -> None:
+    """A point mass fixed to the body."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    turn = turn.reshape(3, 3)
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+    m, c = model.body_mass[body], model.body_ipos[body].copy()
+    centre = (m * c + mass * at) / (m + mass)
+    for x, part in ((c, m), (at, mass)):
+        r = x - centre
+        inertia = inertia + part * (r @ r * np.eye(3) - np.outer(r, r))
+    size, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = m + mass, centre, size
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.flatten())
+
+
+def draw_odd(rng: np.random.Generator, robot: list[Joint], size: np.ndarray, top: float) -> Odd:
+    """One of the families; `size`: rms torque of each joint without it, `top`: fastest frequency of the motion."""
+    n = len(robot)
+    j = int(rng.integers(n))
+    name, body = robot[j].name, f"link_{robot[j].name[-1]}"
+    u = lambda low, high: float(rng.uniform(low, high))  # noqa: E731
+    sign = float(rng.choice([-1, 1]))
+    one = np.eye(n)[j]
+
+    def motor(change: Callable[[float, mujoco.MjData], float]):
+        return lambda tau, d: tau + one * change(tau[j], d)
+
+    def edit(attribute: str, index: int, value: float):
+        def change(model):
+            getattr(model, attribute)[index] = value
+
+        return change
+
+    def payload() -> Odd:
+        mass, at = robot[j].mass * u(0.1, 0.5), robot[j].centre * 2 + 0.03 * rng.normal(size=3)
+        return Odd("payload", body, {"mass": mass}, lambda m: loaded(m, j + 1, mass, at))
+
+    def com_shift() -> Odd:
+        off = unit(rng) * np.linalg.norm(robot[j].centre) * u(0.15, 0.5)
+
+        def change(m):
+            m.body_ipos[j + 1] += off
+
+        return Odd("com_shift", body, {"shift": float(np.linalg.norm(off))}, change)
+
+    def lighter() -> Odd:
+        factor = 1.0 + sign * u(0.12, 0.3)
+        return Odd("mass_scale", body, {"scale": factor}, lambda m: scaled(m, j + 1, factor))
+
+    def gain() -> Odd:
+        k = u(0.7, 0.92) if sign < 0 else u(1.08, 1.25)
+        return Odd("torque_gain", name, {"gain": k}, motor=motor(lambda t, d: (k - 1) * t))
+
+    def spring() -> Odd:
+        k = size[j] * u(0.15, 0.5) / motion_span(robot)[j]
+        return Odd("joint_spring", name, {"stiffness": k}, edit("jnt_stiffness", j, k))
+
+    def stribeck() -> Odd:
+        extra, vs = size[j] * u(0.1, 0.4), u(0.03, 0.2)
+        law = lambda t, d: -extra * np.exp(-abs(d.qvel[j]) / vs) * np.tanh(d.qvel[j] / 0.004)  # noqa: E731
+        return Odd("stribeck_friction", name, {"excess": extra, "velocity": vs}, motor=motor(law))
+
+    def uneven() -> Odd:
+        half = sign * size[j] * u(0.08, 0.25)
+        law = lambda t, d: -half * np.tanh(abs(d.qvel[j]) / 0.004)  # noqa: E731
+        return Odd("asymmetric_coulomb", name, {"half_difference": half}, motor=motor(law))
+
+    def by_load() -> Odd:
+        mu = u(0.06, 0.2)
+        law = lambda t, d: -mu * abs(t) * np.tanh(d.qvel[j] / 0.01)  # noqa: E731
+        return Odd("load_friction", name, {"mu": mu}, motor=motor(law))
+
+    def drag() -> Odd:
+        k = size[j] * u(0.1, 0.4) / (motion_span(robot)[j] * 2 * top) ** 2
+        law = lambda t, d: -k * d.qvel[j] * abs(d.qvel[j])  # noqa: E731
+        return Odd("quadratic_viscous", name, {"k": k}, motor=motor(law))
+
+    def cogging() -> Odd:
+        a, count, phase = size[j] * u(0.08, 0.25), int(rng.integers(4, 30)), u(0, 6.28)
+        law = lambda t, d: a * np.sin(count * d.qpos[j] + phase)  # noqa: E731
+        return Odd("cogging", name, {"amplitude": a, "periods": count}, motor=motor(law))
+
+    def limit() -> Odd:
+        most = size[j] * u(1.1, 1.6)
+        law = lambda t, d: np.clip(t, -most, most) - t  # noqa: E731
+        return Odd("torque_limit", name, {"limit": most}, motor=motor(law))
+
+    def lag() -> Odd:
+        time, state = u(0.004, 0.025), {}
+
+        def law(t, d):
+            last = state.get("x", t) if d.time > 0 else t
+            state["x"] = last + (t - last) * min(1.0, STEP / time)
+            return state["x"] - t
+
+        return Odd("actuator_lag", name, {"time_constant": time}, motor=motor(law))
+
+    def delay() -> Odd:
+        late = u(0.004, 0.02)
+        return Odd("time_delay", "global", {"delay": late}, delay=late)
+
+    def encoder() -> Odd:
+        off = sign * u(0.01, 0.06)
+        return Odd("encoder_offset", name, {"offset": off}, zero=off * one)
+
+    def tilt() -> Odd:
+        turn, axis = u(0.02, 0.1), unit(rng) * [1, 1, 0]
+        axis = axis / np.linalg.norm(axis)
+
+        def change(m):
+            down = m.opt.gravity.copy()
+            m.opt.gravity[:] = np.cos(turn) * down + np.sin(turn) * np.cross(axis, down)
+
+        return Odd("gravity_tilt", "global", {"angle": turn}, change)
+
+    def pull() -> Odd:
+        k = n - 1
+        f = unit(rng) * size[k] / max(0.1, float(np.linalg.norm(robot[k].centre))) * u(0.2, 0.6)
+
+        def act(t, d):
+            d.xfrc_applied[k + 1, :3] += f
+
+        return Odd(
+            "external_force",
+            f"link_{robot[k].name[-1]}",
+            {"force": float(np.linalg.norm(f))},
+            force=act,
+        )
+
+    def push() -> Odd:
+        begin, last, k = u(3, 14), u(0.15, 0.6), n - 1
+        f = unit(rng) * size[k] / max(0.1, float(np.linalg.norm(robot[k].centre))) * u(0.8, 2.5)
+
+        def act(t, d):
+            if begin <= t < begin + last:
+                d.xfrc_applied[k + 1, :3] += f * np.sin(np.pi * (t - begin) / last)
+
+        numbers = {"force": float(np.linalg.norm(f)), "start": begin, "duration": last}
+        return Odd("push", f"link_{robot[k].name[-1]}", numbers, force=act)
+
+    makers = (
+        payload, com_shift, lighter, gain, spring, stribeck, uneven, by_load, drag, cogging, limit, lag, delay,
+        encoder, tilt, pull, push,
+    )  # fmt: skip
+    return makers[rng.integers(len(makers))]()
+
+
+def motion_span(robot: list[Joint]) -> np.ndarray:
+    """Half of each joint's range [rad, m]."""
+    return np.array([0.15 if j.slide else 0.9 for j in robot])
+
+
+# -- a log
+
+
+def off_the_drawing(rng: np.random.Generator, model: mujoco.MjModel) -> None:
+    """Bodies as a maker states them: masses 2 %, centres 1 mm, inertias 5 % (1 sigma)."""
+    n = model.nbody
+    factor = 1 + 0.02 * rng.normal(size=n)
+    model.body_mass[:] *= factor
+    model.body_inertia[:] *= (factor * (1 + 0.05 * rng.normal(size=n)))[:, None]
+    model.body_ipos[1:] += 0.001 * rng.normal(size=(n - 1, 3))
+
+
+def draw(rng: np.random.Generator) -> tuple[dict, dict, dict[str, str]]:
+    """log, test, files of text; RuntimeError where no loop holds its motion."""
+    robot = depth_first(tree(rng))
+    calibrated = bool(rng.random() < 0.2)
+    bare = mujoco.MjModel.from_xml_string(mjcf(robot))
+    drawing, span = mjcf(robot), motion_span(robot)
+    sines, top = bool(rng.random() < 0.6), float(rng.uniform(0.4, 1.0))
+    motions = [Motion(rng, span, x, t, top) for x, t in ((sines, 20.0), (not sines, 12.0))]
+    s = Sensors(
+        rate=float(rng.choice([100, 200, 250, 500, 1000])),
+        drive=float(rng.choice([500, 1000])),
+        kind=rng.choice([None, "commanded", "sensor"]),
+        angle=10 ** rng.uniform(-5, -4),
+        speed=-1.0 if rng.random() < 0.3 else 10 ** rng.uniform(-3, -2),
+        torque=float(rng.uniform(0.003, 0.015)),
+    )
+    rigid = play(bare, bare, [], motions[0], s, rng)["clean"]
+    size = np.sqrt(np.mean(rigid**2, 0))
+    size = np.maximum(size, 0.1 * size.max() * np.where(span < 0.5, 5.0, 1.0))
+    for k, j in enumerate(robot):
+        j.armature = float(reflected_inertia(bare, k) * rng.uniform(0.1, 0.8))
+        j.loss = float(size[k] * rng.uniform(0.05, 0.3))
+        j.damping = float(size[k] * rng.uniform(0.03, 0.2) / (span[k] * 2 * top))
+    text = mjcf(robot)
+    count = 0 if (x := rng.random()) < 0.3 else 1 if x < 0.75 else 2
+    odd = [draw_odd(rng, robot, size, top) for _ in range(count)]
+    ordinary, real = (mujoco.MjModel.from_xml_string(text) for _ in range(2))
+    if not calibrated:
+        off = rng.integers(2**31)
+        for model in (ordinary, real):
+            off_the_drawing(np.random.default_rng(off), model)
+    for o in odd:
+        o.edit(real)
+    runs = []
+    for motion in motions:
+        run = play(real, ordinary, odd, motion, s, rng)
+        del run["clean"]
+        runs.append(run | {"joint_names": np.array([j.name for j in robot])})
+    truth = {
+        "calibrated": calibrated,
+        "odd": [{"family": o.family, "place": o.place, "numbers": o.numbers} for o in odd],
+        "joints": {
+            j.name: {"damping": j.damping, "coulomb": j.loss, "armature": j.armature} for j in robot
+        },
+        "sensors": vars(s),
+        "sines": sines,
+    }
+    texts = {
+        "nominal.xml": text if calibrated else drawing,
+        "truth.json": json.dumps(truth, indent=1),
+    }
+    return *runs, texts
+
+
+def write(out: str, seed: int, index: int) -> str:
+    folder = Path(out) / f"{index:05d}"
+    if (folder / "truth.json").exists():
+        return "is there"
+    for attempt in range(10):
+        try:
+            log, test, texts = draw(np.random.default_rng([NUMBER, seed, index, attempt]))
+        except RuntimeError:
+            continue
+        write_folder(folder, log, test, texts)
+        truth = json.loads(texts["truth.json"])
+        return ", ".join(f"{o['family']} at {o['place']}" for o in truth["odd"]) or "nothing odd"
+    raise RuntimeError("no loop holds its motion")
+
+
+if __name__ == "__main__":
+    args = parser(__doc__, 20).parse_args()
+    write_all(args, write, str(args.out))
