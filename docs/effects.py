@@ -14,7 +14,8 @@ searches take effects from one registry, `jax_inertia/diagnosis/effects/registry
 [contributing.md](contributing.md#recipe-an-effect). This page is written by `python docs/effects.py`.
 
 *Step law*: what no attribute of a model can say is done before each step, in MuJoCo C and in MJX
-(`jax_inertia.diagnosis.simulate.step_law`). Numbers are a hinge's; of a slide read m for rad and N for N m.
+(`jax_inertia.diagnosis.simulate.step_law`). Numbers are a hinge's; of a slide read m for rad and N for N m,
+and 0.1 m where a prior has a radian: the radius of a pulley or pinion.
 """
 KINDS = (
     ("Every joint has these", lambda e: e.ordinary),

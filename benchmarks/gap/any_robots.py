@@ -1,11 +1,12 @@
 """Development data: robots of any shape as MuJoCo itself plays them, bought without friction and rotors or calibrated.
 
-    python benchmarks/gap/any_robots.py OUT --n 20 --seed 1 [--first 0] [--jobs 1]
+    python benchmarks/gap/any_robots.py OUT --n 20 --seed 1 [--first 0] [--jobs 1] [--targets]
 
 writes OUT/00042/{nominal.xml, log.npz, test.npz, truth.json}. Trees of 2 to 7 hinges and slides about any axis, links
 of any proportions, MuJoCo's own friction loss, damping and armature, 100 to 1000 Hz, motions of sines or from pose to
 pose; one log in three has nothing odd, one in four two odd effects. Beside `cad.py`, whose five robots and bristles are
-always the same: what holds there by chance does not hold here. Shares no code with the package.
+always the same: what holds there by chance does not hold here. `--targets`: robots that are told positions, without a
+torque in their logs, in arrays kp and kd the loop's gains. Shares no code with the package.
 """
 
 from __future__ import annotations
@@ -215,11 +216,28 @@ class Drive:
         return d.qfrc_inverse + self.damping * speed + self.loss * np.tanh(speed / 0.05)
 
 
+class Loop:
+    """kp (target − q) − kd q̇: a loop that is as stiff as sags by 0.02 to 0.1 rad ask for, damped by 0.5 to 1."""
+
+    def __init__(
+        self, rng: np.random.Generator, size: np.ndarray, inertia: np.ndarray, sag: np.ndarray
+    ):
+        self.kp = size / (sag * rng.uniform(0.02, 0.1, len(size)))
+        self.kp = np.maximum(self.kp, 15.0**2 * inertia)
+        self.kd = 2 * rng.uniform(0.5, 1.0, len(size)) * np.sqrt(self.kp * inertia)
+
+    def __call__(self, aim, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return self.kp * (aim[0] - q) - self.kd * v
+
+
 def play(
-    real: mujoco.MjModel, ordinary: mujoco.MjModel, odd: list[Odd], motion: Motion, s: Sensors, rng
+    real: mujoco.MjModel, drive: Drive | Loop, odd: list[Odd], motion: Motion, s: Sensors, rng
 ) -> dict[str, np.ndarray]:
-    """A log of the motion, and its torque without noise as `clean`; RuntimeError where the motion is lost."""
-    drive, d = Drive(ordinary), mujoco.MjData(real)
+    """A log of the motion, and its torque without noise as `clean`; RuntimeError where the motion is lost.
+
+    A loop is told a target at each row of its log, late where a torque would be.
+    """
+    d, told_positions = mujoco.MjData(real), isinstance(drive, Loop)
     every, rows, count = (round(x / STEP) for x in (1 / s.drive, 1 / s.rate, motion.seconds))
     late = round(max((o.delay for o in odd), default=0.0) / STEP)
     zero = sum((o.zero for o in odd if o.zero is not None), np.zeros(real.nv))
@@ -227,14 +245,15 @@ def play(
     told, q, v = np.zeros((count, real.nv)), [], []
     for k in range(count):
         if k % every == 0:
-            aim = motion(k * STEP)
+            at = max(0, k - late) // rows * rows if told_positions else k
+            aim = motion(at * STEP)
             told[k] = drive(aim, d.qpos + zero, d.qvel)
         else:
             told[k] = told[k - 1]
         if k % rows == 0:
             q.append(d.qpos + zero)
             v.append(d.qvel.copy())
-        acts = told[max(0, k - late)]
+        acts = told[k if told_positions else max(0, k - late)]
         d.xfrc_applied[:] = 0.0
         for o in odd:
             acts = o.motor(acts, d)
@@ -249,6 +268,9 @@ def play(
     out = {"time": np.arange(len(q)) / s.rate, "qpos": noisy(q, s.angle)}
     if s.speed >= 0:
         out["qvel"] = noisy(v, s.speed)
+    if isinstance(drive, Loop):
+        targets = np.array([motion(t)[0] for t in out["time"]])
+        return out | {"qpos_target": targets, "kp": drive.kp, "kd": drive.kd, "clean": clean}
     out |= {"tau": noisy(clean, s.torque * size), "clean": clean}
     return out | ({"tau_kind": np.array(s.kind)} if s.kind else {})
 
@@ -428,7 +450,7 @@ def off_the_drawing(rng: np.random.Generator, model: mujoco.MjModel) -> None:
     model.body_ipos[1:] += 0.001 * rng.normal(size=(n - 1, 3))
 
 
-def draw(rng: np.random.Generator) -> tuple[dict, dict, dict[str, str]]:
+def draw(rng: np.random.Generator, targets: bool) -> tuple[dict, dict, dict[str, str]]:
     """log, test, files of text; RuntimeError where no loop holds its motion."""
     robot = depth_first(tree(rng))
     calibrated = bool(rng.random() < 0.2)
@@ -444,7 +466,7 @@ def draw(rng: np.random.Generator) -> tuple[dict, dict, dict[str, str]]:
         speed=-1.0 if rng.random() < 0.3 else 10 ** rng.uniform(-3, -2),
         torque=float(rng.uniform(0.003, 0.015)),
     )
-    rigid = play(bare, bare, [], motions[0], s, rng)["clean"]
+    rigid = play(bare, Drive(bare), [], motions[0], s, rng)["clean"]
     size = np.sqrt(np.mean(rigid**2, 0))
     size = np.maximum(size, 0.1 * size.max() * np.where(span < 0.5, 5.0, 1.0))
     for k, j in enumerate(robot):
@@ -462,8 +484,10 @@ def draw(rng: np.random.Generator) -> tuple[dict, dict, dict[str, str]]:
     for o in odd:
         o.edit(real)
     runs = []
+    inertia = np.array([reflected_inertia(ordinary, k) for k in range(len(robot))])
+    drive = Loop(rng, size, inertia, span / 0.9) if targets else Drive(ordinary)
     for motion in motions:
-        run = play(real, ordinary, odd, motion, s, rng)
+        run = play(real, drive, odd, motion, s, rng)
         del run["clean"]
         runs.append(run | {"joint_names": np.array([j.name for j in robot])})
     truth = {
@@ -482,13 +506,13 @@ def draw(rng: np.random.Generator) -> tuple[dict, dict, dict[str, str]]:
     return *runs, texts
 
 
-def write(out: str, seed: int, index: int) -> str:
+def write(out: str, targets: bool, seed: int, index: int) -> str:
     folder = Path(out) / f"{index:05d}"
     if (folder / "truth.json").exists():
         return "is there"
     for attempt in range(10):
         try:
-            log, test, texts = draw(np.random.default_rng([NUMBER, seed, index, attempt]))
+            log, test, texts = draw(np.random.default_rng([NUMBER, seed, index, attempt]), targets)
         except RuntimeError:
             continue
         write_folder(folder, log, test, texts)
@@ -498,5 +522,9 @@ def write(out: str, seed: int, index: int) -> str:
 
 
 if __name__ == "__main__":
-    args = parser(__doc__, 20).parse_args()
-    write_all(args, write, str(args.out))
+    options = parser(__doc__, 20)
+    options.add_argument(
+        "--targets", action="store_true", help="logs of position-controlled robots"
+    )
+    args = options.parse_args()
+    write_all(args, write, str(args.out), args.targets)

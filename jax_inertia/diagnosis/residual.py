@@ -111,9 +111,9 @@ class Residual:
     @functools.cached_property
     def weight(self) -> Float[np.ndarray, "R n"]:
         """1 where a row is measured and its joint moves, 0 where it rests: there friction is whatever balances."""
-        moving = np.ones_like(self.context.v)
+        speed, moving = np.abs(self.context.v / self.context.radian), np.ones_like(self.context.v)
         for row in self.context.joint_dofs.values():
-            moving[:, row] = np.abs(self.context.v[:, row]) > self.settings.rest_speed
+            moving[:, row] = speed[:, row] > self.settings.rest_speed
         moves = np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
         return moves * self.prepared.valid
 

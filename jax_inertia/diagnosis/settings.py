@@ -63,7 +63,7 @@ class Settings:
     """Log odds [nats] from which a model counts as bought, not calibrated: 20 to 1 (Kass and Raftery, JASA 90(430),
     1995). Where a log says next to nothing of friction, joints' votes add up to a fraction of a nat of either sign."""
     rest_speed: float = 0.02
-    """Joints slower than this [rad/s] are at rest: there dry friction is whatever balances."""
+    """Joints slower than this [rad/s, slides in 0.1 m/s] are at rest: there dry friction is whatever balances."""
     distinct: float = 3.0
     """Posterior standard deviations from zero from which a number is listed. Decision (99.7 %)."""
     material: float = 0.02

@@ -42,6 +42,10 @@ class Block:
     """0/1 matrix (nodes of the run, entries): the entry on which each node hangs."""
 
 
+PINION = 0.1
+"""What a slide moves by in a radian of its drive [m]: radius of a pulley or pinion."""
+
+
 @dataclass(frozen=True)
 class Topology:
     """The static part of a robot: what is connected to what, hashable so that `jit` may specialise on it."""
@@ -66,6 +70,11 @@ class Topology:
         """Whether each degree of freedom is a rotation (nv,)."""
         kind = np.array(self.kind)[self.dof_node]
         return (kind == HINGE) | (kind == BALL) | ((kind == FREE) & (self.dof_local >= 3))
+
+    @functools.cached_property
+    def dof_radian(self) -> np.ndarray:
+        """What of each degree of freedom counts for as much as a radian of a hinge: of a slide `PINION` (nv,)."""
+        return np.where(self.dof_rotates, 1.0, PINION)
 
     @functools.cached_property
     def dof_in_world(self) -> np.ndarray:

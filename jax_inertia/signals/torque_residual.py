@@ -172,10 +172,11 @@ def prepare(
     observation = observed(source, robot, bands, rng)
     v = np.asarray(observation.motion.v)
     # As slow as the chain ends: noise of the encoders does not move a joint.
-    slow = below(bands.cutoff, v, rate)
-    creeping = np.asarray(robot.frictionloss) * softness(robot)
+    radian = robot.topology.dof_radian
+    slow = below(bands.cutoff, v, rate) / radian
+    creeping = np.asarray(robot.frictionloss) * softness(robot) / radian
     rest = at_rest(slow, rate, creeping) & robot.topology.dof_scalar
-    dry = np.asarray(robot.frictionloss) * direction(v, rest)
+    dry = np.asarray(robot.frictionloss) * direction(v / radian, rest)
     inverse = needed_torques(without_friction(robot), observation) + dry
     tau = np.asarray(observation.motion.tau)
     # The first low-pass carries what was bridged about a period of its cut-off outwards.

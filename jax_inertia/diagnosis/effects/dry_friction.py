@@ -34,8 +34,9 @@ def direction(context, row: int, presliding: float, way: float = BENT) -> np.nda
 
 def turnings(context, place) -> list[Shape]:
     """How a joint's dry friction may turn round: presliding and way; the levels that MuJoCo's creeps at."""
-    peak = peak_of(context, place.index)
-    return [(x, BENT) for x in (*PRESLIDING, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+    peak, radian = peak_of(context, place.index), float(context.radian[place.index])
+    ways = (radian * x for x in PRESLIDING)
+    return [(x, BENT) for x in (*ways, *(-peak * s for s in (0.3, 0.1, 0.03)))]
 
 
 class DryFriction(Effect):
@@ -139,13 +140,15 @@ class StribeckFriction(DryFriction):
     mjcf = "joint frictionloss for Fc; the rest by step law"
 
     def shapes(self, context, place) -> list[Shape]:
-        return [(*x, v, 2.0) for x in super().shapes(context, place) for v in STRIBECK_SPEEDS]
+        speeds = float(context.radian[place.index]) * np.array(STRIBECK_SPEEDS)
+        return [(*x, float(v), 2.0) for x in super().shapes(context, place) for v in speeds]
 
     def steps(self, context, place, shape):
         return (*super().steps(context, place, shape[:2]), 0.3 * shape[2], 0.0)
 
     def within(self, context, place, shape):
-        return STRIBECK_SPEEDS[0] <= shape[2] <= STRIBECK_SPEEDS[-1]
+        speed = shape[2] / context.radian[place.index]
+        return bool(STRIBECK_SPEEDS[0] <= speed <= STRIBECK_SPEEDS[-1])
 
     def columns(self, context, place, shape):
         z = self.direction(context, place, shape)

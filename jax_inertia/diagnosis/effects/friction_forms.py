@@ -66,7 +66,7 @@ class FrictionForms(Effect):
         z, v = direction(context, row, shape[0]), context.v[:, row]
         load = np.abs(context.inverse[:, row])
         forms = [
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.05, 0.2)),
+            *(z * np.exp(-((v / context.radian[row] / speed) ** 2)) for speed in (0.05, 0.2)),
             z * load,
             np.abs(v) * v,
             np.abs(z),
@@ -108,7 +108,7 @@ class StatedFriction(Effect):
     def shapes(self, context, place):
         # Its level is known, and so is how fast a soft constraint lets it creep.
         own = -float(context.frictionloss[place.index])
-        return [(x, BENT) for x in (*PRESLIDING, own)]
+        return [(x, BENT) for x in (*(context.radian[place.index] * x for x in PRESLIDING), own)]
 
     def columns(self, context, place, shape):
         row = place.index
@@ -116,7 +116,7 @@ class StatedFriction(Effect):
         dry = [
             context.side[:, row] - z,
             *(z - direction(context, row, x) for x in _other_ways(shape[0])),
-            *(z * np.exp(-((v / speed) ** 2)) for speed in (0.02, 0.05, 0.2)),
+            *(z * np.exp(-((v / context.radian[row] / speed) ** 2)) for speed in (0.02, 0.05, 0.2)),
         ]
         top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
         bent = float(context.damping[row]) * np.abs(v) * v / top

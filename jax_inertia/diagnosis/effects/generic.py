@@ -62,7 +62,7 @@ class FrictionOfPosition(_Free):
 
     def columns(self, context, place, shape):
         hats = super().columns(context, place, shape)
-        z = context.bristle(place.index, 3e-4)
+        z = context.bristle(place.index, 3e-4 * float(context.radian[place.index]))
         return of_row(-hats.values * z[:, None], place)
 
 
@@ -76,7 +76,8 @@ class MemoryOfPosition(Effect):
     )
 
     def columns(self, context, place, shape):
-        turning = [context.bristle(place.index, travel) for travel in TRAVELS]
+        radian = float(context.radian[place.index])
+        turning = [context.bristle(place.index, radian * travel) for travel in TRAVELS]
         return of_row(-np.stack([context.joint_position[:, place.index], *turning], 1), place)
 
     def scale(self, context, place, shape):

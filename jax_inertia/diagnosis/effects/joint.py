@@ -13,13 +13,18 @@ ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1
 
 
 class _AlongTheJoint(Effect):
-    """A column of the joint's motion; θ scales with the joint's peak torque by `share`."""
+    """A column of the joint's motion; θ scales with the joint's peak torque by `share`.
 
-    share = 0.1
+    At the joint's usual speed, where the torque grows with that to the power `of_speed`.
+    """
+
+    share, of_speed = 0.1, 0
     advice = advice.WIDE
 
     def scale(self, context, place, shape):
-        return np.array([self.share * peak_of(context, place.index)])
+        row = place.index
+        usual = context.usual_speed[row] ** self.of_speed
+        return np.array([self.share * peak_of(context, row) / usual])
 
     def numbers(self, context, place, shape, theta):
         ((name, unit),) = self.units.items()
@@ -29,7 +34,8 @@ class _AlongTheJoint(Effect):
 class ViscousFriction(_AlongTheJoint):
     name, equation, ordinary, form_error = "viscous_friction", "−d q̇", True, 0.02
     source, units, share = ARMSTRONG, {"damping": "N m s/rad"}, 0.15
-    prior = "0.15 of the joint's peak torque at 1 rad/s; not below minus the model's own"
+    of_speed = 1
+    prior = "0.15 of the joint's peak torque at top speed, 1 rad/s at most; not below minus the model's own"
     mjcf = "joint damping"
 
     def columns(self, context, place, shape):
@@ -86,8 +92,8 @@ class TorqueBias(_AlongTheJoint):
 class AsymmetricViscous(_AlongTheJoint):
     name, equation, refines = "asymmetric_viscous", "−½ (d⁺ − d⁻) |q̇|", True
     source = ARMSTRONG
-    units, share, form_error = {"difference": "N m s/rad"}, 0.05, 0.05
-    prior = "0.05 of the joint's peak torque at 1 rad/s"
+    units, share, of_speed, form_error = {"difference": "N m s/rad"}, 0.05, 1, 0.05
+    prior = "0.05 of the joint's peak torque at top speed, 1 rad/s at most"
     mjcf = "none: step law"
 
     def columns(self, context, place, shape):
@@ -100,8 +106,8 @@ class AsymmetricViscous(_AlongTheJoint):
 class QuadraticViscous(_AlongTheJoint):
     name, equation, refines = "quadratic_viscous", "−c |q̇| q̇", True
     source = "churning of oil; " + ARMSTRONG
-    units, share, form_error = {"coefficient": "N m s²/rad²"}, 0.05, 0.05
-    prior = "0.05 of the joint's peak torque at 1 rad/s"
+    units, share, of_speed, form_error = {"coefficient": "N m s²/rad²"}, 0.05, 2, 0.05
+    prior = "0.05 of the joint's peak torque at top speed, 1 rad/s at most"
     mjcf = "joint damping, its second coefficient; MJX by step law"
     unread_by_mjx = True
 
@@ -121,9 +127,9 @@ class FrictionDrift(_AlongTheJoint):
     name, equation, refines = "friction_drift", "−(d∞ + d₁ exp(−t/T)) q̇", True
     source = "a lubricant that warms up; Simoni, Beschi, Legnani and Visioli, Robotica 37(5), 2019"
     units = {"damping": "N m s/rad", "damping_final": "N m s/rad", "time_constant": "s"}
-    share, form_error, advice = 0.1, 0.05, advice.FROM_COLD
+    share, of_speed, form_error, advice = 0.1, 1, 0.05, advice.FROM_COLD
     level, level_in = "viscous_friction", ("damping", "damping_final")
-    prior = "d₁: 0.1 of the joint's peak torque at 1 rad/s, not below zero; T from 0.5 to 24 s"
+    prior = "d₁: 0.1 of the joint's peak torque at top speed, 1 rad/s at most; not below zero; T from 0.5 to 24 s"
     mjcf = "joint damping for d∞; the rest by step law"
 
     def shapes(self, context, place):
@@ -181,7 +187,9 @@ class JointSpring(_AlongTheJoint):
         return of_row(np.stack([np.ones_like(q), -q], axis=1), place)
 
     def scale(self, context, place, shape):
-        return super().scale(context, place, shape) * np.array([RESTS_WITHIN, 1.0])
+        return super().scale(context, place, shape) * np.array(
+            [RESTS_WITHIN, 1.0 / context.radian[place.index]]
+        )
 
     def numbers(self, context, place, shape, theta):
         moment, stiffness = (float(x) for x in theta)
@@ -192,7 +200,8 @@ class JointSpring(_AlongTheJoint):
 
     def possible(self, context, place, theta):
         whole = theta[1] >= -float(context.stiffness[place.index]) - 1e-12
-        return bool(whole and abs(theta[0]) <= FURTHEST_REST * abs(theta[1]))
+        furthest = FURTHEST_REST * context.radian[place.index]
+        return bool(whole and abs(theta[0]) <= furthest * abs(theta[1]))
 
     def edit(self, spec, model, found):
         values = found.values
@@ -217,7 +226,8 @@ class Cogging(_AlongTheJoint):
     mjcf = "none: step law"
 
     def shapes(self, context, place):
-        q, v = context.joint_position[:, place.index], context.v[:, place.index]
+        radian = context.radian[place.index]
+        q, v = (x[:, place.index] / radian for x in (context.joint_position, context.v))
         span = max(float(np.ptp(q)), 1e-3)
         # Faster than the analysis band lets through at half the moments, teeth are not seen.
         fastest = 0.7 * context.prepared.bands.cutoff * 2 * np.pi
@@ -225,10 +235,10 @@ class Cogging(_AlongTheJoint):
         # From half a wave: of less, a spring says the same.
         lowest = max(4.0, np.pi / span)
         step = max(0.5, 1.5 / span)
-        return [(float(n),) for n in np.arange(lowest, max(highest, lowest), step)]
+        return [(float(n) / radian,) for n in np.arange(lowest, max(highest, lowest), step)]
 
     def steps(self, context, place, shape):
-        return (0.2,)
+        return (0.2 / context.radian[place.index],)
 
     many = True
 

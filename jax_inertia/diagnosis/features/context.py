@@ -48,7 +48,7 @@ class Context:
         self.a = np.asarray(prepared.observation.a)
         self.tau, self.inverse = prepared.tau, prepared.inverse
         self.at_rest = prepared.rest
-        self.side = direction(self.v, self.at_rest)
+        self.side = direction(self.v / self.radian, self.at_rest)
         # As NumPy: an element of a JAX array costs a dispatch, and families read them shape by shape.
         r = prepared.robot
         self.armature, self.damping = np.asarray(r.armature), np.asarray(r.damping)
@@ -111,6 +111,16 @@ class Context:
     def speed(self) -> np.ndarray:
         """Peak speed of each row: the 99.5th percentile [rad/s]."""
         return np.percentile(np.abs(self.v), 99.5, axis=0)
+
+    @functools.cached_property
+    def radian(self) -> Float[np.ndarray, " nv"]:
+        """What of each row's position counts for as much as a radian of a hinge (nv,)."""
+        return self.robot.topology.dof_radian
+
+    @functools.cached_property
+    def usual_speed(self) -> Float[np.ndarray, " nv"]:
+        """Speed at which each row's torques that grow with speed are a share of its peak: a radian a second at most."""
+        return np.clip(self.speed, 1e-6, self.radian)
 
     @functools.cached_property
     def scale(self) -> float:
@@ -284,8 +294,8 @@ class Context:
 
         Held, friction is whatever balances: not the sign of a velocity that is nothing but noise.
         """
-        still = stillness(self.frictionloss * self._softness)
-        return share_below(self.v, still) * (self.frictionloss > 0)
+        still = stillness(self.frictionloss * self._softness / self.radian)
+        return share_below(self.v / self.radian, still) * (self.frictionloss > 0)
 
     @functools.cached_property
     def _softness(self) -> np.ndarray:
@@ -329,7 +339,8 @@ class Context:
         the link at each reversal.
         """
         friction = self.frictionloss[row]
-        turning = self.bristle(row, TURNS_OVER) if friction > 0 else 0.0
+        over = TURNS_OVER * float(self.radian[row])
+        turning = self.bristle(row, over) if friction > 0 else 0.0
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
         # Where that friction may hold the motor, or turns round, it is not known; and what a spring carries is smooth.
         known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))

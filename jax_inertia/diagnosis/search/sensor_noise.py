@@ -8,7 +8,7 @@ what noise adds to AᵀW (y − X m̂), m̂ = C XᵀW y the numbers of what is c
 
 (corrected score of errors in variables: Nakamura, Biometrika 77(1), 1990). The second term is the noise that the chosen
 take: what a rotor inertia's tolerance explains of it, another rotor inertia there does not. Of one log it is as much by
-chance as from one replica to the next, which counts as well: a score within that has nothing beside noise.
+chance as from one replica to the next, which counts as well: a score within that says nothing but noise.
 """
 
 import numpy as np
