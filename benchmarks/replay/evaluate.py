@@ -43,7 +43,7 @@ def diagnose(folder: Path) -> None:
     clock, cpu = time.time(), _cpu()
     found = pipeline.diagnose([log], spec)
     spent = _cpu() - cpu
-    plant = Plant(spec(), log.joint_names, found.loop, holds=True)
+    plant = Plant(spec(), log.joint_names, found.loop, holds=found.holds)
     record = record_of(test, found.loop)
     path = simulate.replay(plant, found.found.table, found.found.theta[None], record)[0]
     bare = Plant(spec(), log.joint_names, found.loop)

@@ -101,7 +101,7 @@ def compared(model: Path, logs, tests, seconds: float, start_kp: float) -> dict:
     )
     spent = _cpu() - cpu
     names, loop = found.names, found.loop
-    bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
+    bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=found.holds)
     runs = {k: record_of(v, position_loop(v, spec().compile())) for k, v in tests.items()}
     cpu = _cpu()
     fits = [record_of(v, loop) for v in logs]

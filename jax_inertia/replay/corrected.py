@@ -40,7 +40,7 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
         with_loop(spec, names, loop)
     for j, name in enumerate(names):
         joint, actuator = spec.joint(name), actuator_of(spec, name)
-        if found.verdict is not Verdict.NO_GAP:
+        if found.verdict is not Verdict.NO_GAP and found.holds:
             joint.solimp_friction = HOLD
         if x.armature[j] != was.armature[j]:
             # Less than none is a loop's hold, which a model's timestep has too.
@@ -177,11 +177,8 @@ def policy(found: Diagnosis) -> dict[str, Any]:
         gains = joints.setdefault(name, {})
         gains["kp"] = {"value": float(found.loop.kp[j]), "unit": "N m/rad", "scaled_by": "kp_scale"}
         gains["kd"] = {"value": float(found.loop.kd[j]), "unit": "N m s/rad"}
-    return {
-        "joints": joints,
-        "all_joints": shared,
-        "friction_at_rest": {"solimpfriction": HOLD.tolist()},
-    }
+    at_rest = {"friction_at_rest": {"solimpfriction": HOLD.tolist()}} if found.holds else {}
+    return {"joints": joints, "all_joints": shared, **at_rest}
 
 
 _POLICY = {"viscous_friction": "damping", "coulomb_friction": "frictionloss"}

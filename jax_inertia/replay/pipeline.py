@@ -21,6 +21,7 @@ from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
+from jax_inertia.replay.search.tries import AS_GOOD
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""
@@ -30,6 +31,8 @@ _IDLE = 0.005
 _SPARSER = 1.01
 _DROPPED = 3
 """Effects at most that are dropped because the held-out replay is worse for them."""
+
+_LIKE_MUJOCO = "joints that friction should hold creep at rest, as MuJoCo's own friction lets them: it is left so"
 
 Progress = Callable[[str], None]
 
@@ -72,8 +75,8 @@ def diagnose(
     own = _ordinary(plant, records, torque, loops, logs)
     table = tuple(p for p in own if p.family not in exclude)
     sound = listing.at_floor(replayed)
-    done = _fitted(plant, table, records, held, torque, sound, exclude, progress)
-    everything, found, shares = done.everything, done.found, done.shares
+    done = _fitted((plant, bare), table, records, held, torque, sound, exclude, progress)
+    plant, everything, found, shares = done.plant, done.everything, done.found, done.shares
     after = nominal if sound else proof.paths(plant, found.table, found.theta, held)
     replayed = dataclasses.replace(replayed, corrected=after)
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
@@ -94,16 +97,18 @@ def diagnose(
     notes = [*said, *causal.notes(done.stamps, found, loop, torque_logged)]
     notes += checks.touch_note(wholes)
     if not sound:
-        notes += proof.creeping(bare, found, replayed)
+        notes += proof.creeping(bare, found, replayed) if plant.holds else [_LIKE_MUJOCO]
     numbers = plant.numbers(found.table, found.theta, None)
     worse = () if sound else proof.worse(replayed, names)
     return Diagnosis(
         verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
-        plant.nominal, proof.mean_friction(numbers, held), replayed, worse, tuple(notes),
+        plant.nominal, proof.mean_friction(numbers, held), plant.holds, replayed, worse, tuple(notes),
     )  # fmt: skip
 
 
 class _Fitted(NamedTuple):
+    plant: Plant
+    """Whose dry friction does at rest what the robot's does."""
     stamps: Fit
     """Ordinary numbers alone, their delay as the log would have it."""
     everything: Fit
@@ -119,22 +124,20 @@ class _Fitted(NamedTuple):
     """That were fitted, and in which samples the robot touches something."""
 
 
-def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _Fitted:
+def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _Fitted:
     """All numbers at once, those that are needed, odd effects, what each takes, and what would do instead."""
+    plant, bare = plants
     least = checks.least(held, plant.loop)
-    progress("looking for kp and delay")
-    start = fitting.start(plant, table, records, plant.loop.source == "model")
-    scale = np.array(
-        [np.exp(x) for p, x in zip(table, start, strict=True) if p.family == "kp_scale"]
-    )
-    if len(scale) == len(plant.names):
-        plant.retime(plant.loop.kp * np.minimum(2.0 * scale, 1.0))
-    everything = fitting.fit(plant, table, records, start, floor=least, progress=progress)
+    everything = _ordinary_fit(plant, table, records, least, progress)
     if sound:
         nominal = np.array([p.nominal for p in table])
         none = odd.Search(everything, (), (), ())
         same = everything._replace(theta=nominal)
-        return _Fitted(everything, everything, same, none, {}, {}, (), records)
+        return _Fitted(plant, everything, everything, same, none, {}, {}, (), records)
+    progress("the same with a friction that creeps at rest")
+    creeping = _ordinary_fit(bare, table, records, least, progress)
+    if _creeps(plants, everything, creeping, held, least):
+        plant, everything = bare, creeping
     records = checks.without_touches(plant, everything, records)
     if any(r.touched is not None for r in records):
         progress("fitting without what is touched")
@@ -153,7 +156,39 @@ def _fitted(plant, table, records, held, torque, sound, exclude, progress) -> _F
     large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     told = causal.with_variance(search.found, everything)
-    return _Fitted(everything, told, found, search, others, shares, seen, records)
+    return _Fitted(plant, everything, told, found, search, others, shares, seen, records)
+
+
+def _ordinary_fit(plant: Plant, table, records, least, progress) -> Fit:
+    """All ordinary numbers at once; the plant's steps are as long as the loops that were found allow."""
+    progress("looking for kp and delay")
+    start = fitting.start(plant, table, records, plant.loop.source == "model")
+    scale = np.array(
+        [np.exp(x) for p, x in zip(table, start, strict=True) if p.family == "kp_scale"]
+    )
+    if len(scale) == len(plant.names):
+        plant.retime(plant.loop.kp * np.minimum(2.0 * scale, 1.0))
+    return fitting.fit(plant, table, records, start, floor=least, progress=progress)
+
+
+def _creeps(
+    plants: tuple[Plant, Plant],
+    holding: Fit,
+    creeping: Fit,
+    held: Sequence[Record],
+    least: Float[np.ndarray, " m"],
+) -> bool:
+    """Whether dry friction lets joints creep at rest, as MuJoCo's own does: by fitted logs and by replays of others.
+
+    ln p(log) of a fit is −Σ_j N/T_j ln σ_j, σ_j the rms of output j's error and N/T_j its independent samples.
+    """
+    rms = [np.maximum(np.sqrt(np.mean(f.error**2, axis=0)), least) for f in (holding, creeping)]
+    samples = len(holding.error) / holding.weights.correlated
+    if np.sum(samples * np.log(rms[0] / rms[1])) < AS_GOOD:
+        return False
+    both = zip(plants, (holding, creeping), strict=True)
+    holds, creeps = (Unseen(plant, held).missed(f)[0] for plant, f in both)
+    return bool(creeps < holds)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:

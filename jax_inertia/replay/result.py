@@ -151,6 +151,8 @@ class Diagnosis:
     """Of every joint of the nominal one."""
     friction: Float[np.ndarray, " n"]
     """Dry friction's mean along the checked run [N m]."""
+    holds: bool
+    """Whether dry friction holds a joint at rest; else it creeps there, as MuJoCo's own does."""
     replayed: Replayed
     worse: tuple[str, ...]
     """Joints that the corrected model replays worse than the nominal one."""
