@@ -15,6 +15,7 @@ from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.parsimony import Parabola, nominal
 from jax_inertia.replay.search.tries import (
+    AS_GOOD,
     ROUNDS,
     fitted_from,
     placed,
@@ -84,13 +85,17 @@ def gains_as_said(
 def simpler(
     plant: Plant, found: Fit, said: Fit, records: Sequence[Record], floor: np.ndarray
 ) -> Fit:
-    """The fit that starts at gains as said, all numbers free again, where that is worth more than `found`."""
+    """The fit that starts at gains as said, all numbers free again, where that is clearly worth more than `found`.
+
+    Of two that are worth the same the one that errs less leaves less for an effect to pass for: a load friction of an
+    XL330 was lost to a fit that was worth 0.07 nats more, and other runs were replayed by 52 mrad for 32.
+    """
     new = fitting.fit(
         plant, found.table, records, said.theta, free=found.free, floor=floor, rounds=ROUNDS
     )
     was = Parabola(found, plant.loop, found.samples).worth()
     now = Parabola(new, plant.loop, found.samples, found.weights).worth()
-    return new if now.total < was.total else found
+    return new if now.total < was.total - AS_GOOD else found
 
 
 def as_said(
