@@ -32,6 +32,9 @@ _SPARSER = 1.01
 _DROPPED = 3
 """Effects at most that are dropped because the held-out replay is worse for them."""
 
+_HARM = (
+    "numbers that fit the log replay the rest worse than the nominal model: none of them is kept"
+)
 _LIKE_MUJOCO = "joints that friction should hold creep at rest, as MuJoCo's own friction lets them: it is left so"
 
 Progress = Callable[[str], None]
@@ -56,13 +59,7 @@ def diagnose(
     """
     names = logs[0].joint_names
     check_base(spec().compile())
-    loops = [position_loop(log, spec().compile(), kp, kd) for log in logs]
-    test_loop = loops[0] if test_log is None else position_loop(test_log, spec().compile(), kp, kd)
-    every = [*zip(logs, loops, strict=True), *([] if test_log is None else [(test_log, test_loop)])]
-    torque_logged = all(of_the_loop(one, own) for one, own in every)
-    if torque_logged:
-        loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
-        test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
+    loops, test_loop, torque_logged = _loops(logs, test_log, lambda: spec().compile(), kp, kd)
     loop = loops[0]
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
     wholes, records, held, of = _parts(plant, logs, loops, test_log, test_loop, torque_logged)
@@ -77,13 +74,15 @@ def diagnose(
     sound = listing.at_floor(replayed)
     done = _fitted((plant, bare), table, records, held, torque, sound, exclude, progress)
     plant, everything, found, shares = done.plant, done.everything, done.found, done.shares
+    harm = not sound and np.array_equal(found.theta, _nominal(found).theta)
+    sound = sound or harm
     after = nominal if sound else proof.paths(plant, found.table, found.theta, held)
     replayed = dataclasses.replace(replayed, corrected=after)
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
         replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
     odd_least = least_share(total(replayed.before), total(replayed.after))
-    if not sound:
+    if harm or not sound:
         wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
         progress("fitting all of it")
@@ -95,7 +94,7 @@ def diagnose(
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
     notes = [*said, *causal.notes(done.stamps, found, loop, torque_logged)]
-    notes += checks.touch_note(wholes)
+    notes += [*checks.touch_note(wholes), *([_HARM] if harm else [])]
     if not sound:
         notes += proof.creeping(bare, found, replayed) if plant.holds else [_LIKE_MUJOCO]
     numbers = plant.numbers(found.table, found.theta, None)
@@ -104,6 +103,20 @@ def diagnose(
         verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
         plant.nominal, proof.mean_friction(numbers, held), plant.holds, replayed, worse, tuple(notes),
     )  # fmt: skip
+
+
+def _loops(
+    logs: Sequence[Log], test_log: Log | None, model: Callable[[], MjModel], kp, kd
+) -> tuple[list[Loop], Loop, bool]:
+    """The loop of each log, that of the other run, and whether all logs have the torque of their loop."""
+    loops = [position_loop(log, model(), kp, kd) for log in logs]
+    test_loop = loops[0] if test_log is None else position_loop(test_log, model(), kp, kd)
+    every = [*zip(logs, loops, strict=True), *([] if test_log is None else [(test_log, test_loop)])]
+    torque_logged = all(of_the_loop(one, own) for one, own in every)
+    if torque_logged:
+        loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
+        test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
+    return loops, test_loop, torque_logged
 
 
 class _Fitted(NamedTuple):
@@ -130,10 +143,7 @@ def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _
     least = checks.least(held, plant.loop)
     everything = _ordinary_fit(plant, table, records, least, progress)
     if sound:
-        nominal = np.array([p.nominal for p in table])
-        none = odd.Search(everything, (), (), ())
-        same = everything._replace(theta=nominal)
-        return _Fitted(plant, everything, everything, same, none, {}, {}, (), records)
+        return _unchanged(plant, everything, records)
     progress("the same with a friction that creeps at rest")
     creeping = _ordinary_fit(bare, table, records, least, progress)
     if _creeps(plants, everything, creeping, held, least):
@@ -152,11 +162,25 @@ def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
     there = [o.rows for o in search.odd if found.theta[o.rows[0]] != found.table[o.rows[0]].nominal]
+    if np.all(Unseen(plant, held).missed(found) > Unseen(bare, held).missed(_nominal(found))):
+        return _unchanged(bare, everything, records)
     seen = shown_in(plant, found, there, records)
     large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])
     others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
     told = causal.with_variance(search.found, everything)
     return _Fitted(plant, everything, told, found, search, others, shares, seen, records)
+
+
+def _nominal(found: Fit) -> Fit:
+    """The nominal model's numbers."""
+    return found._replace(theta=np.array([p.nominal for p in found.table]))
+
+
+def _unchanged(plant: Plant, everything: Fit, records: Sequence[Record]) -> _Fitted:
+    """Nothing that the nominal model lacks."""
+    none = odd.Search(everything, (), (), ())
+    same = _nominal(everything)
+    return _Fitted(plant, everything, everything, same, none, {}, {}, (), records)
 
 
 def _ordinary_fit(plant: Plant, table, records, least, progress) -> Fit:

@@ -1,7 +1,7 @@
 """What may be wrong beyond what every robot has: candidates that compete on what the ordinary numbers leave.
 
 Each is tried at a few sizes, the ordinary numbers following along the cost's parabola, or given up; the best few are
-fitted, and the best of them stays if evidence and a replay that played no part both ask for it.
+fitted, and the best of them stays if evidence asks for it and a replay that played no part does too.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -128,12 +128,12 @@ def _judged(
     passed: dict[Candidate, tuple[float, Fit]] = {}
     possible = []
     for c, tried in fits:
-        evidence, kept = _evidence(plant, found, now, c, tried)
+        evidence, kept = _evidence(plant, found, now, c, tried, run)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
         simpler = kept + len(c.parameters) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-        if evidence > 0 and unseen.carries_over(run.missed(tried), best, least):
+        if evidence > AS_GOOD and unseen.carries_over(run.missed(tried), best, least):
             if evidence > passed.get(c, (0.0,))[0]:
                 passed[c] = evidence, tried
         elif evidence > -AS_GOOD and c.family != "payload_centre":
@@ -142,10 +142,16 @@ def _judged(
     return passed, possible
 
 
-def _evidence(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
-    """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
+def _evidence(
+    plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit, run: unseen.Unseen
+) -> tuple[float, int]:
+    """(log evidence for a candidate, twice nats; how many ordinary numbers it keeps).
+
+    By how much S falls from `now`, its price paid, and how much likelier the held-out run is.
+    """
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-    return now.total - new.total - price(found, c), new.kept
+    fall = now.total - new.total - price(found, c)
+    return fall + run.likelier(tried, found), new.kept
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
@@ -173,7 +179,7 @@ def _first(
     now = Parabola(found, plant.loop, found.samples).worth()
     for c in tuple(near):
         tried = settled(plant, out[c][1], records, floor)
-        out[c] = _evidence(plant, found, now, c, tried)[0], tried
+        out[c] = _evidence(plant, found, now, c, tried, run)[0], tried
         for whole in placed(plant, c, tried, records, floor):
             out |= _judged(plant, found, [whole], run, best)[0]
             near += [whole[0]] if whole[0] in out else []
