@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
 from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fit import Fit, Weights
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
@@ -45,26 +45,28 @@ class Unseen:
         """Of the errors of replays."""
         return np.array([self.squares(np.mean(e**2, axis=0)) for e in errors])
 
-    def likelier(self, new: Fit, old: Fit) -> float:
-        """By how much these runs are likelier by one fit's replays than by another's, in twice nats.
+    def errors(self, found: Fit) -> Float[np.ndarray, "N m"]:
+        """Of the replays of a fit."""
+        return fitting.errors(self._plant, found.table, found.theta[None], self._records)[0]
+
+    def likelier(
+        self, new: Float[np.ndarray, "N m"], old: Float[np.ndarray, "N m"], fitted: Weights
+    ) -> float:
+        """By how much these runs are likelier by errors of one fit's replays than by another's, in twice nats.
 
             Σ_j N/T_j ln(σ_j² / σ'_j²)
 
         σ_j: rms of output j's error, at least what encoders and clocks leave; N/T_j: its independent samples, T_j the
-        longest autocorrelation time of its errors here and in the fit. What a fit brings to its own logs and this are
+        longest autocorrelation time of its errors here and as `fitted`. What a fit brings to its own logs and this are
         one evidence: p(logs, runs) = p(logs) p(runs | logs).
         """
-        errors = [
-            fitting.errors(self._plant, f.table, f.theta[None], self._records)[0]
-            for f in (new, old)
-        ]
         least = checks.floor(self._records)
         if self._floor is not None:
             least = np.concatenate([least, self._floor])
-        after, before = (np.maximum(np.mean(e**2, axis=0), least**2) for e in errors)
-        times = [[fitting.autocorrelation_time(x) for x in e.T] for e in errors]
-        correlated = np.maximum(np.max(times, axis=0), old.weights.correlated)
-        return float(np.sum(len(errors[0]) / correlated * np.log(before / after)))
+        after, before = (np.maximum(np.mean(e**2, axis=0), least**2) for e in (new, old))
+        times = [[fitting.autocorrelation_time(x) for x in e.T] for e in (new, old)]
+        correlated = np.maximum(np.max(times, axis=0), fitted.correlated)
+        return float(np.sum(len(new) / correlated * np.log(before / after)))
 
     def taken_back(
         self, found: Fit, effects: Sequence[tuple[int, ...]]

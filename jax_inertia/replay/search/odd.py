@@ -124,16 +124,18 @@ def _judged(
     plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
 ) -> tuple[dict[Candidate, tuple[float, Fit]], list[Candidate]]:
     """(those that evidence and held-out runs both ask for, with evidence and fit; those that are nearly as good)."""
-    now = Parabola(found, plant.loop, found.samples).worth()
+    now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
     passed: dict[Candidate, tuple[float, Fit]] = {}
     possible = []
     for c, tried in fits:
-        evidence, kept = _evidence(plant, found, now, c, tried, run)
+        after = run.errors(tried)
+        fall, kept = _fall(plant, found, now, c, tried)
+        evidence = fall + run.likelier(after, before, found.weights)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
         simpler = kept + len(c.parameters) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-        if evidence > AS_GOOD and unseen.carries_over(run.missed(tried), best, least):
+        if evidence > AS_GOOD and unseen.carries_over(run.missed_by(after[None])[0], best, least):
             if evidence > passed.get(c, (0.0,))[0]:
                 passed[c] = evidence, tried
         elif evidence > -AS_GOOD and c.family != "payload_centre":
@@ -142,16 +144,10 @@ def _judged(
     return passed, possible
 
 
-def _evidence(
-    plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit, run: unseen.Unseen
-) -> tuple[float, int]:
-    """(log evidence for a candidate, twice nats; how many ordinary numbers it keeps).
-
-    By how much S falls from `now`, its price paid, and how much likelier the held-out run is.
-    """
+def _fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
+    """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-    fall = now.total - new.total - price(found, c)
-    return fall + run.likelier(tried, found), new.kept
+    return now.total - new.total - price(found, c), new.kept
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:
@@ -176,10 +172,11 @@ def _first(
     out = dict(passed)
     order = sorted(out, key=lambda c: -out[c][0])
     near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
-    now = Parabola(found, plant.loop, found.samples).worth()
+    now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
     for c in tuple(near):
         tried = settled(plant, out[c][1], records, floor)
-        out[c] = _evidence(plant, found, now, c, tried, run)[0], tried
+        held = run.likelier(run.errors(tried), before, found.weights)
+        out[c] = _fall(plant, found, now, c, tried)[0] + held, tried
         for whole in placed(plant, c, tried, records, floor):
             out |= _judged(plant, found, [whole], run, best)[0]
             near += [whole[0]] if whole[0] in out else []
