@@ -42,11 +42,11 @@ def score(folder: Path, reports: Path) -> dict | None:
     report = json.loads(path.read_text())
     listed = [e for e in report["effects"] if truth["calibrated"] or e["family"] not in ORDINARY]
     told = [{key(e), *map(key, e.get("equivalent", []))} for e in listed]
-    # A bias is an ordinary number of a joint of a robot as bought, and stands in its table.
+    # A bias that is distinct is an ordinary number of a joint of a robot as bought, and stands in its table.
     biased = {
         ("torque_bias", name)
         for name, terms in report.get("joints", {}).items()
-        if abs(terms.get("torque_bias", {}).get("value") or 0.0) > 0.0
+        if "torque_bias" in terms and not _zero_within(terms["torque_bias"]["ci95"])
     }
     wanted = [
         {(f, o["place"]) for f in ALSO.get(o["family"], (o["family"],))} for o in truth["odd"]
@@ -64,6 +64,10 @@ def score(folder: Path, reports: Path) -> dict | None:
         "verdict": report["verdict"],
         "confidence": report["confidence"],
     }
+
+
+def _zero_within(ci95: list[float] | None) -> bool:
+    return ci95 is None or ci95[0] <= 0.0 <= ci95[1]
 
 
 def table(rows: list[dict]) -> str:
