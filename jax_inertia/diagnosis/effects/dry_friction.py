@@ -32,11 +32,15 @@ def direction(context, row: int, presliding: float, way: float = BENT) -> np.nda
     return context.bristle(row, presliding, straight=way == STRAIGHT)
 
 
+def ways(context, place) -> list[float]:
+    """Presliding displacements that are searched at a joint [rad, of a slide m]."""
+    return [float(context.radian[place.index]) * x for x in PRESLIDING]
+
+
 def turnings(context, place) -> list[Shape]:
     """How a joint's dry friction may turn round: presliding and way; the levels that MuJoCo's creeps at."""
-    peak, radian = peak_of(context, place.index), float(context.radian[place.index])
-    ways = (radian * x for x in PRESLIDING)
-    return [(x, BENT) for x in (*ways, *(-peak * s for s in (0.3, 0.1, 0.03)))]
+    peak = peak_of(context, place.index)
+    return [(x, BENT) for x in (*ways(context, place), *(-peak * s for s in (0.3, 0.1, 0.03)))]
 
 
 class DryFriction(Effect):

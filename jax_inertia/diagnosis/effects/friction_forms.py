@@ -3,7 +3,7 @@
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, of_row
-from jax_inertia.diagnosis.effects.dry_friction import BENT, PRESLIDING, direction
+from jax_inertia.diagnosis.effects.dry_friction import BENT, direction, ways
 
 FORM_TOLERANCE = 0.05
 """How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
@@ -18,6 +18,12 @@ def _other_ways(presliding: float) -> tuple[float, ...]:
     """Displacements below and above one [rad]."""
     base = presliding if presliding > 0 else 1e-4
     return base / 2.5, base * 2.5
+
+
+def _slow(context, row: int, z: np.ndarray, speeds: tuple[float, ...]) -> list[np.ndarray]:
+    """Friction that is there at low speed alone, below each of some speeds [rad/s]."""
+    v = context.v[:, row] / context.radian[row]
+    return [z * np.exp(-((v / speed) ** 2)) for speed in speeds]
 
 
 class FrictionTurning(Effect):
@@ -66,7 +72,7 @@ class FrictionForms(Effect):
         z, v = direction(context, row, shape[0]), context.v[:, row]
         load = np.abs(context.inverse[:, row])
         forms = [
-            *(z * np.exp(-((v / context.radian[row] / speed) ** 2)) for speed in (0.05, 0.2)),
+            *_slow(context, row, z, (0.05, 0.2)),
             z * load,
             np.abs(v) * v,
             np.abs(z),
@@ -108,7 +114,7 @@ class StatedFriction(Effect):
     def shapes(self, context, place):
         # Its level is known, and so is how fast a soft constraint lets it creep.
         own = -float(context.frictionloss[place.index])
-        return [(x, BENT) for x in (*(context.radian[place.index] * x for x in PRESLIDING), own)]
+        return [(x, BENT) for x in (*ways(context, place), own)]
 
     def columns(self, context, place, shape):
         row = place.index
@@ -116,7 +122,7 @@ class StatedFriction(Effect):
         dry = [
             context.side[:, row] - z,
             *(z - direction(context, row, x) for x in _other_ways(shape[0])),
-            *(z * np.exp(-((v / context.radian[row] / speed) ** 2)) for speed in (0.02, 0.05, 0.2)),
+            *_slow(context, row, z, (0.02, 0.05, 0.2)),
         ]
         top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
         bent = float(context.damping[row]) * np.abs(v) * v / top

@@ -62,7 +62,7 @@ class FrictionOfPosition(_Free):
 
     def columns(self, context, place, shape):
         hats = super().columns(context, place, shape)
-        z = context.bristle(place.index, 3e-4 * float(context.radian[place.index]))
+        z = context.bristle(place.index, context.turns_over(place.index))
         return of_row(-hats.values * z[:, None], place)
 
 

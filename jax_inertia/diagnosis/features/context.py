@@ -268,6 +268,10 @@ class Context:
             self._bristles[key] = self.bristle_of_any(row, reach, straight)
         return self._bristles[key]
 
+    def turns_over(self, row: int) -> float:
+        """Presliding displacement of a dry friction whose own is not known [rad, of a slide m]."""
+        return TURNS_OVER * float(self.radian[row])
+
     def bristle_of_any(self, row: int, reach: float | np.ndarray, straight: bool) -> np.ndarray:
         """`bristle`, not kept: the displacement may change along the log (T,)."""
         start = float(np.sign(self.v[0, row]))
@@ -339,8 +343,7 @@ class Context:
         the link at each reversal.
         """
         friction = self.frictionloss[row]
-        over = TURNS_OVER * float(self.radian[row])
-        turning = self.bristle(row, over) if friction > 0 else 0.0
+        turning = self.bristle(row, self.turns_over(row)) if friction > 0 else 0.0
         carried = self.tau[:, row] - self._rotor[:, row] - friction * turning
         # Where that friction may hold the motor, or turns round, it is not known; and what a spring carries is smooth.
         known = (self.held[:, row] == 0) & ((friction == 0) | (np.abs(turning) > TURNED))
