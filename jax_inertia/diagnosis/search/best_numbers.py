@@ -1,6 +1,5 @@
 """Nonlinear numbers of a hypothesis at their best: uphill between a grid's points, secants at the value found."""
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,7 +31,7 @@ def at_best(
     if h.effect.secant:
         # As bought, more is misfit than any one secant tells: there the likeliest as it is laid leads on.
         return _own_value(residual, evidence, rest, h, every) if evidence.exact else h
-    steps = _steps(residual, h)
+    steps = steps_of(residual, h)
     if not np.any(steps):
         return h
     starts = {_unmoved(h, steps): h}
@@ -92,7 +91,8 @@ def _laid(
     return laid, float(evidence.gains(rest, (laid,))[0])
 
 
-def _steps(residual, h: Hypothesis) -> Shape:
+def steps_of(residual, h: Hypothesis) -> Shape:
+    """First steps of the search for its nonlinear numbers; 0 of those that are not searched."""
     steps = h.effect.steps(residual.context, h.place, h.shape)
     if isinstance(h.effect, DryFriction) and not h.fills:
         # All forms of a friction that every hypothesis has turn round as it does.
@@ -108,23 +108,37 @@ def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
 def _between_points(
     residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
 ) -> tuple[Hypothesis, float]:
-    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: a pattern search."""
+    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: Hooke and Jeeves' pattern search.
+
+    J. ACM 8(2), 1961: along each number in turn, then as far again as all of them went, along a valley of several.
+    """
     best, gain = h, float(evidence.gains(rest, (h,))[0])
     context = residual.context_of(h.effect)
+
+    def led(shape: np.ndarray) -> bool:
+        nonlocal best, gain
+        turned_over = np.any(shape * np.array(best.shape) < 0)
+        if turned_over or not h.effect.within(context, h.place, tuple(shape.tolist())):
+            return False
+        trial = reshaped(h, residual, tuple(shape.tolist()))
+        got = float(evidence.gains(rest, (trial,))[0])
+        if not np.isfinite(got) or got <= gain:
+            return False
+        best, gain = trial, got
+        return True
+
     for step in (np.asarray(steps) * 0.5**k for k in range(HALVINGS)):
-        for k, sign in itertools.product(np.flatnonzero(step), (-1.0, 1.0)):
-            # On while it leads up: an optimum may be several steps from the grid's point.
-            for _ in range(MOST_MOVES):
-                shape = list(best.shape)
-                shape[k] += float(sign * step[k])
-                possible = h.effect.within(context, h.place, tuple(shape))
-                if shape[k] * best.shape[k] < 0 or not possible:
-                    break
-                trial = reshaped(h, residual, tuple(shape))
-                got = float(evidence.gains(rest, (trial,))[0])
-                if not np.isfinite(got) or got <= gain:
-                    break
-                best, gain = trial, got
+        moving = np.flatnonzero(step)
+        for _ in range(MOST_MOVES):
+            base = np.array(best.shape)
+            for k in moving:
+                one = step[k] * np.eye(len(step))[k]
+                if not led(np.array(best.shape) - one):
+                    led(np.array(best.shape) + one)
+            if best.shape == tuple(base.tolist()):
+                break
+            if len(moving) > 1:
+                led(2.0 * np.array(best.shape) - base)
     return best, gain
 
 

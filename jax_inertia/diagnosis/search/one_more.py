@@ -5,7 +5,7 @@ import numpy as np
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
+from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised, steps_of
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import (
     bounded,
@@ -14,6 +14,8 @@ from jax_inertia.diagnosis.search.ordinary import (
     with_turning,
 )
 
+OPEN = float(np.log(20.0))
+"""Nats that leave it open which of two it is."""
 SETTLING = 3
 """Rounds in which variances and tolerances follow what was added."""
 
@@ -21,7 +23,11 @@ SETTLING = 3
 def with_one_more(
     residual, evidence, now: Posterior, h: Hypothesis, bank: Bank
 ) -> Posterior | None:
-    """One more, its secant where it belongs; None where its numbers are no robot's."""
+    """One more, its secant where it belongs; None where its numbers are no robot's.
+
+    Of laws of one place, the one that searches the fewest nonlinear numbers of those that the log leaves open: evidence
+    integrates over what is linear, and a number at its best brings something by chance.
+    """
     tried = []
     for c in (h, *_other_laws(evidence, now, h, bank)):
         best = at_best(residual, evidence, now, c, bank.candidates)
@@ -32,8 +38,11 @@ def with_one_more(
     if len(tried) < 2:
         return tried[0][0] if tried else None
     # By variances learned with each: those that are there take most of what is to be explained for noise.
-    gains = [relearned_evidence(evidence, after) - added.odds for after, added in tried]
-    return tried[int(np.argmax(gains))][0]
+    gains = np.array([relearned_evidence(evidence, after) - added.odds for after, added in tried])
+    searched = np.array([np.count_nonzero(steps_of(residual, added)) for _, added in tried])
+    near = gains > gains.max() - OPEN
+    fewest = near & (searched == searched[near].min())
+    return tried[int(np.argmax(np.where(fewest, gains, -np.inf)))][0]
 
 
 def turned(residual, evidence, now: Posterior) -> Posterior:

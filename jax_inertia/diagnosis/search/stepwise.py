@@ -73,16 +73,30 @@ def _numbers_of(chosen: tuple[Hypothesis, ...]) -> set[tuple]:
 
 
 def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Posterior:
-    """Nonlinear numbers of each odd effect between its grid's points, and by which law of its place, all else given."""
-    for _ in [h for h in now.chosen if h.is_odd]:
-        # What was looked at goes to the end, so that the first is one that was not.
-        h = next(c for c in now.chosen if c.is_odd)
-        rest = turned(residual, evidence, now.without(h))
-        # A secant at its value has nothing to search; laid once more, it drifts along what the log does not tell.
-        sought = not h.effect.secant or h.effect.law
-        again = with_one_more(residual, evidence, rest, h, bank) if sought else None
-        now = evidence.posterior((*rest.chosen, h)) if again is None else again
-    return learned(evidence, now.chosen, 1)
+    """Nonlinear numbers of each odd effect between its grid's points, and by which law of its place, all else given.
+
+    Once more, by the noise that is left then, of those that gained: the ends of a push were sought by the noise of a
+    push with other ends.
+    """
+    moving = {h.key for h in now.chosen if h.is_odd}
+    for _ in range(MOST_ROUNDS):
+        for key in sorted(moving):
+            before = now.log_evidence
+            for _ in [c for c in now.chosen if c.key == key]:
+                # What was looked at goes to the end, so that the first is one that was not.
+                h = next((c for c in now.chosen if c.key == key), None)
+                # A secant at its value has nothing to search; laid once more, it drifts along what no log tells.
+                if h is None or (h.effect.secant and not h.effect.law):
+                    break
+                rest = turned(residual, evidence, now.without(h))
+                again = with_one_more(residual, evidence, rest, h, bank)
+                now = evidence.posterior((*rest.chosen, h)) if again is None else again
+            if now.log_evidence < before + STAYS:
+                moving.discard(key)
+        now = learned(evidence, now.chosen, 1)
+        if not moving:
+            break
+    return now
 
 
 def _stepwise(
@@ -167,6 +181,8 @@ def _owed(residual, evidence: Evidence, now: Posterior) -> float:
     return float(sum(sensor_noise.owed_in(residual, evidence, now, h) for h in odd))
 
 
+MOST_ROUNDS, STAYS = 5, 1.0
+"""Rounds in which nonlinear numbers are looked at once more, and nats that are worth another one."""
 EXCHANGE = 2.0
 """Nats by which another must do better than one that was chosen before: less is a tie."""
 
