@@ -108,7 +108,7 @@ def _unmoved(h: Hypothesis, steps: Shape) -> Shape:
 def _between_points(
     residual, evidence: Evidence, rest: Posterior, h: Hypothesis, steps: Shape
 ) -> tuple[Hypothesis, float]:
-    """The hypothesis at the nonlinear numbers of most evidence near its own, and that: Hooke and Jeeves' pattern search.
+    """The nonlinear numbers of most evidence near those of a hypothesis: a pattern search (Hooke and Jeeves).
 
     J. ACM 8(2), 1961: along each number in turn, then as far again as all of them went, along a valley of several.
     """
