@@ -55,6 +55,12 @@ def put_load(
     model.body_sameframe[body] = 0
 
 
+def shift_centre(model: MjModel, body: int, shift: Float[np.ndarray, " 3"]) -> None:
+    """Move a body's centre of mass by `shift` (body's axes, m) in a model, which is changed; mass and inertia stay."""
+    model.body_ipos[body] += shift
+    model.body_sameframe[body] = 0
+
+
 def middles(model: MjModel, names: Sequence[str]) -> Float[np.ndarray, " n"]:
     """Middle of each joint's range, 0 where it has none."""
     ranges = [

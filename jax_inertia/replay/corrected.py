@@ -11,13 +11,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from jax_inertia.diagnosis.effects.spec_joint import set_first, unit_of
+from jax_inertia.diagnosis.effects.spec_joint import add_damping, set_first, unit_of, wind
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.model.joint_inertia import put_load
+from jax_inertia.model.joint_inertia import put_load, shift_centre
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
-from jax_inertia.replay.plant import HOLD
+from jax_inertia.replay.plant import HOLD, turned
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import (
     DEAD,
@@ -49,6 +49,10 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
             joint.frictionloss = found.friction[j]
         if (damping := x.damping[j] + x.back[j]) != was.damping[j]:
             joint.damping = set_first(joint.damping, max(damping, 0.0))
+        if x.drag[j] != was.drag[j]:
+            add_damping(joint, x.drag[j], power=1)
+        if x.spring[j] or x.wound[j]:
+            wind(spec, joint, x.spring[j], 0.0, x.wound[j])
         step = x.offset[j] / unit_of(spec, joint)
         joint.ref += step
         joint.springref += step
@@ -65,10 +69,14 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
                 joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
-    for body, added in x.mass.items():
+    for body in {**x.mass, **x.shifts}:
         model = spec.compile()
-        put_load(model, model.body(body).id, added, x.centres.get(body))
+        if body in x.mass:
+            put_load(model, model.body(body).id, x.mass[body], x.centres.get(body))
+        if body in x.shifts:
+            shift_centre(model, model.body(body).id, x.shifts[body])
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
+    spec.option.gravity = turned(np.asarray(spec.option.gravity), x.tilt)
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
         spec.delete(key)
@@ -103,10 +111,13 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
             f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
         )
     if x.varies:
-        of = (x.load > 0) | (x.stiction > 0) | (x.slant != 0)
         out.append(
-            f"friction of {where(of)} varies with torque, speed or position: corrected.xml has its mean; "
-            "jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
+            f"friction of {where(x.varies_at)} varies with torque, speed, direction or position: corrected.xml has its "
+            "mean; jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
+        )
+    if (x.drag > 0).any():
+        out.append(
+            f"the quadratic damping of {where(x.drag > 0)} is in corrected.xml, and MJX does not read it"
         )
     return tuple(out)
 

@@ -1,4 +1,4 @@
-"""A vector of numbers of a fit as each joint's physics: armature, friction, gains, limits, dead band, play, delay."""
+"""A vector of numbers of a fit as physics: of joints, of bodies, and of where gravity points."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,7 +13,9 @@ class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
         τ = gain · (clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇)
-        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇) + damping q̇
+        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²) + uneven sign(q̇), 0) sign(q̇)
+                   + damping q̇ + drag |q̇| q̇
+        spring torque = wound − spring q
 
     dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
     """
@@ -44,10 +46,22 @@ class Numbers(NamedTuple):
     """Of `delay`, what the torque that was logged does not have: it was made of the targets so much earlier."""
     gain: Float[np.ndarray, " n"]
     """Of the joint's torque over the one that the loop says."""
+    uneven: Float[np.ndarray, " n"]
+    """Half of what dry friction has more in the positive direction than in the negative one."""
+    drag: Float[np.ndarray, " n"]
+    """Quadratic viscous friction [N m s²/rad²]."""
+    spring: Float[np.ndarray, " n"]
+    """Stiffness beyond the model's own [N m/rad]."""
+    wound: Float[np.ndarray, " n"]
+    """Torque at the joint's zero of what that spring has beyond the model's own."""
     mass: Mapping[str, float]
     """Added to bodies."""
     centres: Mapping[str, Float[np.ndarray, " 3"]]
     """Where it is, from the body's own centre of mass, in the body's axes."""
+    shifts: Mapping[str, Float[np.ndarray, " 3"]]
+    """Of bodies' centres of mass, in the body's axes."""
+    tilt: Float[np.ndarray, " 2"]
+    """Of gravity, by a rotation vector about world x and y [rad]."""
 
     @property
     def varies(self) -> bool:
@@ -57,7 +71,7 @@ class Numbers(NamedTuple):
     @property
     def varies_at(self) -> Bool[np.ndarray, " n"]:
         """At which joints it does."""
-        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0)
+        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0) | (self.uneven != 0)
 
     @property
     def at_joint(self) -> "Numbers":
@@ -65,12 +79,19 @@ class Numbers(NamedTuple):
         felt = {k: self.gain * getattr(self, k) for k in ("kp", "kd", "bias", "limit", "back")}
         return self._replace(**felt, gain=np.ones_like(self.gain))
 
-    def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
+    def asked(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the loop asks for, which the limit cuts, at positions and velocities (..., n)."""
         miss = commanded - q
         if self.dead.any():
             miss = miss - np.minimum(np.maximum(miss, -self.dead), self.dead)
-        asked = self.kp * miss + self.bias - (self.kd - self.back) * v
+        return self.kp * miss + self.bias - (self.kd - self.back) * v
+
+    def torque(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the motors give at positions and velocities (..., n), `commanded` being what `record.controls` makes."""
+        return self.given(self.asked(commanded, q, v), v)
+
+    def given(self, asked: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Of what is asked for."""
         within = np.minimum(np.maximum(asked, -self.limit), self.limit)
         return self.gain * (within - self.back * v)
 
@@ -79,22 +100,31 @@ class Numbers(NamedTuple):
         size = self.dry + self.slant * (q - self.middle) + self.load * np.abs(torque)
         if self.stiction.any():
             size += self.stiction * np.exp(-((v / self.slow) ** 2))
+        if self.uneven.any():
+            size += self.uneven * np.tanh(v / TURNS)
         return np.maximum(size, 0.0)
 
 
-OF_BODIES = "mass", "centres"
-"""Fields that are of bodies, not of joints."""
+TURNS = 0.01
+"""Speed within which friction that differs by direction turns from one to the other [rad/s]."""
+NOT_OF_JOINTS = "mass", "centres", "shifts", "tilt"
+"""Fields that are of bodies or of the whole robot."""
 CENTRE = "payload_x", "payload_y", "payload_z"
 """Families of a load's place."""
+SHIFT, TILT = ("com_shift_x", "com_shift_y", "com_shift_z"), ("tilt_x", "tilt_y")
+"""Families of a centre's shift, and of where gravity points."""
+COORDINATES = *CENTRE, *SHIFT, *TILT, "spring_torque"
+"""Families of which an effect may need some and not others."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
     "encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag",
-    "torque_lead": "lead",
+    "torque_lead": "lead", "spring_torque": "wound",
 }  # fmt: skip
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back", "position_friction": "slant",
+    "torque_speed": "back", "position_friction": "slant", "asymmetric_coulomb": "uneven", "quadratic_viscous": "drag",
+    "joint_spring": "spring",
 }  # fmt: skip
 
 
@@ -112,7 +142,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, {}, {},
+        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none, none, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -126,9 +156,10 @@ def decoded(
     loop's part is the joint's. Where it has a least value, torque tells kd, and what is below kd is the hold of the
     loop, which acts on the motion alone.
     """
-    new = {k: np.array(x) for k, x in base._asdict().items() if k not in OF_BODIES}
+    new = {k: np.array(x) for k, x in base._asdict().items() if k not in NOT_OF_JOINTS}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, centres, whole = {}, {}, base.damping + base.kd
+    mass, centres, shifts, tilt = {}, {}, {}, np.zeros(2)
+    whole = base.damping + base.kd
     least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
@@ -152,8 +183,12 @@ def decoded(
             mass[p.body] = x
         elif p.family in CENTRE:
             centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
+        elif p.family in SHIFT:
+            shifts.setdefault(p.body, np.zeros(3))[SHIFT.index(p.family)] = x
+        elif p.family in TILT:
+            tilt[TILT.index(p.family)] = x
     new["delay"] += new["lead"]
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, least)
-    return Numbers(**new, mass=mass, centres=centres)
+    return Numbers(**new, mass=mass, centres=centres, shifts=shifts, tilt=tilt)

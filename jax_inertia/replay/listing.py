@@ -8,6 +8,7 @@ import numpy as np
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import CENTRE, COORDINATES, SHIFT, TILT
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
 from jax_inertia.replay.search import causal
@@ -28,8 +29,15 @@ PARAMETERS = {
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
     "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",
+    "asymmetric_coulomb": "half_difference", "quadratic_viscous": "coefficient", "joint_spring": "stiffness",
+    "spring_torque": "torque", "com_shift_x": "com_shift_x", "com_shift_y": "com_shift_y", "com_shift_z": "com_shift_z",
+    "tilt_x": "tilt_x", "tilt_y": "tilt_y",
 }  # fmt: skip
 """What the parameter of each family is called."""
+_EFFECTS = {
+    **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
+    "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
+}  # fmt: skip
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
 _SUM = (
     "kd and damping: their sum is what a replay knows; torque parts them, or a second setting of kd"
@@ -50,16 +58,24 @@ _IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
     "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range parts "
                            "them"),),
     "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
+    "quadratic_viscous": (("viscous_friction", "at one speed it is one number; slow and fast motion part them"),),
+    "asymmetric_coulomb": (("torque_bias", "in motion both pull one way; loads held at rest, and turns, part them"),),
     "encoder_offset": (("torque_bias", _LEANS),),
     "torque_bias": (("encoder_offset", _LEANS),),
     "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
 }  # fmt: skip
 
 
-def distinct(found: Fit, k: int, loop: Loop) -> bool:
-    """Whether a number's interval leaves the nominal one out; it does where that is none."""
-    x, sd = known(found, k, loop)
-    return bool(abs(x - found.table[k].nominal) > 1.96 * sd)
+def distinct(found: Fit, rows: Rows, loop: Loop) -> bool:
+    """Whether the interval of an effect's first number leaves the nominal one out; it does where that is none.
+
+    Of coordinates, any one's.
+    """
+    apart = []
+    for k in sorted(rows):
+        x, sd = known(found, k, loop)
+        apart.append(bool(abs(x - found.table[k].nominal) > 1.96 * sd))
+    return any(apart) if found.table[min(rows)].family in COORDINATES else apart[0]
 
 
 def known(found: Fit, k: int, loop: Loop) -> tuple[float, float]:
@@ -88,6 +104,11 @@ def size_of(found: Fit, k: int, loop: Loop) -> Size:
     low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
     ends = [whole(p, y, loop) for y in (x, low, high)]
     return Size(ends[0], ends[1], ends[2], UNITS[p.family])
+
+
+def effect_of(p: Parameter) -> str:
+    """The family of effects that a number is of."""
+    return _EFFECTS.get(p.family, p.family)
 
 
 def place_of(joint: int, body: str, names: Sequence[str]) -> tuple[str, str]:
@@ -144,7 +165,7 @@ def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
         unit = "" if UNITS[p.family] == "1" else f" {UNITS[p.family]}"
         text = f"{size:.3g}{unit} of it instead, the others following, replays this motion as well"
         place = place_of(p.joint, p.body, names)
-        out.append(Tie(p.family, *place, bound or text, bool(bound)))
+        out.append(Tie(effect_of(p), *place, bound or text, bool(bound)))
     return tuple(out)
 
 
@@ -197,6 +218,8 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     sizes = {PARAMETERS[found.table[k].family]: size_of(found, k, loop) for k in rows}
     if family == "torque_speed":
         sizes = _motor(sizes)
+    if family == "joint_spring":
+        sizes = _rest(sizes, found, rows)
     place = place_of(*odd.candidate.place, names)
     own = {(found.table[k].family, *place) for k in rows}
     ties = [
@@ -214,6 +237,20 @@ def _motor(sizes: dict[str, Size]) -> dict[str, Size]:
     stall, slope = sizes["limit"], sizes["slope"]
     free, low, high = (stall.value / max(x, 1e-9) for x in (slope.value, slope.high, slope.low))
     return {"stall": stall, "no_load_speed": Size(free, low, high, "rad/s")}
+
+
+def _rest(sizes: dict[str, Size], found: Fit, rows: Rows) -> dict[str, Size]:
+    """Stiffness k, and the angle at rest T/k, T the torque at the joint's zero; its deviation to first order."""
+    k, torque = (float(found.theta[i]) for i in rows)
+    if not k:
+        return {"stiffness": sizes["stiffness"]}
+    slope = np.array([-torque / k**2, 1.0 / k])
+    sd = float(np.sqrt(slope @ found.covariance[np.ix_(rows, rows)] @ slope))
+    angle = torque / k
+    return {
+        "stiffness": sizes["stiffness"],
+        "rest_angle": Size(angle, angle - 1.96 * sd, angle + 1.96 * sd, "rad"),
+    }
 
 
 def _rivals(rivals: Sequence[Candidate], names) -> tuple[Tie, ...]:
@@ -240,12 +277,13 @@ def ties_of(
         if i == k or not sigma[i] > 0 or not sigma[k] > 0:
             continue
         commanded = {(t.family, t.kind, t.name) for t in out}
-        if (other.family, *place_of(other.joint, other.body, names)) in commanded:
+        named = (effect_of(other), *place_of(other.joint, other.body, names))
+        if named in commanded or named == (family, *place):
             continue
         if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
             slope = found.covariance[i, k] / sigma[k] ** 2
             text = f"one more here is {slope:.3g} there"
-            out.append(Tie(other.family, *place_of(other.joint, other.body, names), text, False))
+            out.append(Tie(*named, text, False))
     if family in _LATE:
         damps = (
             f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"

@@ -140,6 +140,15 @@ UNITS: Mapping[str, str] = {
     "torque_gain": "1",
     "position_friction": "N m/rad",
     "torque_lead": "s",
+    "asymmetric_coulomb": "N m",
+    "quadratic_viscous": "N m s²/rad²",
+    "joint_spring": "N m/rad",
+    "spring_torque": "N m",
+    "com_shift_x": "m",
+    "com_shift_y": "m",
+    "com_shift_z": "m",
+    "tilt_x": "rad",
+    "tilt_y": "rad",
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""

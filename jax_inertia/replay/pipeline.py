@@ -89,7 +89,7 @@ def diagnose(
         found = _on_all(plant, found, wholes)
     least = {k: odd_least if max(k) >= len(table) else LISTED for k in shares}
     large = {k for k, s in shares.items() if s > least[k]} | {*done.seen}
-    kept = {k: shares.get(k, 0.0) for k in large if listing.distinct(found, min(k), loop)}
+    kept = {k: shares.get(k, 0.0) for k in large if listing.distinct(found, k, loop)}
     effects = listing.listed(found, done.search, done.instead, kept, loop, names)
     verdict, confidence = listing.verdict(replayed, effects)
     said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
@@ -161,7 +161,8 @@ def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
-    there = [o.rows for o in search.odd if found.theta[o.rows[0]] != found.table[o.rows[0]].nominal]
+    own = _nominal(found).theta
+    there = [o.rows for o in search.odd if np.any((found.theta != own)[list(o.rows)])]
     if np.all(Unseen(plant, held).missed(found) > Unseen(bare, held).missed(_nominal(found))):
         return _unchanged(bare, everything, records)
     seen = shown_in(plant, found, there, records)

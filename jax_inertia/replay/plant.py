@@ -8,10 +8,13 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_inertia.diagnosis.effects.environment import turns
+from jax_inertia.diagnosis.effects.spec_joint import SOFT
 from jax_inertia.model.joint_inertia import (
     mass_matrix,
     middles,
     put_load,
+    shift_centre,
     without_contacts,
 )
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
@@ -209,6 +212,9 @@ class Plant:
         model.dof_armature[m.dof] = armature - self._lighter(x, armature, model.opt.timestep)
         model.dof_frictionloss[m.dof] = x.dry
         model.dof_damping[m.dof] = x.damping + x.back
+        model.dof_dampingpoly[m.dof, 0] = m.model.dof_dampingpoly[m.dof, 0] + x.drag
+        _wind(m, model, x)
+        model.opt.gravity[:] = turned(m.model.opt.gravity, x.tilt)
         ratio, square = x.kp / self.loop.kp, m.gear**2
         model.actuator_gainprm[m.act, 0] = m.model.actuator_gainprm[m.act, 0] * ratio
         model.actuator_biasprm[m.act, 1] = m.model.actuator_biasprm[m.act, 1] * ratio
@@ -244,8 +250,26 @@ class Plant:
             getattr(model, field)[:] = getattr(m.model, field)
         for body, added in x.mass.items():
             put_load(model, model.body(body).id, added, x.centres.get(body))
+        for body, shift in x.shifts.items():
+            shift_centre(model, model.body(body).id, shift)
 
     def _lighter(self, x: Numbers, armature: np.ndarray, h: float) -> Float[np.ndarray, " n"]:
         """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
         own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
         return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
+
+
+def _wind(m: Compiled, model: MjModel, x: Numbers) -> None:
+    """Springs of a model: its own and another one, κ and κ q₀ added up; a torque alone is that of a soft one."""
+    joints = model.dof_jntid[m.dof]
+    own, reference = m.model.jnt_stiffness[joints], m.model.qpos_spring[m.qadr]
+    moment = own * reference + x.wound
+    total = np.maximum(own + x.spring, SOFT * np.abs(moment))
+    rest = moment / np.where(total > 0, total, 1.0)
+    model.jnt_stiffness[joints] = total
+    model.qpos_spring[m.qadr] = np.where(total > 0, rest, reference)
+
+
+def turned(gravity: Float[np.ndarray, " 3"], tilt: Float[np.ndarray, " 2"]) -> np.ndarray:
+    """Gravity turned by a rotation vector about world x and y."""
+    return gravity + turns(tilt, gravity) @ tilt if np.any(tilt) else gravity

@@ -11,7 +11,6 @@ torque's again; and torque tells the loop's own numbers whatever the robot does.
 difference of q over it, and an edge of a target that is known to a part of a sample moves a mean by little.
 """
 
-import os
 from collections.abc import Sequence
 
 import mujoco
@@ -19,18 +18,16 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import rollout
 
-from jax_inertia.replay.joint_numbers import OF_BODIES, Numbers
+from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.plant import Compiled, Plant
 from jax_inertia.replay.record import Record, controls, step_means
+from jax_inertia.replay.stepped import PARTS, cores, limited_at, stepped_at, stepwise
 
 _ROLLS, _STEPPED = 16, 64
 _LOST = 10.0
 """Where a simulation diverges, its error is taken to be this [rad]."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_A_THREAD = 8
-_FRICTION_EVERY = 2e-3
-"""Dry friction that varies is set anew this often [s]."""
 WINDOW = 0.01
 """Half of what torques are averaged over [s]: targets of a policy change every 20 ms."""
 _FINE = 1e-3
@@ -48,7 +45,7 @@ def replay(
 ) -> Float[np.ndarray, "B T n"]:
     """Positions as the encoders would log them, of every vector."""
     every = [plant.numbers(table, theta, record.loop) for theta in thetas]
-    kinds = [(plant.structure(x), x.varies) for x in every]
+    kinds = [(plant.structure(x), bool(np.any(stepped_at(plant, x)))) for x in every]
     out = np.empty((len(thetas), *record.q.shape))
     for kind in dict.fromkeys(kinds):
         mine = [b for b, k in enumerate(kinds) if k == kind]
@@ -66,6 +63,9 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     models = plant.variants(structure, some)
     state = np.zeros((len(some), mujoco.mj_stateSize(m.model, _STATE)))
     control = np.zeros((len(some), steps, m.model.nu))
+    commanded = []
+    limited = np.array([limited_at(plant, x) for x in some])
+    parts = PARTS if limited.any() else 1
     cache: dict[bytes, np.ndarray] = {}
     data = mujoco.MjData(m.model)
     for b, x in enumerate(some):
@@ -75,15 +75,23 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
         if key not in cache:
             cache = dict(list(cache.items())[-2:])
             # What acts on a step from h/2 before its position to h/2 after it.
-            cache[key] = controls(record, h, steps, x.delay + 0.5 * h, x.lag, x.kp, x.kd)
-        control[b][:, m.act] = (cache[key] - x.offset) * m.gear
+            of_parts = controls(
+                record, h / parts, steps * parts, x.delay + 0.5 * h, x.lag, x.kp, x.kd
+            )
+            cache[key] = of_parts.reshape(steps, parts, -1)
+        commanded.append(cache[key] - x.offset)
+        control[b][:, m.act] = commanded[-1].mean(axis=1) * m.gear
         if m.dead is not None:
             control[b][:, m.dead] = control[b][:, m.act]
         mujoco.mj_resetData(models[b], data)
         data.qpos[m.qadr], data.qvel[m.dof] = record.q[0] - x.offset, record.start
         mujoco.mj_getState(models[b], data, state[b], _STATE)
-    run = _stepwise if varies else _at_once
-    path = run(m, models, some, state, control, h)
+    if varies:
+        joints = np.flatnonzero(np.any([stepped_at(plant, x) for x in some], axis=0))
+        own = np.array([x[:, :, joints] for x in commanded])
+        path = stepwise(m, joints, limited[:, joints], models, some, state, control, own, h)
+    else:
+        path = _at_once(m, models, state, control)
     q = np.concatenate([state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
     # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
     lost = np.diff(path[:, :, 0], axis=1) <= 0
@@ -95,49 +103,9 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     return np.nan_to_num(now, nan=_LOST)
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
-
-
-def _at_once(m: Compiled, models, some, state, control, h: float) -> np.ndarray:
-    data = [mujoco.MjData(m.model) for _ in range(min(_cores(), len(models)))]
+def _at_once(m: Compiled, models, state, control) -> np.ndarray:
+    data = [mujoco.MjData(m.model) for _ in range(min(cores(), len(models)))]
     path, _ = rollout.rollout(models, data, state, control, persistent_pool=True)
-    return path
-
-
-def _stepwise(m: Compiled, models, some: Sequence[Numbers], state, control, h: float) -> np.ndarray:
-    """The same where dry friction goes by torque or velocity: it is set anew between short rollouts."""
-    every = max(round(_FRICTION_EVERY / h), 1)
-    steps, nq = control.shape[1], m.model.nq
-    path = np.empty((len(models), steps, state.shape[1]))
-    joints = np.flatnonzero(np.any([x.varies_at for x in some], axis=0))
-    fields = [k for k in Numbers._fields if k not in OF_BODIES]
-    of_joints = {k: np.stack([getattr(x, k)[joints] for x in some]) for k in fields}
-    stacked = Numbers(**of_joints, mass={}, centres={})
-    q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
-    losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
-    # A thread is worth its wake-up for several models, each of a step or two; one alone only waits for another.
-    threads = min(_cores() // 2, len(models) // _A_THREAD)
-    threads = threads if threads > 1 else 0
-    data, now = [mujoco.MjData(m.model) for _ in range(max(threads, 1))], state
-    # Both sides without the encoders' offset.
-    commanded = np.ascontiguousarray((control[:, :, m.act] / m.gear)[:, :, joints].swapaxes(0, 1))
-    part = np.empty((len(models), every, state.shape[1]))
-    seen = np.empty((len(models), every, m.model.nsensordata))
-    with rollout.Rollout(nthread=threads) as roll:
-        for k in range(0, steps, every):
-            q, v = now[:, q_of], now[:, v_of]
-            dry = stacked.friction(stacked.torque(commanded[k], q, v), q, v)
-            for loss, own in zip(losses, dry, strict=True):
-                loss[dofs] = own
-            some_control = np.ascontiguousarray(control[:, k : k + every])
-            if (n := some_control.shape[1]) < every:
-                part, seen = (np.ascontiguousarray(x[:, :n]) for x in (part, seen))
-            roll.rollout(
-                models, data, now, some_control, skip_checks=True, nstep=n, state=part, sensordata=seen
-            )  # fmt: skip
-            path[:, k : k + every] = part
-            now = np.ascontiguousarray(part[:, -1])
     return path
 
 

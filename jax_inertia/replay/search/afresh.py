@@ -17,12 +17,11 @@ from jax_inertia.replay.search.parsimony import Parabola, nominal
 from jax_inertia.replay.search.tries import (
     AS_GOOD,
     ROUNDS,
+    at_best,
     fitted_from,
     placed,
     price,
     ranked,
-    scaled,
-    tried_errors,
 )
 
 _JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
@@ -47,18 +46,18 @@ def from_nominal(
     start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
     about = Parabola(start, plant.loop, start.samples)
     bare = about.worth().total
-    tries = [(c, c.starts[0]) for c in pool if c.scales]
-    ranked = []
-    for c, size, error in tried_errors(plant, start, tries, records):
-        worth, share = scaled(about, c, size, error)
-        ranked.append((bare - worth.total - price(start, c), c, share * size[0], worth.off))
+    linear = [c for c in pool if c.scales]
+    ranked = [
+        (bare - worth.total - price(start, c), c, sizes, worth.off)
+        for c, worth, sizes in at_best(plant, about, linear, records)
+    ]
     ranked.sort(key=lambda x: -x[0])
     out = []
-    for gain, c, size, off in ranked[:_FROM_NOMINAL]:
+    for gain, c, sizes, off in ranked[:_FROM_NOMINAL]:
         if gain > 0:
             new = theta.copy()
             new[about.go] = nominal(found)[about.go] + off
-            new = np.append(new, size)
+            new = np.append(new, sizes)
             out.append((c, fitted_from(plant, found, c, new, records, floor)))
     return out
 

@@ -7,13 +7,17 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay.joint_numbers import CENTRE, Numbers
+from jax_inertia.diagnosis.effects.environment import LEVEL
+from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT, Numbers
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 
-VARYING = "load_friction", "stribeck_friction", "position_friction"
-"""Families of dry friction that changes along the motion."""
+STEPPED = (
+    "load_friction", "stribeck_friction", "position_friction", "asymmetric_coulomb", "torque_saturation",
+    "torque_speed",
+)  # fmt: skip
+"""Families of what changes a joint along the motion, whose replays are stepped."""
 
 
 class Candidate(NamedTuple):
@@ -24,7 +28,7 @@ class Candidate(NamedTuple):
     starts: tuple[tuple[float, ...], ...]
     """Values of the parameters to be tried."""
     scales: bool = False
-    """Whether its column grows with its size, so that one start is enough and its best size is on a parabola."""
+    """Whether its columns grow with its numbers: one start for each is enough, and the best ones are on a parabola."""
 
     @property
     def place(self) -> tuple[int, str]:
@@ -35,6 +39,8 @@ class Candidate(NamedTuple):
 # Prior deviations: of torque as a share of a joint's typical one, of times [s], of angles [rad], of a mass's share.
 _BIAS_SHARE, _LAG, _OWN_DELAY, _MASS_SHARE = 0.5, 0.02, 0.01, 0.5
 _ANGLE, _LOAD = 0.015, 0.15
+_DRAG_SHARE = 0.3
+"""Of a joint's typical torque, quadratic viscous friction at its largest speed."""
 _STRENGTH = 0.2
 """Of a motor, prior deviation of its logarithm."""
 _DEAD_BANDS, _PLAYS = (0.003, 0.01, 0.025), (0.004, 0.012, 0.03)
@@ -50,6 +56,10 @@ _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
 _PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
 """Of a load from its body's centre of mass [m]."""
+_TRIED = 0.3
+"""Of a prior deviation, where a number is first tried whose column grows with it."""
+_SHIFT_SHARE = 0.3
+"""Of a body's radius of gyration, by which covers, cables and batteries that CAD leaves out move its centre."""
 
 
 def candidates(
@@ -70,13 +80,17 @@ def candidates(
         out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
         out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
         joint = plant.model.joint(plant.names[j])
+        own = float(plant.model.jnt_stiffness[joint.id])
+        out += _of_motion(j, torque[j], fastest[j], travel[j], own)
         if joint.type[0] == int(mujoco.mjtJoint.mjJNT_HINGE):
             out += _of_angles(j)
     if len(plant.names) > 1:
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
-    return out + _masses(plant)
+    if np.any(plant.model.opt.gravity):
+        out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
+    return out + _masses(plant) + _shifts(plant)
 
 
 def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.ndarray]:
@@ -98,6 +112,15 @@ def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.nda
 def _one(family, joint, nominal, sd, low, high, starts, *, scales=False, centre=None) -> Candidate:
     p = Parameter(family, joint, nominal, sd, low, high, "", centre)
     return Candidate(family, (p,), tuple((x,) for x in starts), scales)
+
+
+def _several(
+    name: str, families: Sequence[str], joint: int, body: str, sd: float, most: float
+) -> Candidate:
+    """Of several coordinates alike, each tried alone."""
+    every = tuple(Parameter(f, joint, 0.0, sd, -most, most, body) for f in families)
+    starts = tuple(tuple(x) for x in _TRIED * sd * np.eye(len(every)))
+    return Candidate(name, every, starts, True)
 
 
 def _of_targets(j: int) -> list[Candidate]:
@@ -133,7 +156,19 @@ def _of_friction(j: int, dry: float, travel: float) -> list[Candidate]:
     return [
         _one("load_friction", j, 0.0, _LOAD, 0.0, 0.9, _LOADS),
         Candidate("stribeck_friction", (more, slow), starts),
-        _one("position_friction", j, 0.0, slant, -np.inf, np.inf, (0.3 * slant,), scales=True),
+        _one("position_friction", j, 0.0, slant, -np.inf, np.inf, (_TRIED * slant,), scales=True),
+        _one("asymmetric_coulomb", j, 0.0, dry, -np.inf, np.inf, (_TRIED * dry,), scales=True),
+    ]
+
+
+def _of_motion(j: int, torque: float, fastest: float, travel: float, own: float) -> list[Candidate]:
+    drag, stiff = _DRAG_SHARE * torque / fastest**2, torque / max(travel, 0.1)
+    spring = Parameter("joint_spring", j, 0.0, stiff, -own, np.inf)
+    wound = Parameter("spring_torque", j, 0.0, torque, -np.inf, np.inf)
+    starts = (_TRIED * stiff, 0.0), (0.0, _TRIED * torque)
+    return [
+        _one("quadratic_viscous", j, 0.0, drag, 0.0, np.inf, (_TRIED * drag,), scales=True),
+        Candidate("joint_spring", (spring, wound), starts, True),
     ]
 
 
@@ -152,6 +187,16 @@ def _masses(plant: Plant) -> list[Candidate]:
             sd = max(_MASS_SHARE * mass, 0.02 * float(model.body_mass.sum()))
             p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, name)
             out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
+    return out
+
+
+def _shifts(plant: Plant) -> list[Candidate]:
+    out, model = [], plant.model
+    for b in range(1, model.nbody):
+        name, mass = model.body(b).name, float(model.body_mass[b])
+        if name and mass > 0 and model.body_weldid[b] > 0 and not model.body_simple[b]:
+            sd = _SHIFT_SHARE * float(np.sqrt(model.body_inertia[b].sum() / (2.0 * mass)))
+            out.append(_several("com_shift", SHIFT, NO_JOINT, name, max(sd, 1e-3), 10.0 * sd))
     return out
 
 

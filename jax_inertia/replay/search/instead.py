@@ -64,11 +64,14 @@ def in_place_of(
         theta[list(unit)] = own[list(unit)]
     errors = fitting.errors(plant, found.table, thetas, records)
     options = [c for c in pool if c.scales]
-    tries = [(c, c.starts[0]) for c in options]
+    tries = [(c, s) for c in options for s in c.starts]
     about = found._replace(error=errors[0])
-    changes = {c: (e - errors[0]) / s[0] for c, s, e in tried_errors(plant, about, tries, records)}
-    more = [changes[c] for c in options]
-    table = (*found.table, *(c.parameters[0] for c in options))
+    changes = {}
+    for c, start, error in tried_errors(plant, about, tries, records):
+        k = int(np.flatnonzero(start)[0])
+        changes[c.parameters[k]] = (error - errors[0]) / start[k]
+    more = list(changes.values())
+    table = (*found.table, *changes)
     costs = _Costs(
         found, table, np.concatenate([columns, np.array(more).reshape(-1, *columns.shape[1:])])
     )

@@ -4,7 +4,7 @@ Each is tried at a few sizes, the ordinary numbers following along the cost's pa
 fitted, and the best of them stays if evidence asks for it and a replay that played no part does too.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from jax_inertia.replay.search.tries import (
     centre,
     fitted,
     fitted_from,
+    numbers_of,
     placed,
     price,
     ranked,
@@ -38,8 +39,14 @@ _SETTLED = 2
 Along a valley where ordinary numbers make room for an effect a first fit goes part of the way, of one effect more than
 of another: a payload at the shank came to 0.10 of its 0.32 kg, and one at the thigh was nearer to its own end.
 """
+_STARTS = 2
+"""Fits of one effect, from different starts, that are gone on with."""
 _CONTENDERS = 0.3
 """Of the best one's gain, what another one must promise to be fitted, and have to be fitted until it settles."""
+
+
+Passed = dict[Candidate, list[tuple[float, Fit]]]
+"""Candidates, each with the evidence of its fits, the most first."""
 
 
 class Search(NamedTuple):
@@ -105,12 +112,12 @@ def add_odd(
             possible, afresh = [*possible, *more], False
         if not passed:
             break
-        order = sorted(passed, key=lambda c: -passed[c][0])
-        first, passed = _first(plant, found, passed, records, floor, run, best)
-        evidence, found = passed[first]
+        first, chosen = _first(plant, found, passed, records, floor, run, best)
+        evidence, found = chosen[first]
         best = run.missed(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
-        rivals = tuple(c for c in order if passed[c][0] > evidence - AS_GOOD and c != first)
+        order = sorted(passed, key=lambda c: -chosen[c][0])
+        rivals = tuple(c for c in order if chosen[c][0] > evidence - AS_GOOD and c != first)
         pool = [c for c in pool if (c.family, c.place) != (first.family, first.place)]
         if first.family == "payload_centre":
             out = [o._replace(rows=o.rows + rows) if _is_load_of(o, first) else o for o in out]
@@ -122,10 +129,10 @@ def add_odd(
 
 def _judged(
     plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
-) -> tuple[dict[Candidate, tuple[float, Fit]], list[Candidate]]:
-    """(those that evidence and held-out runs both ask for, with evidence and fit; those that are nearly as good)."""
+) -> tuple[Passed, list[Candidate]]:
+    """(those that evidence and held-out runs both ask for, with evidence and fits; those that are nearly as good)."""
     now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
-    passed: dict[Candidate, tuple[float, Fit]] = {}
+    passed: Passed = {}
     possible = []
     for c, tried in fits:
         after = run.errors(tried)
@@ -133,11 +140,11 @@ def _judged(
         evidence = fall + run.likelier(after, before, found.weights)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
-        simpler = kept + len(c.parameters) < now.kept
+        simpler = kept + numbers_of(c) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
         if evidence > AS_GOOD and unseen.carries_over(run.missed_by(after[None])[0], best, least):
-            if evidence > passed.get(c, (0.0,))[0]:
-                passed[c] = evidence, tried
+            passed.setdefault(c, []).append((evidence, tried))
+            passed[c].sort(key=lambda x: -x[0])
         elif evidence > -AS_GOOD and c.family != "payload_centre":
             # Where a load is, is no effect by itself.
             possible.append(c)
@@ -162,25 +169,35 @@ def _is_load_of(o: Odd, centre: Candidate) -> bool:
 def _first(
     plant: Plant,
     found: Fit,
-    passed: Mapping[Candidate, tuple[float, Fit]],
+    passed: Passed,
     records,
     floor,
     run: unseen.Unseen,
     best,
 ) -> tuple[Candidate, dict[Candidate, tuple[float, Fit]]]:
-    """(the one with most evidence of those that are near the best once they settle; all, with what is known then)."""
-    out = dict(passed)
+    """(the one with most evidence of those that are near the best once they settle; all, with what is known then).
+
+    Of fits of one effect from several starts, the one that is simplest for what it fits once it settles.
+    """
+    out = {c: fits[0] for c, fits in passed.items()}
     order = sorted(out, key=lambda c: -out[c][0])
     near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
     now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
     for c in tuple(near):
-        tried = settled(plant, out[c][1], records, floor)
+        fits = [settled(plant, x, records, floor) for _, x in passed[c][:_STARTS]]
+        tried = _simplest(plant, fits, found.samples)
         held = run.likelier(run.errors(tried), before, found.weights)
         out[c] = _fall(plant, found, now, c, tried)[0] + held, tried
         for whole in placed(plant, c, tried, records, floor):
-            out |= _judged(plant, found, [whole], run, best)[0]
+            out |= {x: fits[0] for x, fits in _judged(plant, found, [whole], run, best)[0].items()}
             near += [whole[0]] if whole[0] in out else []
     return max(near, key=lambda c: out[c][0]), out
+
+
+def _simplest(plant: Plant, fits: Sequence[Fit], samples: float) -> Fit:
+    """Of fits of the same numbers, the one of least S, by the errors that the closest leaves."""
+    closest = min(fits, key=lambda f: np.sum(np.log(f.weights.sigma) / f.weights.correlated))
+    return min(fits, key=lambda f: Parabola(f, plant.loop, samples, closest.weights).worth().total)
 
 
 def _finalists(

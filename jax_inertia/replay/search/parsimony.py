@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.joint_numbers import CENTRE
+from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
 
 
@@ -78,8 +78,8 @@ def nominal(found: Fit) -> Float[np.ndarray, " P"]:
 
 
 def _may_go(p: Parameter) -> bool:
-    # A load may be off its body's centre along one axis alone.
-    if p.family in CENTRE:
+    # A load may be off its body's centre along one axis alone, and a spring rest at the model's zero.
+    if p.family in COORDINATES:
         return True
     # A delay of one joint's own targets is an odd one.
     return p.family in ORDINARY and (p.family != "target_delay" or p.joint == ALL)
@@ -120,27 +120,32 @@ class Parabola:
         return Worth(total, int(np.sum(least.kept & self.may_go)), least.off)
 
     def scaled(
-        self, change: Float[np.ndarray, "N n"], sd: float, low: float, high: float
-    ) -> tuple[Worth, float]:
-        """(S, multiple) where one more number's `change` of the error is best scaled, within its prior and bounds.
+        self, parameters: Sequence[Parameter], changes: Float[np.ndarray, "K N n"]
+    ) -> tuple[Worth, Float[np.ndarray, " K"]]:
+        """(S, numbers) where some more numbers are at their best, within their priors and bounds.
 
-        `sd`, `low` and `high` are of the multiple.
+        `changes`: of the error by one of each.
         """
-        white, more = (x.ravel() for x in (self.found.error * self.root, change * self.root))
-        across, own = self.flat @ more, float(more @ more) + sd**-2
+        more = (changes * self.root).reshape(len(changes), -1)
+        white = (self.found.error * self.root).ravel()
+        sd, low, high = (
+            np.array([getattr(p, k) for p in parameters]) for k in ("sd", "low", "high")
+        )
+        across, own = self.flat @ more.T, more @ more.T + np.diag(sd**-2.0)
         gradient = np.append(self.flat @ white + self.pull, more @ white)
-        hessian = np.block([[self.hessian, across[:, None]], [across[None], np.array([[own]])]])
-        inverse = np.linalg.inv(hessian)
+        inverse = np.linalg.inv(np.block([[self.hessian, across], [across.T, own]]))
         step = -inverse @ gradient
-        if not low <= step[-1] <= high:
-            size = float(np.clip(step[-1], low, high))
-            whole = self.worth(self.found.error + size * change)
-            return whole._replace(total=whole.total + (size / sd) ** 2), size
+        k = len(self.go)
+        if np.any((step[k:] < low) | (step[k:] > high)):
+            sizes = np.clip(step[k:], low, high)
+            whole = self.worth(self.found.error + np.tensordot(sizes, changes, 1))
+            return whole._replace(total=whole.total + float(np.sum((sizes / sd) ** 2))), sizes
         loose = np.zeros_like(inverse)
-        loose[:-1, :-1] = self.loose
-        off = np.append(self.off, 0.0) + step
-        least = simplest(inverse + loose, off, np.append(self.may_go, False), self.each)
-        size = float(np.clip(least.off[-1], low, high))
+        loose[:k, :k] = self.loose
+        off = np.append(self.off, np.zeros(len(sd))) + step
+        may_go = np.append(self.may_go, [_may_go(p) for p in parameters])
+        least = simplest(inverse + loose, off, may_go, self.each)
+        sizes = np.clip(least.off[k:], low, high)
         total = float(white @ white + self.prior + gradient @ step) + least.price
-        kept = int(np.sum(least.kept[:-1] & self.may_go))
-        return Worth(total, kept, least.off[:-1]), size
+        kept = int(np.sum(least.kept[:k] & self.may_go))
+        return Worth(total, kept, least.off[:k]), sizes

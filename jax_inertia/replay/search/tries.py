@@ -6,10 +6,10 @@ import numpy as np
 
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.joint_numbers import CENTRE
+from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search.candidates import VARYING, Candidate, centre_of
+from jax_inertia.replay.search.candidates import STEPPED, Candidate, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth
 
 AS_GOOD = 2.0 * float(np.log(20.0))
@@ -21,28 +21,46 @@ ROUNDS = 4
 _AT_ONCE = 32
 
 
+def numbers_of(c: Candidate) -> int:
+    """How many numbers a candidate needs: every load is somewhere, and S counts the coordinates that are needed."""
+    return sum(p.family not in COORDINATES for p in c.parameters)
+
+
 def price(found: Fit, c: Candidate) -> float:
     """What S must fall by for a candidate: ln N for each number (BIC), and the odds against it."""
     if c.family == "payload_centre":
         return 0.0
-    # Every load is somewhere, and S counts the coordinates that it needs.
-    numbers = sum(p.family not in CENTRE for p in c.parameters)
-    return numbers * float(np.log(found.samples)) + 2.0 * LOG_ODDS
+    return numbers_of(c) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
-def scaled(about: Parabola, c: Candidate, start, error: np.ndarray) -> tuple[Worth, float]:
-    """(S, multiple of the start) where a candidate is best scaled."""
-    p, own = c.parameters[0], start[0]
-    ends = sorted((p.low / own, p.high / own))
-    return about.scaled(error - about.found.error, p.sd / abs(own), *ends)
+Judged = tuple[Candidate, Worth, np.ndarray]
+
+
+def at_best(
+    plant: Plant, about: Parabola, pool: Sequence[Candidate], records: Sequence[Record]
+) -> Iterator[Judged]:
+    """(candidate, S, numbers) at each start; where columns grow with the numbers, once, at the best ones."""
+    found, columns = about.found, {}
+    tries = [(c, s) for c in pool for s in c.starts]
+    for c, start, error in tried_errors(plant, found, tries, records):
+        if not c.scales:
+            yield c, about.worth(error), np.array(start)
+            continue
+        own = columns.setdefault(c, {})
+        k = int(np.flatnonzero(start)[0])
+        own[k] = (error - found.error) / start[k]
+        if len(own) == len(c.parameters):
+            changes = np.array([own[i] for i in range(len(own))])
+            del columns[c]
+            yield c, *about.scaled(c.parameters, changes)
 
 
 def tried_errors(
     plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
 ) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
     """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
-    # What is stepped with friction set anew is stepped together.
-    tries = sorted(tries, key=lambda x: x[0].family in VARYING)
+    # What is stepped is stepped together.
+    tries = sorted(tries, key=lambda x: x[0].family in STEPPED)
     rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
     for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
         mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
@@ -64,17 +82,15 @@ def ranked(
     plant: Plant, found: Fit, pool: Sequence[Candidate], records
 ) -> list[tuple[float, Candidate, tuple[float, ...]]]:
     """Candidates by what they promise beyond their price, the best first: (by how much S falls, candidate, sizes)."""
-    tries = [(c, s) for c in pool for s in c.starts]
-    if not tries:
+    if not pool:
         return []
     about = Parabola(found, plant.loop, found.samples)
     now = about.worth().total
     best: dict[tuple, tuple] = {}
-    for c, start, error in tried_errors(plant, found, tries, records):
-        worth, share = scaled(about, c, start, error) if c.scales else (about.worth(error), 1.0)
+    for c, worth, sizes in at_best(plant, about, pool, records):
         gain, key = now - worth.total, (c.family, c.place)
         if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
-            best[key] = gain, c, tuple(share * np.array(start))
+            best[key] = gain, c, tuple(sizes)
     return sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])
 
 
