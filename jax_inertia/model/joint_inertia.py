@@ -55,6 +55,18 @@ def put_load(
     model.body_sameframe[body] = 0
 
 
+def bodies_off_their_axes(model: MjModel) -> list[int]:
+    """Named bodies that joints move, and whose centre of mass matters to these."""
+    return [
+        b
+        for b in range(1, model.nbody)
+        if model.body(b).name
+        and model.body_mass[b] > 0
+        and model.body_weldid[b] > 0
+        and not model.body_simple[b]
+    ]
+
+
 def shift_centre(model: MjModel, body: int, shift: Float[np.ndarray, " 3"]) -> None:
     """Move a body's centre of mass by `shift` (body's axes, m) in a model, which is changed; mass and inertia stay."""
     model.body_ipos[body] += shift

@@ -13,11 +13,11 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects.spec_joint import add_damping, set_first, unit_of, wind
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.model.joint_inertia import put_load, shift_centre
 from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
-from jax_inertia.replay.plant import HOLD, turned
+from jax_inertia.replay.loop import TOLERANCES
+from jax_inertia.replay.plant import HOLD, change_body, changed_bodies, turned
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.spec_edits import (
     DEAD,
@@ -69,12 +69,9 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
                 joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
-    for body in {**x.mass, **x.shifts}:
+    for body in changed_bodies(x):
         model = spec.compile()
-        if body in x.mass:
-            put_load(model, model.body(body).id, x.mass[body], x.centres.get(body))
-        if body in x.shifts:
-            shift_centre(model, model.body(body).id, x.shifts[body])
+        change_body(model, body, x)
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
     spec.option.gravity = turned(np.asarray(spec.option.gravity), x.tilt)
     # Postures of the nominal model are of other references, and have no activations.
@@ -164,8 +161,8 @@ def policy(found: Diagnosis) -> dict[str, Any]:
     shared: dict[str, dict] = {}
     fit, everything = found.found, found.everything
     for k, p in enumerate(fit.table):
-        if p.family == "torque_lead":
-            # Of the log, not of the robot.
+        if p.family == "torque_lead" or p.family in TOLERANCES:
+            # Of the log, not of the robot; and of what every model is off by.
             continue
         number = size_of(fit, k, found.loop)
         ends = [number.low, number.high]

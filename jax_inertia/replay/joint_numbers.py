@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.replay.loop import ALL, Loop, Parameter
+from jax_inertia.replay.loop import ALL, OFF, Loop, Parameter
 
 
 class Numbers(NamedTuple):
@@ -60,6 +60,8 @@ class Numbers(NamedTuple):
     """Where it is, from the body's own centre of mass, in the body's axes."""
     shifts: Mapping[str, Float[np.ndarray, " 3"]]
     """Of bodies' centres of mass, in the body's axes."""
+    heavier: Mapping[str, float]
+    """By what share of their mass bodies are, of the same shape."""
     tilt: Float[np.ndarray, " 2"]
     """Of gravity, by a rotation vector about world x and y [rad]."""
 
@@ -107,7 +109,7 @@ class Numbers(NamedTuple):
 
 TURNS = 0.01
 """Speed within which friction that differs by direction turns from one to the other [rad/s]."""
-NOT_OF_JOINTS = "mass", "centres", "shifts", "tilt"
+NOT_OF_JOINTS = "mass", "centres", "shifts", "heavier", "tilt"
 """Fields that are of bodies or of the whole robot."""
 CENTRE = "payload_x", "payload_y", "payload_z"
 """Families of a load's place."""
@@ -142,7 +144,8 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none, none, {}, {}, {}, np.zeros(2),
+        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none, none,
+        {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -158,7 +161,7 @@ def decoded(
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in NOT_OF_JOINTS}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, centres, shifts, tilt = {}, {}, {}, np.zeros(2)
+    mass, centres, shifts, heavier, tilt = {}, {}, {}, {}, np.zeros(2)
     whole = base.damping + base.kd
     least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
@@ -184,11 +187,15 @@ def decoded(
         elif p.family in CENTRE:
             centres.setdefault(p.body, np.zeros(3))[CENTRE.index(p.family)] = x
         elif p.family in SHIFT:
-            shifts.setdefault(p.body, np.zeros(3))[SHIFT.index(p.family)] = x
+            shifts.setdefault(p.body, np.zeros(3))[SHIFT.index(p.family)] += x
+        elif p.family in OFF:
+            shifts.setdefault(p.body, np.zeros(3))[OFF.index(p.family)] += x
+        elif p.family == "mass_share":
+            heavier[p.body] = x
         elif p.family in TILT:
             tilt[TILT.index(p.family)] = x
     new["delay"] += new["lead"]
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, least)
-    return Numbers(**new, mass=mass, centres=centres, shifts=shifts, tilt=tilt)
+    return Numbers(**new, mass=mass, centres=centres, shifts=shifts, heavier=heavier, tilt=tilt)

@@ -8,18 +8,18 @@ import numpy as np
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.joint_numbers import CENTRE, COORDINATES, SHIFT, TILT
-from jax_inertia.replay.loop import ALL, LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
+from jax_inertia.replay.joint_numbers import COORDINATES
+from jax_inertia.replay.loop import LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
 from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
+from jax_inertia.replay.ties import IN_PART, effect_of, place_of, ties_of
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""
 _NEARLY, _SOME = 0.35, 0.8
-_TIED = 0.9
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
 """Families whose effect is what is added to the model's own number."""
 PARAMETERS = {
@@ -34,36 +34,6 @@ PARAMETERS = {
     "tilt_x": "tilt_x", "tilt_y": "tilt_y",
 }  # fmt: skip
 """What the parameter of each family is called."""
-_EFFECTS = {
-    **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
-    "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
-}  # fmt: skip
-_LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
-_SUM = (
-    "kd and damping: their sum is what a replay knows; torque parts them, or a second setting of kd"
-)
-_EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
-    "viscous_friction": (("kd_scale", _SUM),),
-    "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
-    "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
-}  # fmt: skip
-_IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "dead_band": (("coulomb_friction", "friction stops a joint within F / kp of its target too; slow motion parts "
-                   "them, and loads held at rest"),),
-    "backlash": (("dead_band", "both leave a joint within a width of its target"),),
-    "load_friction": (("coulomb_friction", "where the load hardly changes F + μ |τ| is one number; other loads or "
-                       "postures part them"),),
-    "stribeck_friction": (("coulomb_friction", "at one speed it is one number; slow and fast motion part them"),),
-    "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range parts "
-                           "them"),),
-    "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
-    "quadratic_viscous": (("viscous_friction", "at one speed it is one number; slow and fast motion part them"),),
-    "asymmetric_coulomb": (("torque_bias", "in motion both pull one way; loads held at rest, and turns, part them"),),
-    "encoder_offset": (("torque_bias", _LEANS),),
-    "torque_bias": (("encoder_offset", _LEANS),),
-    "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
-}  # fmt: skip
 
 
 def distinct(found: Fit, rows: Rows, loop: Loop) -> bool:
@@ -104,18 +74,6 @@ def size_of(found: Fit, k: int, loop: Loop) -> Size:
     low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
     ends = [whole(p, y, loop) for y in (x, low, high)]
     return Size(ends[0], ends[1], ends[2], UNITS[p.family])
-
-
-def effect_of(p: Parameter) -> str:
-    """The family of effects that a number is of."""
-    return _EFFECTS.get(p.family, p.family)
-
-
-def place_of(joint: int, body: str, names: Sequence[str]) -> tuple[str, str]:
-    """Kind and name of a place."""
-    if body:
-        return "body", body
-    return ("global", "global") if joint == ALL else ("joint", names[joint])
 
 
 def listed(
@@ -174,7 +132,7 @@ def _with_dropped(effects: Sequence[Effect], dropped: Sequence[Candidate], names
     out = list(effects)
     for c in dropped:
         place = place_of(*c.place, names)
-        for family, text in _IN_PART.get(c.family, ()):
+        for family, text in IN_PART.get(c.family, ()):
             for k, e in enumerate(out):
                 if (e.family, e.kind, e.name) == (family, *place):
                     out[k] = _with_ties(e, [Tie(c.family, *place, text, False)])
@@ -256,46 +214,6 @@ def _rest(sizes: dict[str, Size], found: Fit, rows: Rows) -> dict[str, Size]:
 def _rivals(rivals: Sequence[Candidate], names) -> tuple[Tie, ...]:
     text = "the replays of this motion are nearly as good with it"
     return tuple(Tie(c.family, *place_of(*c.place, names), text, False) for c in rivals)
-
-
-def ties_of(
-    family: str, place: tuple[str, str], found: Fit, k: int, loop: Loop, names
-) -> tuple[Tie, ...]:
-    """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
-    p = found.table[k]
-    # Torque tells a loop from a motor, and kd from damping.
-    exact = _EXACT.get(family, ()) if found.error.shape[1] == len(names) else ()
-    if (family, p.family) == ("kd_scale", "viscous_friction"):
-        exact = (("viscous_friction", _SUM),)
-    out = [Tie(tie, *place, text, True) for tie, text in exact]
-    if family == "target_delay" and len(names) == 1:
-        own = ("joint", names[0]) if p.joint == ALL else ("global", "global")
-        out.append(Tie(family, *own, "of one joint, its own delay is that of all", True))
-    out += [Tie(tie, *place, text, False) for tie, text in _IN_PART.get(family, ())]
-    sigma = found.sigma
-    for i, other in enumerate(found.table):
-        if i == k or not sigma[i] > 0 or not sigma[k] > 0:
-            continue
-        commanded = {(t.family, t.kind, t.name) for t in out}
-        named = (effect_of(other), *place_of(other.joint, other.body, names))
-        if named in commanded or named == (family, *place):
-            continue
-        if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
-            slope = found.covariance[i, k] / sigma[k] ** 2
-            text = f"one more here is {slope:.3g} there"
-            out.append(Tie(*named, text, False))
-    if family in _LATE:
-        damps = (
-            f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"
-        )
-        out.append(Tie(_LATE[family], *place, f"in part: {damps}; fast and slow motion part them", False))  # fmt: skip
-    return tuple(out)
-
-
-_LATE = {
-    "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
-    "kd_scale": "target_delay",
-}  # fmt: skip
 
 
 def at_floor(r: Replayed) -> bool:

@@ -91,8 +91,8 @@ def _one_each(name: str, values: Sequence[float] | None, n: int) -> np.ndarray |
     return np.broadcast_to(out, (n,)).copy()
 
 
-ALL = -1
-"""In place of a joint: all of them."""
+ALL, NO_JOINT = -1, -2
+"""In place of a joint: all of them; of a body."""
 
 
 class Parameter(NamedTuple):
@@ -149,6 +149,8 @@ UNITS: Mapping[str, str] = {
     "com_shift_z": "m",
     "tilt_x": "rad",
     "tilt_y": "rad",
+    "mass_share": "1",
+    **dict.fromkeys(("centre_x", "centre_y", "centre_z"), "m"),
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
 """Families whose number in the vector is a logarithm: of a gain over the one that is said, of the limit in N m."""
@@ -162,6 +164,9 @@ ORDINARY = (
     "target_delay",
     "torque_lead",
 )
+OFF = "centre_x", "centre_y", "centre_z"
+TOLERANCES = "mass_share", *OFF
+"""Families of what every nominal model is off by: a body's mass, its centre of mass. Always fitted and never listed."""
 COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
     "dead_band", "torque_lead",

@@ -8,13 +8,22 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log, LogError, TorqueKind
+from jax_inertia.model.joint_inertia import bodies_off_their_axes
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.loop import Loop, Parameter, ordinary, position_loop
+from jax_inertia.replay.loop import (
+    NO_JOINT,
+    TOLERANCES,
+    Loop,
+    Parameter,
+    ordinary,
+    position_loop,
+)
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
@@ -70,7 +79,7 @@ def diagnose(
     replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
     own = _ordinary(plant, records, torque, loops, logs)
-    table = tuple(p for p in own if p.family not in exclude)
+    table = (*(p for p in own if p.family not in exclude), *tolerances(plant))
     sound = listing.at_floor(replayed)
     done = _fitted((plant, bare), table, records, held, torque, sound, exclude, progress)
     plant, everything, found, shares = done.plant, done.everything, done.found, done.shares
@@ -243,6 +252,18 @@ def _ordinary(
     )
 
 
+def tolerances(plant: Plant) -> tuple[Parameter, ...]:
+    """By what a nominal model's masses and centres of mass are off."""
+    sds = dict.fromkeys(TOLERANCES, Settings.com_tolerance) | {
+        "mass_share": Settings.mass_tolerance
+    }
+    return tuple(
+        Parameter(f, NO_JOINT, 0.0, sd, -0.5, 0.5, plant.model.body(b).name)
+        for b in bodies_off_their_axes(plant.model)
+        for f, sd in sds.items()
+    )
+
+
 def _parts(
     plant: Plant,
     logs: Sequence[Log],
@@ -312,9 +333,10 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
     """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
-    keep = parsimony.needed(full, plant.loop, range(ordinaries))
+    asked = [k for k in range(ordinaries) if full.table[k].family not in TOLERANCES]
+    keep = parsimony.needed(full, plant.loop, asked)
     free = full.free.copy()
-    free[[k for k in range(ordinaries) if k not in keep]] = False
+    free[[k for k in asked if k not in keep]] = False
     nominal = np.array([p.nominal for p in full.table])
     start = np.where(free, full.theta, nominal)
     few = fitting.fit(
@@ -338,6 +360,7 @@ def _gated(
     run = Unseen(plant, held)
     energy = run.misses(found.table, nominal[None])[0]
     grouped, dropped = {k for rows in groups for k in rows}, 0
+    grouped |= {k for k, p in enumerate(found.table) if p.family in TOLERANCES}
     while True:
         away = set(np.flatnonzero(found.theta != nominal).tolist())
         units = [(k,) for k in sorted(away - grouped)]

@@ -49,7 +49,7 @@ def stepwise(
     path = np.empty((len(models), steps, state.shape[1]))
     fields = [k for k in Numbers._fields if k not in NOT_OF_JOINTS]
     of_joints = {k: np.stack([getattr(x, k)[joints] for x in some]) for k in fields}
-    stacked = Numbers(**of_joints, mass={}, centres={}, shifts={}, tilt=np.zeros(2))
+    stacked = Numbers(**of_joints, mass={}, centres={}, shifts={}, heavier={}, tilt=np.zeros(2))
     q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
     losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
     varies = any(x.varies for x in some)
@@ -99,7 +99,8 @@ class _Limits:
         # In each part of a step alike.
         of_parts = {k: getattr(x, k)[:, None] for k in Numbers._fields if k not in NOT_OF_JOINTS}
         self._x = x._replace(**of_parts)
-        self._before, self._was = None, limited
+        self._before: np.ndarray | None = None
+        self._was: np.ndarray = limited
         self._dofs, self._acts = m.dof[joints], m.act[joints]
         self._limit = np.where(limited, x.limit, np.inf)[:, None]
         self._to_actuator = x.gain / m.gear[joints]
@@ -116,7 +117,7 @@ class _Limits:
         now = v if self._before is None else 1.5 * v - 0.5 * self._before
         self._before = v
         asked = self._x.asked(commanded, q[:, None], now[:, None])
-        at = (np.abs(asked) > self._limit).any(axis=1)
+        at = np.any(np.abs(asked) > self._limit, axis=1)
         changed = np.nonzero(at | self._was)
         for b, j in zip(*changed, strict=True):
             model, act, top = self._models[b], self._acts[j], self._limit[b, 0, j]

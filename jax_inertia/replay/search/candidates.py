@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.environment import LEVEL
+from jax_inertia.model.joint_inertia import bodies_off_their_axes
 from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT, Numbers
-from jax_inertia.replay.loop import ALL, Parameter
+from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter
 from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 
@@ -192,11 +193,12 @@ def _masses(plant: Plant) -> list[Candidate]:
 
 def _shifts(plant: Plant) -> list[Candidate]:
     out, model = [], plant.model
-    for b in range(1, model.nbody):
-        name, mass = model.body(b).name, float(model.body_mass[b])
-        if name and mass > 0 and model.body_weldid[b] > 0 and not model.body_simple[b]:
-            sd = _SHIFT_SHARE * float(np.sqrt(model.body_inertia[b].sum() / (2.0 * mass)))
-            out.append(_several("com_shift", SHIFT, NO_JOINT, name, max(sd, 1e-3), 10.0 * sd))
+    for b in bodies_off_their_axes(model):
+        size = np.sqrt(model.body_inertia[b].sum() / (2.0 * model.body_mass[b]))
+        sd = _SHIFT_SHARE * float(size)
+        out.append(
+            _several("com_shift", SHIFT, NO_JOINT, model.body(b).name, max(sd, 1e-3), 10.0 * sd)
+        )
     return out
 
 
@@ -208,7 +210,3 @@ def centre_of(c: Candidate, plant: Plant) -> Candidate | None:
     axes = [Parameter(f, NO_JOINT, 0.0, _PAYLOAD_OFFSET, -0.5, 0.5, body) for f in CENTRE]
     starts = tuple(tuple(x) for x in _TRIED_OFFSET * np.concatenate([np.eye(3), -np.eye(3)]))
     return Candidate("payload_centre", tuple(axes), starts)
-
-
-NO_JOINT = -2
-"""In place of a joint: of a body."""

@@ -1,0 +1,94 @@
+"""What positions alone cannot tell an effect from: by the equation, in part, and by a fit's correlations."""
+
+from collections.abc import Mapping, Sequence
+
+from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT
+from jax_inertia.replay.loop import ALL, TOLERANCES, Loop, Parameter
+from jax_inertia.replay.result import Tie
+
+_TIED = 0.9
+_EFFECTS = {
+    **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
+    "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
+}  # fmt: skip
+_LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
+_SUM = (
+    "kd and damping: their sum is what a replay knows; torque parts them, or a second setting of kd"
+)
+_EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
+    "viscous_friction": (("kd_scale", _SUM),),
+    "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
+    "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
+}  # fmt: skip
+IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "dead_band": (("coulomb_friction", "friction stops a joint within F / kp of its target too; slow motion parts "
+                   "them, and loads held at rest"),),
+    "backlash": (("dead_band", "both leave a joint within a width of its target"),),
+    "load_friction": (("coulomb_friction", "where the load hardly changes F + μ |τ| is one number; other loads or "
+                       "postures part them"),),
+    "stribeck_friction": (("coulomb_friction", "at one speed it is one number; slow and fast motion part them"),),
+    "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range parts "
+                           "them"),),
+    "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
+    "quadratic_viscous": (("viscous_friction", "at one speed it is one number; slow and fast motion part them"),),
+    "asymmetric_coulomb": (("torque_bias", "in motion both pull one way; loads held at rest, and turns, part them"),),
+    "encoder_offset": (("torque_bias", _LEANS),),
+    "torque_bias": (("encoder_offset", _LEANS),),
+    "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
+}  # fmt: skip
+"""What an effect is like in part, by its family: family, and what parts them."""
+
+
+def effect_of(p: Parameter) -> str:
+    """The family of effects that a number is of."""
+    return _EFFECTS.get(p.family, p.family)
+
+
+def place_of(joint: int, body: str, names: Sequence[str]) -> tuple[str, str]:
+    """Kind and name of a place."""
+    if body:
+        return "body", body
+    return ("global", "global") if joint == ALL else ("joint", names[joint])
+
+
+def ties_of(
+    family: str, place: tuple[str, str], found: Fit, k: int, loop: Loop, names
+) -> tuple[Tie, ...]:
+    """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
+    p = found.table[k]
+    # Torque tells a loop from a motor, and kd from damping.
+    exact = _EXACT.get(family, ()) if found.error.shape[1] == len(names) else ()
+    if (family, p.family) == ("kd_scale", "viscous_friction"):
+        exact = (("viscous_friction", _SUM),)
+    out = [Tie(tie, *place, text, True) for tie, text in exact]
+    if family == "target_delay" and len(names) == 1:
+        own = ("joint", names[0]) if p.joint == ALL else ("global", "global")
+        out.append(Tie(family, *own, "of one joint, its own delay is that of all", True))
+    out += [Tie(tie, *place, text, False) for tie, text in IN_PART.get(family, ())]
+    sigma = found.sigma
+    for i, other in enumerate(found.table):
+        known = sigma[i] > 0 and sigma[k] > 0
+        if i == k or not known or other.family in TOLERANCES:
+            continue
+        commanded = {(t.family, t.kind, t.name) for t in out}
+        named = (effect_of(other), *place_of(other.joint, other.body, names))
+        if named in commanded or named == (family, *place):
+            continue
+        if abs(found.covariance[i, k]) > _TIED * sigma[i] * sigma[k]:
+            slope = found.covariance[i, k] / sigma[k] ** 2
+            text = f"one more here is {slope:.3g} there"
+            out.append(Tie(*named, text, False))
+    if family in _LATE:
+        damps = (
+            f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"
+        )
+        out.append(Tie(_LATE[family], *place, f"in part: {damps}; fast and slow motion part them", False))  # fmt: skip
+    return tuple(out)
+
+
+_LATE = {
+    "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
+    "kd_scale": "target_delay",
+}  # fmt: skip
