@@ -15,7 +15,7 @@ from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
-from jax_inertia.replay.ties import IN_PART, effect_of, place_of, ties_of
+from jax_inertia.replay.search.ties import IN_PART, effect_of, place_of, ties_of
 
 AT_FLOOR = 2.0
 """Replays that err by no more than so many times what encoders and clocks leave show no gap."""
