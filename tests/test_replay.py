@@ -17,10 +17,10 @@ from jax_inertia.replay.corrected import corrected, policy
 from jax_inertia.replay.fit import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import SETTLING, record_of, step_means
 from jax_inertia.replay.result import Effect, Size
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import replay
 from jax_inertia.text.report_page import with_section
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"

@@ -10,9 +10,9 @@ from link_log import COUNT, KD, KP, LOOP, MODEL, logged, targets
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.replay.loop import Parameter, ordinary
 from jax_inertia.replay.pipeline import diagnose
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
-from jax_inertia.replay.simulate import misses, replay
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses, replay
 
 
 def run(*, delay=0.0, damping=0.0, before=False, seconds=8.0) -> Log:

@@ -13,12 +13,12 @@ from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.listing import listed, size_of
 from jax_inertia.replay.loop import ORDINARY, Loop, Parameter
-from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
 from jax_inertia.replay.search.odd import Search
 from jax_inertia.replay.search.parsimony import simplest
 from jax_inertia.replay.search.undecided import open_between
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.simulation.plant import Plant, Structure
+from jax_inertia.replay.simulation.simulate import replay
 from jax_inertia.replay.varying_friction import callback
 
 TWO = """

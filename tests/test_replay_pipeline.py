@@ -7,10 +7,10 @@ from jax_inertia.replay import fit as fitting
 from jax_inertia.replay import pipeline
 from jax_inertia.replay.fit import Fit, Weights
 from jax_inertia.replay.loop import ALL, Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Commanded, Record
 from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.held_out import Unseen
+from jax_inertia.replay.simulation.plant import Plant
 
 NONE = np.zeros(0)
 

@@ -10,9 +10,9 @@ from jax_inertia.replay import pipeline
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.joint_numbers import SHIFT, TILT
 from jax_inertia.replay.loop import ALL, NO_JOINT, Loop, Parameter
-from jax_inertia.replay.plant import Plant, Structure
 from jax_inertia.replay.record import Commanded, Record
-from jax_inertia.replay.simulate import replay
+from jax_inertia.replay.simulation.plant import Plant, Structure
+from jax_inertia.replay.simulation.simulate import replay
 from jax_inertia.replay.varying_friction import callback, law
 
 SPRUNG = """<mujoco><compiler angle="radian"/><worldbody><body name="left">

@@ -17,11 +17,11 @@ from jax_inertia.replay.entry import left_to_torque, replayable
 from jax_inertia.replay.fit import Fit, Weights
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.pipeline import diagnose
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.held_out import carries_over, shown_in
-from jax_inertia.replay.simulate import misses
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses
 
 
 def law(*, kp=KP, kd=KD, delay=0.0, limit=np.inf, bias=0.0, dead=0.0, seconds=6.0) -> Log:

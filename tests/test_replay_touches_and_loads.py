@@ -8,8 +8,8 @@ from jax_inertia.model.joint_inertia import put_load
 from jax_inertia.model.load import body_pi
 from jax_inertia.replay import checks
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Commanded, Record
+from jax_inertia.replay.simulation.plant import Plant
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="upper"><joint name="a" axis="0 1 0" range="-1 3"/>
 <inertial pos="0 0 -0.1" mass="0.8" diaginertia="0.004 0.003 0.001"/>

@@ -30,9 +30,10 @@ ORDINARY = {
 def diagnose(folder: Path) -> None:
     """Write found.json of a folder."""
     import jax_inertia as ji
-    from jax_inertia.replay import command, pipeline, report, simulate
-    from jax_inertia.replay.plant import Plant
+    from jax_inertia.replay import command, pipeline, report
     from jax_inertia.replay.record import record_of
+    from jax_inertia.replay.simulation import simulate
+    from jax_inertia.replay.simulation.plant import Plant
 
     def spec():
         return mujoco.MjSpec.from_file(str(folder / "nominal.xml"))

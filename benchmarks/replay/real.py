@@ -21,10 +21,11 @@ import numpy as np
 from pace_like import PaceLike, errors
 
 import jax_inertia as ji
-from jax_inertia.replay import pipeline, report, simulate
+from jax_inertia.replay import pipeline, report
 from jax_inertia.replay.loop import position_loop
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
+from jax_inertia.replay.simulation import simulate
+from jax_inertia.replay.simulation.plant import Plant
 
 # Of the XL330 (data sheet: P / 128 counts of PWM a count of error, 885 counts are all of the supply; published: kt, R).
 _COUNTS, _DUTY, _KT, _R = 4096 / (2 * np.pi), 885.0, 0.3867, 4.017

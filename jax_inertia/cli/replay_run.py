@@ -21,15 +21,16 @@ from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
 from jax_inertia.model.write import loadable
 from jax_inertia.preflight.preflight import Finding, Severity
-from jax_inertia.replay import command, report, simulate
+from jax_inertia.replay import command, report
 from jax_inertia.replay.checks import floor, objections
 from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.entry import nominal_spec, usable
 from jax_inertia.replay.figures import replays
 from jax_inertia.replay.loop import Loop, position_loop
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
+from jax_inertia.replay.simulation import simulate
+from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.text.report_page import with_section
 from jax_inertia.text.words import chance, number, percent, plain, unit
 

@@ -8,9 +8,9 @@ from scipy.ndimage import binary_dilation, binary_opening
 
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.simulate import WINDOW, Windows, replay
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import WINDOW, Windows, replay
 
 LOOSE_TIME = 1e-3
 """How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""

@@ -17,9 +17,9 @@ from jax_inertia.model.load import body_pi, set_inertials
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
 from jax_inertia.replay.loop import TOLERANCES
-from jax_inertia.replay.plant import HOLD, change_body, changed_bodies, turned
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.spec_edits import (
+from jax_inertia.replay.simulation.plant import HOLD, change_body, changed_bodies, turned
+from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,
     actuator_of,

@@ -23,7 +23,7 @@ from jax_inertia.replay import pipeline, report
 from jax_inertia.replay.command import of_the_loop
 from jax_inertia.replay.loop import UNITS, position_loop
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.spec_edits import fixed_base
+from jax_inertia.replay.simulation.spec_edits import fixed_base
 from jax_inertia.signals.held import with_loop_torque
 from jax_inertia.text.closest_names import listed
 

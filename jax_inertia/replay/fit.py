@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_inertia.replay.loop import ALL, LOGARITHMIC, TOLERANCES, Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.simulate import misses, replay
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses, replay
 
 ROUNDS = 12
 _ENOUGH = 2e-3

@@ -24,13 +24,13 @@ from jax_inertia.replay.loop import (
     ordinary,
     position_loop,
 )
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.search.tries import AS_GOOD
+from jax_inertia.replay.simulation.plant import Plant
 
 FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""

@@ -10,10 +10,10 @@ from jax_inertia.replay import checks
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.result import Replayed, Torques, rms, total
-from jax_inertia.replay.simulate import misses, replay
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses, replay
 
 Numbered = tuple[Sequence[Parameter], np.ndarray]
 _DRAWN = 32

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ORDINARY
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
 from jax_inertia.replay.search.candidates import Candidate
@@ -23,6 +22,7 @@ from jax_inertia.replay.search.tries import (
     price,
     ranked,
 )
+from jax_inertia.replay.simulation.plant import Plant
 
 _JOINTS, _STIFFER = 3, (0.0, 0.35, 0.7, 1.1)
 """How many joints are looked at, and by what logarithms gains are raised."""

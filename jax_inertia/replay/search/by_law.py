@@ -14,11 +14,11 @@ from scipy.optimize import least_squares
 
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, COMMAND
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.tries import AS_GOOD
-from jax_inertia.replay.simulate import misses
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses
 
 ROUGH = 3.0
 """Error of a joint's output in units of what encoders leave, from which something of its loop is sought."""

@@ -11,8 +11,8 @@ from jax_inertia.diagnosis.effects.environment import LEVEL
 from jax_inertia.model.joint_inertia import bodies_off_their_axes
 from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT, Numbers
 from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record, step_means
+from jax_inertia.replay.simulation.plant import Plant
 
 STEPPED = (
     "load_friction", "stribeck_friction", "position_friction", "asymmetric_coulomb", "torque_saturation",

@@ -9,8 +9,8 @@ from jax_inertia.replay import checks
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import ALL, Loop
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.simulation.plant import Plant
 
 
 def fitted(

@@ -9,8 +9,8 @@ from jax_inertia.replay import checks
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit, Weights
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.simulation.plant import Plant
 
 WORSE = 1.02
 """Of an output's error, what passes for no worse."""

@@ -20,11 +20,11 @@ from jaxtyping import Float
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, tried_errors
 from jax_inertia.replay.search.undecided import open_between
+from jax_inertia.replay.simulation.plant import Plant
 
 Rows = tuple[int, ...]
 _PLAIN, _FALLING = "coulomb_friction", "stribeck_friction"

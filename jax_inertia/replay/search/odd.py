@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay.fit import Fit
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law
@@ -29,6 +28,7 @@ from jax_inertia.replay.search.tries import (
     ranked,
     settled,
 )
+from jax_inertia.replay.simulation.plant import Plant
 
 MOST = 6
 _GAIN = 0.02

@@ -7,10 +7,10 @@ import numpy as np
 from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
-from jax_inertia.replay.plant import Plant
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import STEPPED, Candidate, centre_of
 from jax_inertia.replay.search.parsimony import Parabola, Worth
+from jax_inertia.replay.simulation.plant import Plant
 
 AS_GOOD = 2.0 * float(np.log(20.0))
 """Of the cost: likelihoods that differ by less than twenty leave both possible."""

@@ -20,9 +20,9 @@ from mujoco import rollout
 
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.plant import Compiled, Plant
 from jax_inertia.replay.record import Record, controls, step_means
-from jax_inertia.replay.stepped import PARTS, cores, limited_at, stepped_at, stepwise
+from jax_inertia.replay.simulation.plant import Compiled, Plant
+from jax_inertia.replay.simulation.stepped import PARTS, cores, limited_at, stepped_at, stepwise
 
 _ROLLS, _STEPPED = 16, 64
 _LOST = 10.0

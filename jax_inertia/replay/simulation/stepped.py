@@ -10,7 +10,7 @@ from mujoco import rollout
 
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.replay.joint_numbers import NOT_OF_JOINTS, Numbers
-from jax_inertia.replay.plant import Compiled, Plant
+from jax_inertia.replay.simulation.plant import Compiled, Plant
 
 _EVERY = 2e-3
 """Friction that varies is set anew this often [s], and no more than once a step."""

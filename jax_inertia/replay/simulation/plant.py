@@ -20,7 +20,7 @@ from jax_inertia.model.joint_inertia import (
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
-from jax_inertia.replay.spec_edits import (
+from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,
     actuator_of,
