@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.replay.loop import ALL, OFF, Loop, Parameter
+from jax_inertia.replay.loop import ALL, OFF, SHARES, Loop, Parameter
 
 
 class Numbers(NamedTuple):
@@ -60,8 +60,8 @@ class Numbers(NamedTuple):
     """Where it is, from the body's own centre of mass, in the body's axes."""
     shifts: Mapping[str, Float[np.ndarray, " 3"]]
     """Of bodies' centres of mass, in the body's axes."""
-    heavier: Mapping[str, float]
-    """By what share of their mass bodies are, of the same shape."""
+    heavier: Mapping[str, Float[np.ndarray, " 2"]]
+    """By what share bodies' masses are larger, of the same shape, and by what share their inertias are beyond that."""
     tilt: Float[np.ndarray, " 2"]
     """Of gravity, by a rotation vector about world x and y [rad]."""
 
@@ -190,8 +190,8 @@ def decoded(
             shifts.setdefault(p.body, np.zeros(3))[SHIFT.index(p.family)] += x
         elif p.family in OFF:
             shifts.setdefault(p.body, np.zeros(3))[OFF.index(p.family)] += x
-        elif p.family == "mass_share":
-            heavier[p.body] = x
+        elif p.family in SHARES:
+            heavier.setdefault(p.body, np.zeros(2))[SHARES.index(p.family)] = x
         elif p.family in TILT:
             tilt[TILT.index(p.family)] = x
     new["delay"] += new["lead"]

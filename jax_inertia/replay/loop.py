@@ -149,7 +149,7 @@ UNITS: Mapping[str, str] = {
     "com_shift_z": "m",
     "tilt_x": "rad",
     "tilt_y": "rad",
-    "mass_share": "1",
+    **dict.fromkeys(("mass_share", "inertia_share"), "1"),
     **dict.fromkeys(("centre_x", "centre_y", "centre_z"), "m"),
 }
 LOGARITHMIC = ("kp_scale", "kd_scale", "torque_saturation", "torque_gain")
@@ -165,8 +165,9 @@ ORDINARY = (
     "torque_lead",
 )
 OFF = "centre_x", "centre_y", "centre_z"
-TOLERANCES = "mass_share", *OFF
-"""Families of what every nominal model is off by: a body's mass, its centre of mass. Always fitted and never listed."""
+SHARES = "mass_share", "inertia_share"
+TOLERANCES = *SHARES, *OFF
+"""Families of what every nominal model is off by: bodies' masses, inertias, centres. Always fitted and never listed."""
 COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
     "dead_band", "torque_lead",

@@ -253,10 +253,9 @@ def _ordinary(
 
 
 def tolerances(plant: Plant) -> tuple[Parameter, ...]:
-    """By what a nominal model's masses and centres of mass are off."""
-    sds = dict.fromkeys(TOLERANCES, Settings.com_tolerance) | {
-        "mass_share": Settings.mass_tolerance
-    }
+    """By what a nominal model's masses, inertias and centres of mass are off."""
+    sds = dict.fromkeys(TOLERANCES, Settings.com_tolerance)
+    sds |= {"mass_share": Settings.mass_tolerance, "inertia_share": Settings.inertia_tolerance}
     return tuple(
         Parameter(f, NO_JOINT, 0.0, sd, -0.5, 0.5, plant.model.body(b).name)
         for b in bodies_off_their_axes(plant.model)

@@ -283,7 +283,9 @@ def change_body(model: MjModel, name: str, x: Numbers) -> None:
     """Give a body of a model its inertial."""
     body = model.body(name).id
     if name in x.heavier:
-        put_load(model, body, x.heavier[name] * float(model.body_mass[body]), None)
+        mass, inertia = x.heavier[name]
+        put_load(model, body, mass * float(model.body_mass[body]), None)
+        model.body_inertia[body] *= 1.0 + inertia
     if name in x.mass:
         put_load(model, body, x.mass[name], x.centres.get(name))
     if name in x.shifts:
