@@ -151,7 +151,9 @@ def test_what_a_spec_or_a_callback_can_hold_is_found_and_replayed(family):
     assert (effect.family, effect.name) == (family, place)
     sizes = dict(effect.sizes)
     for name, size in FOUND[family].items():
-        assert sizes[name].value == pytest.approx(size, rel=0.15)
+        # What turns a joint that moves alone is a shift or an offset of its encoder: near one posture they are one.
+        assert sizes[name].value == pytest.approx(size, rel=0.15 if family != "com_shift" else 0.25)
+        assert sizes[name].low <= size <= sizes[name].high or family != "com_shift"
     assert np.all(found.replayed.after < 0.1 * found.replayed.before.max())
     spec = two()
     corrected(spec, found)
