@@ -55,16 +55,15 @@ def put_load(
     model.body_sameframe[body] = 0
 
 
+def moved_bodies(model: MjModel) -> list[int]:
+    """Named bodies with a mass that joints move."""
+    there = (model.body_mass > 0) & (model.body_weldid > 0)
+    return [b for b in np.flatnonzero(there).tolist() if model.body(b).name]
+
+
 def bodies_off_their_axes(model: MjModel) -> list[int]:
-    """Named bodies that joints move, and whose centre of mass matters to these."""
-    return [
-        b
-        for b in range(1, model.nbody)
-        if model.body(b).name
-        and model.body_mass[b] > 0
-        and model.body_weldid[b] > 0
-        and not model.body_simple[b]
-    ]
+    """Of those, the ones whose centre of mass matters to the joints."""
+    return [b for b in moved_bodies(model) if not model.body_simple[b]]
 
 
 def shift_centre(model: MjModel, body: int, shift: Float[np.ndarray, " 3"]) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from jax_inertia.diagnosis.effects.environment import turned
 from jax_inertia.diagnosis.effects.spec_joint import add_damping, set_first, unit_of, wind
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.load import body_pi, set_inertials
@@ -18,7 +19,7 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
 from jax_inertia.replay.loop import TOLERANCES
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.simulation.plant import HOLD, change_body, changed_bodies, turned
+from jax_inertia.replay.simulation.plant import HOLD, change_body, changed_bodies
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,

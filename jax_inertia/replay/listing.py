@@ -41,11 +41,12 @@ def distinct(found: Fit, rows: Rows, loop: Loop) -> bool:
 
     Of coordinates, any one's.
     """
-    apart = []
-    for k in sorted(rows):
+    first = min(rows)
+    for k in rows if found.table[first].family in COORDINATES else (first,):
         x, sd = known(found, k, loop)
-        apart.append(bool(abs(x - found.table[k].nominal) > 1.96 * sd))
-    return any(apart) if found.table[min(rows)].family in COORDINATES else apart[0]
+        if abs(x - found.table[k].nominal) > 1.96 * sd:
+            return True
+    return False
 
 
 def known(found: Fit, k: int, loop: Loop) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """Effects that belong to no single joint or body: where gravity points, what contact sensors read."""
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -20,6 +19,11 @@ def turns(theta: Float[np.ndarray, "2"], gravity: Float[np.ndarray, "3"]) -> np.
     first = np.cross(np.eye(3)[:2], gravity)
     half = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     return (np.sinc(angle / np.pi) * first + half * np.cross(about, first)).T
+
+
+def turned(gravity: Float[np.ndarray, "3"], theta: Float[np.ndarray, "2"]) -> np.ndarray:
+    """Gravity turned by a rotation vector θ about world x and y: g + A(θ) θ."""
+    return gravity + turns(theta, gravity) @ theta
 
 
 class GravityTilt(Effect):
@@ -63,13 +67,8 @@ class GravityTilt(Effect):
         }
 
     def edit(self, spec, model, found):
-        turn = np.array([found.values["tilt_x"], found.values["tilt_y"], 0.0])
-        angle = float(np.linalg.norm(turn))
-        if angle > 0:
-            quat, gravity = np.zeros(4), np.zeros(3)
-            mujoco.mju_axisAngle2Quat(quat, turn / angle, angle)
-            mujoco.mju_rotVecQuat(gravity, np.asarray(spec.option.gravity), quat)
-            spec.option.gravity = gravity
+        theta = np.array([found.values["tilt_x"], found.values["tilt_y"]])
+        spec.option.gravity = turned(np.asarray(spec.option.gravity), theta)
         return Edit(whole=True)
 
 

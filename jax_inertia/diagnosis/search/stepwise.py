@@ -78,15 +78,16 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
     Once more, by the noise that is left then, of those that gained: the ends of a push were sought by the noise of a
     push with other ends.
     """
-    moving = {h.key for h in now.chosen if h.is_odd}
+    # A secant at its value has nothing to search; laid once more, it drifts along what no log tells.
+    sought = (h for h in now.chosen if not h.effect.secant or h.effect.law)
+    moving = {h.key for h in sought if h.is_odd}
     for _ in range(MOST_ROUNDS):
         for key in sorted(moving):
             before = now.log_evidence
             for _ in [c for c in now.chosen if c.key == key]:
                 # What was looked at goes to the end, so that the first is one that was not.
                 h = next((c for c in now.chosen if c.key == key), None)
-                # A secant at its value has nothing to search; laid once more, it drifts along what no log tells.
-                if h is None or (h.effect.secant and not h.effect.law):
+                if h is None:
                     break
                 rest = turned(residual, evidence, now.without(h))
                 again = with_one_more(residual, evidence, rest, h, bank)

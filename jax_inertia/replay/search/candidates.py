@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.environment import LEVEL
-from jax_inertia.model.joint_inertia import bodies_off_their_axes
+from jax_inertia.model.joint_inertia import bodies_off_their_axes, moved_bodies
 from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT, Numbers
 from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter
 from jax_inertia.replay.record import Record, step_means
@@ -182,12 +182,11 @@ def _of_angles(j: int) -> list[Candidate]:
 
 def _masses(plant: Plant) -> list[Candidate]:
     out, model = [], plant.model
-    for b in range(1, model.nbody):
-        name, mass = model.body(b).name, float(model.body_mass[b])
-        if name and mass > 0 and model.body_weldid[b] > 0:
-            sd = max(_MASS_SHARE * mass, 0.02 * float(model.body_mass.sum()))
-            p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, name)
-            out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
+    for b in moved_bodies(model):
+        mass = float(model.body_mass[b])
+        sd = max(_MASS_SHARE * mass, 0.02 * float(model.body_mass.sum()))
+        p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, model.body(b).name)
+        out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
     return out
 
 

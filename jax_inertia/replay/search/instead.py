@@ -22,7 +22,7 @@ from jax_inertia.replay.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
-from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, tried_errors
+from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, column, tried_errors
 from jax_inertia.replay.search.undecided import open_between
 from jax_inertia.replay.simulation.plant import Plant
 
@@ -68,8 +68,8 @@ def in_place_of(
     about = found._replace(error=errors[0])
     changes = {}
     for c, start, error in tried_errors(plant, about, tries, records):
-        k = int(np.flatnonzero(start)[0])
-        changes[c.parameters[k]] = (error - errors[0]) / start[k]
+        k, change = column(start, error - errors[0])
+        changes[c.parameters[k]] = change
     more = list(changes.values())
     table = (*found.table, *changes)
     costs = _Costs(

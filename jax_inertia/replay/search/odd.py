@@ -85,7 +85,7 @@ def add_odd(
     out, possible, afresh = [], [], True
     said = afresh_fits.gains_as_said(plant, found, records, floor)
     found = afresh_fits.simpler(plant, found, said, records, floor) if said else found
-    best = run.missed(found)
+    before = run.errors(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
@@ -95,7 +95,7 @@ def add_odd(
         # The loop's half first: its torque tells it, whatever the robot makes of it.
         passed, possible = {}, []
         for fits in _by_law(plant, found, loops, excess, records, floor):
-            passed, more = _judged(plant, found, fits, run, best)
+            passed, more = _judged(plant, found, fits, run, before)
             possible += more
             if passed:
                 break
@@ -108,13 +108,13 @@ def add_odd(
                 fits += (
                     afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
                 )
-            passed, more = _judged(plant, found, fits, run, best)
+            passed, more = _judged(plant, found, fits, run, before)
             possible, afresh = [*possible, *more], False
         if not passed:
             break
-        first, chosen = _first(plant, found, passed, records, floor, run, best)
+        first, chosen = _first(plant, found, passed, records, floor, run, before)
         evidence, found = chosen[first]
-        best = run.missed(found)
+        before = run.errors(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
         order = sorted(passed, key=lambda c: -chosen[c][0])
         rivals = tuple(c for c in order if chosen[c][0] > evidence - AS_GOOD and c != first)
@@ -128,10 +128,13 @@ def add_odd(
 
 
 def _judged(
-    plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, best
+    plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, before
 ) -> tuple[Passed, list[Candidate]]:
-    """(those that evidence and held-out runs both ask for, with evidence and fits; those that are nearly as good)."""
-    now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
+    """(those that evidence and held-out runs both ask for, with evidence and fits; those that are nearly as good).
+
+    `before`: errors of the held-out runs by what is found.
+    """
+    now, best = Parabola(found, plant.loop, found.samples).worth(), run.missed_by(before[None])[0]
     passed: Passed = {}
     possible = []
     for c, tried in fits:
@@ -173,7 +176,7 @@ def _first(
     records,
     floor,
     run: unseen.Unseen,
-    best,
+    before,
 ) -> tuple[Candidate, dict[Candidate, tuple[float, Fit]]]:
     """(the one with most evidence of those that are near the best once they settle; all, with what is known then).
 
@@ -182,14 +185,16 @@ def _first(
     out = {c: fits[0] for c, fits in passed.items()}
     order = sorted(out, key=lambda c: -out[c][0])
     near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
-    now, before = Parabola(found, plant.loop, found.samples).worth(), run.errors(found)
+    now = Parabola(found, plant.loop, found.samples).worth()
     for c in tuple(near):
         fits = [settled(plant, x, records, floor) for _, x in passed[c][:_STARTS]]
         tried = _simplest(plant, fits, found.samples)
         held = run.likelier(run.errors(tried), before, found.weights)
         out[c] = _fall(plant, found, now, c, tried)[0] + held, tried
         for whole in placed(plant, c, tried, records, floor):
-            out |= {x: fits[0] for x, fits in _judged(plant, found, [whole], run, best)[0].items()}
+            out |= {
+                x: fits[0] for x, fits in _judged(plant, found, [whole], run, before)[0].items()
+            }
             near += [whole[0]] if whole[0] in out else []
     return max(near, key=lambda c: out[c][0]), out
 

@@ -33,6 +33,12 @@ def price(found: Fit, c: Candidate) -> float:
     return numbers_of(c) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
+def column(start: Sequence[float], change: np.ndarray) -> tuple[int, np.ndarray]:
+    """(which number alone was tried, the error's change by one of it)."""
+    k = int(np.flatnonzero(start)[0])
+    return k, change / start[k]
+
+
 Judged = tuple[Candidate, Worth, np.ndarray]
 
 
@@ -47,8 +53,8 @@ def at_best(
             yield c, about.worth(error), np.array(start)
             continue
         own = columns.setdefault(c, {})
-        k = int(np.flatnonzero(start)[0])
-        own[k] = (error - found.error) / start[k]
+        k, change = column(start, error - found.error)
+        own[k] = change
         if len(own) == len(c.parameters):
             changes = np.array([own[i] for i in range(len(own))])
             del columns[c]

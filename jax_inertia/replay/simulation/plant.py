@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_inertia.diagnosis.effects.environment import turns
+from jax_inertia.diagnosis.effects.environment import turned
 from jax_inertia.diagnosis.effects.spec_joint import SOFT
 from jax_inertia.model.joint_inertia import (
     mass_matrix,
@@ -290,8 +290,3 @@ def change_body(model: MjModel, name: str, x: Numbers) -> None:
         put_load(model, body, x.mass[name], x.centres.get(name))
     if name in x.shifts:
         shift_centre(model, body, x.shifts[name])
-
-
-def turned(gravity: Float[np.ndarray, " 3"], tilt: Float[np.ndarray, " 2"]) -> np.ndarray:
-    """Gravity turned by a rotation vector about world x and y."""
-    return gravity + turns(tilt, gravity) @ tilt if np.any(tilt) else gravity
