@@ -33,9 +33,10 @@ ORDER: dict[str, str] = {
     "estimation.online": "slew exact_memory load_bank",
     "control": "qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "replay": """loop record joint_numbers simulation fit result checks search listing proof
+    "replay": """loop record joint_numbers simulation fitting result checks search listing proof
         command pipeline figures varying_friction late_targets corrected report entry""",
     "replay.simulation": "spec_edits plant stepped simulate",
+    "replay.fitting": "errors columns problem start fit",
     "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd undecided instead",
     "fleet": "numbers drift page jobs",
     "cli": """console gains conventions convert command_page replay_run replay diagnose_output diagnose_run diagnose

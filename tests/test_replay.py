@@ -14,7 +14,7 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.replay import checks, command, late_targets
 from jax_inertia.replay.corrected import corrected, policy
-from jax_inertia.replay.fit import autocorrelation_time
+from jax_inertia.replay.fitting.errors import autocorrelation_time
 from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.record import SETTLING, record_of, step_means

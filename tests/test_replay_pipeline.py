@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from jax_inertia.replay import fit as fitting
 from jax_inertia.replay import pipeline
-from jax_inertia.replay.fit import Fit, Weights
+from jax_inertia.replay.fitting.errors import Weights
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.record import Commanded, Record
-from jax_inertia.replay.search import causal
+from jax_inertia.replay.search import causal, held_out
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.simulation.plant import Plant
 
@@ -39,7 +39,7 @@ def test_a_delay_before_its_cause_is_fitted_again_with_none(monkeypatch, delay, 
         asked.append((start.tolist(), free.tolist()))
         return second
 
-    monkeypatch.setattr(fitting, "fit", again)
+    monkeypatch.setattr(causal, "fit", again)
     first = fitted([delay, 0.1], [0.007, 0.02], "target_delay", "kp_scale")
     second = fitted([0.0, 0.2], [0.0, 0.02], "target_delay", "kp_scale")
     found = causal.fitted(Joints(), first, [], 1e-4, print)
@@ -76,7 +76,7 @@ def unseen(monkeypatch):
         miss[:, 0] += np.asarray(thetas)[:, 2:].sum(axis=1)
         return np.repeat(miss[:, None], 400, axis=1)
 
-    monkeypatch.setattr(fitting, "errors", errors)
+    monkeypatch.setattr(held_out, "replay_errors", errors)
     return Unseen(Joints(), [record()])
 
 

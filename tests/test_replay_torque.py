@@ -14,7 +14,8 @@ from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.replay import checks
 from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.entry import left_to_torque, replayable
-from jax_inertia.replay.fit import Fit, Weights
+from jax_inertia.replay.fitting.errors import Weights
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.record import record_of

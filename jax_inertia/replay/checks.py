@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant

@@ -7,7 +7,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.loop import LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
 from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total

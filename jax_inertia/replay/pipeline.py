@@ -13,9 +13,9 @@ from jax_inertia.logs.log import Log, LogError, TorqueKind
 from jax_inertia.model.joint_inertia import bodies_off_their_axes
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
-from jax_inertia.replay import fit as fitting
 from jax_inertia.replay.command import of_the_loop, with_damping
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import ROUNDS, Fit, fit
+from jax_inertia.replay.fitting.start import start as first_numbers
 from jax_inertia.replay.loop import (
     NO_JOINT,
     TOLERANCES,
@@ -158,11 +158,12 @@ def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _
     if _creeps(plants, everything, creeping, held, least):
         plant, everything = bare, creeping
     records = checks.without_touches(plant, everything, records)
-    if any(r.touched is not None for r in records):
-        progress("fitting without what is touched")
-        everything = fitting.fit(
-            plant, table, records, everything.theta, floor=least, progress=progress
-        )
+    touched = any(r.touched is not None for r in records)
+    near = None if touched else (everything.error, everything.columns)
+    rounds = ROUNDS if touched else 0
+    everything = fit(
+        plant, table, records, everything.theta, floor=least, known=near, rounds=rounds, exact=True, progress=progress
+    )  # fmt: skip
     possible = causal.fitted(plant, everything, records, least, progress)
     search = odd.Search(possible, (), (), ())
     if "odd" not in exclude:
@@ -196,13 +197,13 @@ def _unchanged(plant: Plant, everything: Fit, records: Sequence[Record]) -> _Fit
 def _ordinary_fit(plant: Plant, table, records, least, progress) -> Fit:
     """All ordinary numbers at once; the plant's steps are as long as the loops that were found allow."""
     progress("looking for kp and delay")
-    start = fitting.start(plant, table, records, plant.loop.source == "model")
+    first = first_numbers(plant, table, records, plant.loop.source == "model")
     scale = np.array(
-        [np.exp(x) for p, x in zip(table, start, strict=True) if p.family == "kp_scale"]
+        [np.exp(x) for p, x in zip(table, first, strict=True) if p.family == "kp_scale"]
     )
     if len(scale) == len(plant.names):
         plant.retime(plant.loop.kp * np.minimum(2.0 * scale, 1.0))
-    return fitting.fit(plant, table, records, start, floor=least, progress=progress)
+    return fit(plant, table, records, first, floor=least, progress=progress)
 
 
 def _creeps(
@@ -230,7 +231,9 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
     nominal = np.array([p.nominal for p in found.table])
     free = found.free & (found.theta != nominal)
     least = checks.least(wholes, plant.loop)
-    return fitting.fit(plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3)
+    return fit(
+        plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3, exact=True
+    )
 
 
 def _ordinary(
@@ -331,16 +334,24 @@ def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray,
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
-    """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it."""
+    """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it.
+
+    What a clock leaves open of the others they stay free by, as a nominal model's tolerances are.
+    """
     asked = [k for k in range(ordinaries) if full.table[k].family not in TOLERANCES]
     keep = parsimony.needed(full, plant.loop, asked)
-    free = full.free.copy()
-    free[[k for k in asked if k not in keep]] = False
-    nominal = np.array([p.nominal for p in full.table])
-    start = np.where(free, full.theta, nominal)
-    few = fitting.fit(
-        plant, full.table, records, start, free=free, floor=least, rounds=5, progress=progress
+    given_up = np.isin(np.arange(len(full.table)), np.setdiff1d(asked, keep))
+    loose = checks.loose(full.table, plant.loop)
+    free = full.free & ~(given_up & (loose == 0))
+    by_clock = np.where(given_up & free, loose, 0.0)
+    table = tuple(
+        p._replace(sd=sd) if sd else p for p, sd in zip(full.table, by_clock.tolist(), strict=True)
     )
+    nominal = np.array([p.nominal for p in full.table])
+    start = np.where(given_up, nominal, np.where(free, full.theta, nominal))
+    few = fit(
+        plant, table, records, start, free=free, floor=least, rounds=5, exact=True, progress=progress
+    )  # fmt: skip
     whole, fewer = Unseen(plant, held).misses(full.table, np.stack([full.theta, few.theta]))
     return few if np.all(fewer <= _SPARSER**2 * whole) else full
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Loop
 from jax_inertia.replay.record import Record

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.errors import replay_errors
+from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.loop import ORDINARY
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import by_law
@@ -43,7 +43,7 @@ def from_nominal(
     cost is no parabola as far as the nominal model. About that the effects are ranked, in units of the whole gap.
     """
     theta = np.where(found.free, nominal(found), found.theta)
-    start = fitting.fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
+    start = fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
     about = Parabola(start, plant.loop, start.samples)
     bare = about.worth().total
     linear = [c for c in pool if c.scales]
@@ -78,7 +78,7 @@ def gains_as_said(
         return None
     held = np.where(gains, nominal(found), found.theta)
     free = found.free & ~gains
-    return fitting.fit(plant, found.table, records, held, free=free, floor=floor, rounds=_AT_GAINS)
+    return fit(plant, found.table, records, held, free=free, floor=floor, rounds=_AT_GAINS)
 
 
 def simpler(
@@ -89,8 +89,15 @@ def simpler(
     Of two that are worth the same the one that errs less leaves less for an effect to pass for: a load friction of an
     XL330 was lost to a fit that was worth 0.07 nats more, and other runs were replayed by 52 mrad for 32.
     """
-    new = fitting.fit(
-        plant, found.table, records, said.theta, free=found.free, floor=floor, rounds=ROUNDS
+    new = fit(
+        plant,
+        found.table,
+        records,
+        said.theta,
+        free=found.free,
+        floor=floor,
+        rounds=ROUNDS,
+        exact=True,
     )
     was = Parabola(found, plant.loop, found.samples).worth()
     now = Parabola(new, plant.loop, found.samples, found.weights).worth()
@@ -184,6 +191,6 @@ def _fitted_from_best(
     floor: np.ndarray,
 ) -> Fit:
     """The fit from whichever numbers replay best, weighed as `found` is."""
-    errors = fitting.errors(plant, (*found.table, *c.parameters), thetas, records)
-    costs = np.sum((errors * found.weights.root) ** 2, axis=(1, 2))
+    replayed = replay_errors(plant.quick, (*found.table, *c.parameters), thetas, records)
+    costs = np.sum((replayed * found.weights.root) ** 2, axis=(1, 2))
     return fitted_from(plant, found, c, thetas[int(np.argmin(costs))], records, floor)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import ALL, COMMAND
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.replay import checks
-from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.loop import ALL, Loop
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant
@@ -31,18 +30,18 @@ def fitted(
     if not early.any():
         return everything
     start = np.where(early, 0.0, everything.theta)
-    return fitting.fit(
-        plant, everything.table, records, start, free=~early, floor=least, rounds=6, progress=progress
+    return fit(
+        plant, everything.table, records, start, free=~early, floor=least, rounds=6, exact=True, progress=progress
     )  # fmt: skip
 
 
-def with_variance(fit: Fit, stamps: Fit) -> Fit:
+def with_variance(found: Fit, stamps: Fit) -> Fit:
     """A fit whose delay was set to none: how well it is known is what the log said of it, and not perfectly."""
-    covariance = fit.covariance.copy()
+    covariance = found.covariance.copy()
     for k in range(len(stamps.table)):
         if covariance[k, k] == 0:
             covariance[k, k] = stamps.covariance[k, k]
-    return fit._replace(covariance=covariance)
+    return found._replace(covariance=covariance)
 
 
 def late(found: Fit, k: int) -> tuple[int, ...]:

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
-from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit, Weights
+from jax_inertia.replay.fitting.errors import Weights, autocorrelation_time, replay_errors
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant
@@ -39,7 +39,7 @@ class Unseen:
         self, table: Sequence[Parameter], thetas: Float[np.ndarray, "B P"]
     ) -> Float[np.ndarray, "B k"]:
         """Of every vector."""
-        return self.missed_by(fitting.errors(self._plant, table, thetas, self._records))
+        return self.missed_by(replay_errors(self._plant, table, thetas, self._records))
 
     def missed_by(self, errors: Float[np.ndarray, "B N m"]) -> Float[np.ndarray, "B k"]:
         """Of the errors of replays."""
@@ -47,7 +47,7 @@ class Unseen:
 
     def errors(self, found: Fit) -> Float[np.ndarray, "N m"]:
         """Of the replays of a fit."""
-        return fitting.errors(self._plant, found.table, found.theta[None], self._records)[0]
+        return replay_errors(self._plant, found.table, found.theta[None], self._records)[0]
 
     def likelier(
         self, new: Float[np.ndarray, "N m"], old: Float[np.ndarray, "N m"], fitted: Weights
@@ -64,7 +64,7 @@ class Unseen:
         if self._floor is not None:
             least = np.concatenate([least, self._floor])
         after, before = (np.maximum(np.mean(e**2, axis=0), least**2) for e in (new, old))
-        times = [[fitting.autocorrelation_time(x) for x in e.T] for e in (new, old)]
+        times = [[autocorrelation_time(x) for x in e.T] for e in (new, old)]
         correlated = np.maximum(np.max(times, axis=0), fitted.correlated)
         return float(np.sum(len(new) / correlated * np.log(before / after)))
 
@@ -75,7 +75,7 @@ class Unseen:
         thetas = np.repeat(found.theta[None], len(effects) + 1, axis=0)
         for b, rows in enumerate(effects):
             thetas[b + 1, list(rows)] = [found.table[k].nominal for k in rows]
-        return fitting.errors(self._plant, found.table, thetas, self._records)
+        return replay_errors(self._plant, found.table, thetas, self._records)
 
     def shown(self, errors: Float[np.ndarray, "B N m"]) -> Bool[np.ndarray, " E"]:
         """Which effects, of the errors of `taken_back`, change the replay by what sensors resolve.

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.errors import replay_errors
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
@@ -62,7 +62,7 @@ def in_place_of(
     thetas = np.repeat(found.theta[None], len(units) + 1, axis=0)
     for theta, unit in zip(thetas[1:], units, strict=True):
         theta[list(unit)] = own[list(unit)]
-    errors = fitting.errors(plant, found.table, thetas, records)
+    errors = replay_errors(plant, found.table, thetas, records)
     options = [c for c in pool if c.scales]
     tries = [(c, s) for c in options for s in c.starts]
     about = found._replace(error=errors[0])
@@ -139,7 +139,7 @@ def _proved(plant, records, costs: "_Costs", away, tries: Sequence[_Try], limit,
     if not tries:
         return out
     thetas = np.array([t.theta for t in tries])
-    for t, error in zip(tries, fitting.errors(plant, costs.table, thetas, records), strict=True):
+    for t, error in zip(tries, replay_errors(plant, costs.table, thetas, records), strict=True):
         free = np.append(np.setdiff1d(away, t.unit), t.option)
         if costs.least(error, t.theta, free) <= limit + each * (len(t.unit) - 1):
             p = costs.table[t.option]

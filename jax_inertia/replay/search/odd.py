@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_inertia.replay import checks
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
 

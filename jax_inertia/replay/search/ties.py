@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT
 from jax_inertia.replay.loop import ALL, TOLERANCES, Loop, Parameter
 from jax_inertia.replay.result import Tie

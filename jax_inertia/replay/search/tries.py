@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jax_inertia.replay import fit as fitting
-from jax_inertia.replay.fit import Fit
+from jax_inertia.replay.fitting.columns import together, touches
+from jax_inertia.replay.fitting.errors import replay_errors
+from jax_inertia.replay.fitting.fit import Fit, evaluated, fit
 from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import STEPPED, Candidate, centre_of
@@ -64,10 +65,17 @@ def at_best(
 def tried_errors(
     plant: Plant, found: Fit, tries: Sequence[tuple[Candidate, tuple[float, ...]]], records
 ) -> Iterator[tuple[Candidate, tuple[float, ...], np.ndarray]]:
-    """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays."""
+    """Each candidate at a start with the error (N, n) there; those of separate trees of joints share replays.
+
+    By what replays in long steps change.
+    """
+    if not tries:
+        return
+    quick = plant.quick
+    now = replay_errors(quick, found.table, found.theta[None], records)[0]
     # What is stepped is stepped together.
     tries = sorted(tries, key=lambda x: x[0].family in STEPPED)
-    rows = np.array(fitting.together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
+    rows = np.array(together([plant.tree_of(c.parameters[0]) for c, _ in tries]), int)
     for first in range(0, rows.max(initial=-1) + 1, _AT_ONCE):
         mine = np.flatnonzero((rows >= first) & (rows < first + _AT_ONCE)).tolist()
         more = [p for k in mine for p in tries[k][0].parameters]
@@ -77,11 +85,11 @@ def tried_errors(
         for k in mine:
             thetas[rows[k] - first, at : at + len(tries[k][1])] = tries[k][1]
             at += len(tries[k][1])
-        changed = fitting.errors(plant, (*found.table, *more), thetas, records)
+        changed = replay_errors(quick, (*found.table, *more), thetas, records) - now
         for k in mine:
             c, start = tries[k]
-            touched = fitting.touches(plant, c.parameters[:1], changed.shape[-1])[0]
-            yield c, start, np.where(touched, changed[rows[k] - first], found.error)
+            touched = touches(plant, c.parameters[:1], changed.shape[-1])[0]
+            yield c, start, found.error + touched * changed[rows[k] - first]
 
 
 def ranked(
@@ -104,7 +112,7 @@ def fitted_from(plant, found: Fit, c: Candidate, theta: np.ndarray, records, flo
     """A fit with a candidate, from numbers of its own; those of the candidate are last."""
     table = (*found.table, *c.parameters)
     free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS)
+    return fit(plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS)
 
 
 def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
@@ -113,10 +121,10 @@ def fitted(plant, found: Fit, c: Candidate, start, records, floor) -> Fit:
     theta = np.append(found.theta, start)
     new = np.zeros(len(table), bool)
     new[len(found.table) :] = True
-    error, columns = fitting.derivatives(plant, table, records, theta, new)
+    error, columns = evaluated(plant, table, records, theta, new)
     columns[: len(found.table)] = found.columns
     free = np.append(found.free, np.ones(len(c.parameters), bool))
-    return fitting.fit(
+    return fit(
         plant, table, records, theta, free=free, floor=floor, rounds=ROUNDS, known=(error, columns),
         mended_only=True,
     )  # fmt: skip
@@ -143,7 +151,7 @@ def centre(plant: Plant, load: Candidate, tried: Fit) -> list[Candidate]:
 
 def settled(plant: Plant, tried: Fit, records: Sequence[Record], floor: np.ndarray) -> Fit:
     """A fit, gone on with by Jacobians of its own."""
-    return fitting.fit(
+    return fit(
         plant, tried.table, records, tried.theta, free=tried.free, floor=floor, rounds=2 * ROUNDS,
-        known=(tried.error, tried.columns),
+        known=(tried.error, tried.columns), exact=True,
     )  # fmt: skip

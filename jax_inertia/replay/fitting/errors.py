@@ -1,0 +1,61 @@
+"""What replays err by, output by output, and what an error counts."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.replay.loop import Parameter
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.simulate import misses, replay
+
+
+class Weights(NamedTuple):
+    """What an error of an output counts: remaining rms σ [rad or N m] and autocorrelation time T [samples]."""
+
+    sigma: Float[np.ndarray, " m"]
+    correlated: Float[np.ndarray, " m"]
+
+    @property
+    def root(self) -> Float[np.ndarray, " m"]:
+        """The square root of one sample's weight."""
+        return 1.0 / (self.sigma * np.sqrt(self.correlated))
+
+
+def replay_errors(
+    plant: Plant,
+    table: Sequence[Parameter],
+    thetas: Float[np.ndarray, "B P"],
+    records: Sequence[Record],
+) -> Float[np.ndarray, "B N m"]:
+    """Replay minus log of every vector, all records one after the other, where they count [rad].
+
+    Where torque is logged it is a second output of every joint, after all positions: `simulate.misses` [N m].
+    """
+    parts = []
+    for r in records:
+        error = replay(plant, table, thetas, r) - r.q
+        if r.torque is not None:
+            error = np.concatenate([error, misses(plant, table, thetas, r)], axis=2)
+        parts.append(error[:, r.settled])
+    return np.concatenate(parts, axis=1)
+
+
+def weights(error: Float[np.ndarray, "N m"], floor: float | Float[np.ndarray, " m"]) -> Weights:
+    """From an error as it is."""
+    sigma = np.maximum(np.sqrt(np.mean(error**2, axis=0)), floor)
+    return Weights(sigma, np.array([autocorrelation_time(e) for e in error.T]))
+
+
+def autocorrelation_time(x: Float[np.ndarray, " N"]) -> float:
+    """1 + 2 Σ ρ_k up to the first k where ρ is not positive, as in Geyer 1992, of x about its mean [samples]."""
+    n, x = len(x), x - np.mean(x)
+    power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
+    rho = np.fft.irfft(power)[: n // 2]
+    if not rho[0] > 0:
+        return 1.0
+    rho = rho / rho[0]
+    last = int(np.argmax(rho <= 0)) if np.any(rho <= 0) else len(rho)
+    return float(1.0 + 2.0 * np.sum(rho[1:last]))
