@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
+from jax_inertia.replay.fitting.errors import replay_errors
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Loop, Parameter
 from jax_inertia.replay.record import Record
@@ -99,6 +100,15 @@ def least(records: Sequence[Record], loop: Loop) -> Float[np.ndarray, " m"]:
     if records[0].torque is None:
         return positions
     return np.concatenate([positions, torque_floor(records, loop, 0.0)])
+
+
+def step_error(plant: Plant, found: Fit, records: Sequence[Record]) -> Float[np.ndarray, " m"]:
+    """What the steps of a simulation leave of each output's error, rms: twice what half a step changes of it."""
+    whole, half = (
+        replay_errors(p, found.table, found.theta[None], records)[0]
+        for p in (plant, plant.in_steps(0.5 * plant.step))
+    )
+    return 2.0 * np.sqrt(np.mean((half - whole) ** 2, axis=0))
 
 
 def settling(plant: Plant, records: Sequence[Record]) -> list[Record]:

@@ -90,7 +90,8 @@ def diagnose(
     replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
     if not sound:
         replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
-    odd_least = least_share(total(replayed.before), total(replayed.after))
+    sizes = replayed.before, replayed.after, replayed.floor
+    odd_least = least_share(*(total(x) for x in sizes))
     if harm or not sound:
         wholes = checks.without_touches(plant, found, wholes, done.records)
     if not sound and test_log is None:
@@ -148,22 +149,10 @@ class _Fitted(NamedTuple):
 
 def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _Fitted:
     """All numbers at once, those that are needed, odd effects, what each takes, and what would do instead."""
-    plant, bare = plants
-    least = checks.least(held, plant.loop)
-    everything = _ordinary_fit(plant, table, records, least, progress)
+    bare = plants[1]
+    plant, everything, records, least = _ordinary_fit(plants, table, records, held, sound, progress)
     if sound:
         return _unchanged(plant, everything, records)
-    progress("the same with a friction that creeps at rest")
-    creeping = _ordinary_fit(bare, table, records, least, progress)
-    if _creeps(plants, everything, creeping, held, least):
-        plant, everything = bare, creeping
-    records = checks.without_touches(plant, everything, records)
-    touched = any(r.touched is not None for r in records)
-    near = None if touched else (everything.error, everything.columns)
-    rounds = ROUNDS if touched else 0
-    everything = fit(
-        plant, table, records, everything.theta, floor=least, known=near, rounds=rounds, exact=True, progress=progress
-    )  # fmt: skip
     possible = causal.fitted(plant, everything, records, least, progress)
     search = odd.Search(possible, (), (), ())
     if "odd" not in exclude:
@@ -194,16 +183,43 @@ def _unchanged(plant: Plant, everything: Fit, records: Sequence[Record]) -> _Fit
     return _Fitted(plant, everything, everything, same, none, {}, {}, (), records)
 
 
-def _ordinary_fit(plant: Plant, table, records, least, progress) -> Fit:
-    """All ordinary numbers at once; the plant's steps are as long as the loops that were found allow."""
+def _ordinary_fit(
+    plants: tuple[Plant, Plant], table, records, held, sound: bool, progress
+) -> tuple[Plant, Fit, Sequence[Record], Float[np.ndarray, " m"]]:
+    """(plant whose friction is the robot's, all ordinary numbers, records without touches, the errors' floor)."""
+    plant, bare = plants
+    least = checks.least(held, plant.loop)
     progress("looking for kp and delay")
+    first = _first_numbers(plants, table, records)
+    everything = fit(plant, table, records, first, floor=least, progress=progress)
+    if sound:
+        return plant, everything, records, least
+    progress("the same with a friction that creeps at rest")
+    creeping = fit(bare, table, records, everything.theta, floor=least, progress=progress)
+    if _creeps(plants, everything, creeping, held, least):
+        plant, everything = bare, creeping
+    records = checks.without_touches(plant, everything, records)
+    touched = any(r.touched is not None for r in records)
+    least = np.hypot(least, checks.step_error(plant, everything, records))
+    near = None if touched else (everything.error, everything.columns)
+    rounds = ROUNDS if touched else 0
+    everything = fit(
+        plant, table, records, everything.theta, floor=least, known=near, rounds=rounds, exact=True, progress=progress
+    )  # fmt: skip
+    return plant, everything, records, least
+
+
+def _first_numbers(plants: Sequence[Plant], table, records) -> Float[np.ndarray, " P"]:
+    """Where a fit starts; the plants' steps are as long as the loops that were found allow."""
+    plant = plants[0]
     first = first_numbers(plant, table, records, plant.loop.source == "model")
     scale = np.array(
         [np.exp(x) for p, x in zip(table, first, strict=True) if p.family == "kp_scale"]
     )
     if len(scale) == len(plant.names):
-        plant.retime(plant.loop.kp * np.minimum(2.0 * scale, 1.0))
-    return fit(plant, table, records, first, floor=least, progress=progress)
+        for one in plants:
+            one.retime(one.loop.kp * np.minimum(2.0 * scale, 1.0))
+    return first
 
 
 def _creeps(
@@ -213,17 +229,17 @@ def _creeps(
     held: Sequence[Record],
     least: Float[np.ndarray, " m"],
 ) -> bool:
-    """Whether dry friction lets joints creep at rest, as MuJoCo's own does: by fitted logs and by replays of others.
+    """Whether dry friction lets joints creep at rest, as MuJoCo's own does: by fitted logs and replays of others.
 
+    Both are one evidence (`Unseen.likelier`): a log whose joints never rest does not tell, and another motion may.
     ln p(log) of a fit is −Σ_j N/T_j ln σ_j, σ_j the rms of output j's error and N/T_j its independent samples.
     """
     rms = [np.maximum(np.sqrt(np.mean(f.error**2, axis=0)), least) for f in (holding, creeping)]
     samples = len(holding.error) / holding.weights.correlated
-    if np.sum(samples * np.log(rms[0] / rms[1])) < AS_GOOD:
-        return False
-    both = zip(plants, (holding, creeping), strict=True)
-    holds, creeps = (Unseen(plant, held).missed(f)[0] for plant, f in both)
-    return bool(creeps < holds)
+    runs = [Unseen(plant, held) for plant in plants]
+    holds, creeps = (run.errors(f) for run, f in zip(runs, (holding, creeping), strict=True))
+    evidence = 2.0 * np.sum(samples * np.log(rms[0] / rms[1]))
+    return bool(evidence + runs[0].likelier(creeps, holds, holding.weights) > AS_GOOD)
 
 
 def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:

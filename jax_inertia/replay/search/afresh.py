@@ -172,6 +172,8 @@ def limits(
     a limit is hardly reached.
     """
     worst, out = int(np.argmax(excess)), []
+    if excess[worst] <= by_law.ROUGH:
+        return out
     own = [k for k, p in enumerate(found.table) if p.joint == worst and p.family in ORDINARY]
     for c in pool:
         if c.family not in ("torque_saturation", "torque_speed") or c.place[0] != worst:

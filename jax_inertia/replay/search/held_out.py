@@ -31,6 +31,12 @@ class Unseen:
         if records[0].torque is not None:
             self._floor = checks.torque_floor(records, plant.loop)
 
+    @property
+    def floor(self) -> Float[np.ndarray, " m"]:
+        """What encoders and clocks leave of each output, rms."""
+        least = checks.floor(self._records)
+        return least if self._floor is None else np.concatenate([least, self._floor])
+
     def missed(self, found: Fit) -> Float[np.ndarray, " k"]:
         """Of a fit; one number, or two."""
         return self.misses(found.table, found.theta[None])[0]
@@ -60,10 +66,7 @@ class Unseen:
         longest autocorrelation time of its errors here and as `fitted`. What a fit brings to its own logs and this are
         one evidence: p(logs, runs) = p(logs) p(runs | logs).
         """
-        least = checks.floor(self._records)
-        if self._floor is not None:
-            least = np.concatenate([least, self._floor])
-        after, before = (np.maximum(np.mean(e**2, axis=0), least**2) for e in (new, old))
+        after, before = (np.maximum(np.mean(e**2, axis=0), self.floor**2) for e in (new, old))
         times = [[autocorrelation_time(x) for x in e.T] for e in (new, old)]
         correlated = np.maximum(np.max(times, axis=0), fitted.correlated)
         return float(np.sum(len(new) / correlated * np.log(before / after)))
@@ -99,9 +102,12 @@ class Unseen:
         return np.array([position, max(float(np.mean(torque)), 1.0)])
 
 
-def least_share(before: float, after: float) -> float:
-    """Of a gap, what an odd effect takes that is listed; rms errors of the nominal replay and the corrected one."""
-    return min(LISTED, (_RETURNS * after / before) ** 2)
+def least_share(before: float, after: float, floor: float) -> float:
+    """Of a gap, what an odd effect takes that is listed; rms errors of the nominal replay and the corrected one.
+
+    What is left counts no less than the floor: a tenth of an error that nobody would miss is no cause of a gap.
+    """
+    return min(LISTED, (_RETURNS * max(after, floor) / before) ** 2)
 
 
 def shown_in(
@@ -115,7 +121,10 @@ def shown_in(
     energy = run.misses(found.table, np.array([[p.nominal for p in found.table]]))[0]
     errors = run.taken_back(found, effects)
     square = run.missed_by(errors)
-    least = np.array([least_share(b, a) for b, a in np.sqrt(np.stack([energy, square[0]], 1))])
+    floors = run.squares(run.floor**2)
+    least = np.array(
+        [least_share(*x) for x in np.sqrt(np.stack([energy, square[0], floors], axis=1))]
+    )
     large = np.any((square[1:] - square[0]) / energy > least, axis=1) & run.shown(errors)
     return [rows for rows, shown in zip(effects, large, strict=True) if shown]
 

@@ -45,6 +45,10 @@ _CONTENDERS = 0.3
 """Of the best one's gain, what another one must promise to be fitted, and have to be fitted until it settles."""
 
 
+_AT_FLOOR = 1.1
+"""Error of a joint's output in units of what encoders and steps leave, from which a law may be sought there."""
+
+
 Passed = dict[Candidate, list[tuple[float, Fit]]]
 """Candidates, each with the evidence of its fits, the most first."""
 
@@ -88,10 +92,15 @@ def add_odd(
     before = run.errors(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
-        excess, loops, here = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], [], pool
+        excess, loops = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], []
+        off = excess
         if torque_logged:
             excess = by_law.excess(plant, found, records, floor)
-            loops, here = by_law.sought(pool, excess)
+            off = np.maximum(off, excess)
+        # Where nothing is left but what encoders and steps leave, no law is left out.
+        here = [c for c in pool if c.scales or np.any(off[_at(c)] > _AT_FLOOR)]
+        if torque_logged:
+            loops, here = by_law.sought(here, excess)
         # The loop's half first: its torque tells it, whatever the robot makes of it.
         passed, possible = {}, []
         for fits in _by_law(plant, found, loops, excess, records, floor):
@@ -158,6 +167,11 @@ def _fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tup
     """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
     return now.total - new.total - price(found, c), new.kept
+
+
+def _at(c: Candidate) -> int | slice:
+    """The joint, or all of them."""
+    return slice(None) if c.place[0] < 0 else c.place[0]
 
 
 def _rms(found: Fit) -> Float[np.ndarray, " m"]:

@@ -103,7 +103,11 @@ def ranked(
     best: dict[tuple, tuple] = {}
     for c, worth, sizes in at_best(plant, about, pool, records):
         gain, key = now - worth.total, (c.family, c.place)
-        if gain > price(found, c) - AS_GOOD and (key not in best or gain > best[key][0]):
+        if (
+            np.any(sizes)
+            and gain > price(found, c) - AS_GOOD
+            and (key not in best or gain > best[key][0])
+        ):
             best[key] = gain, c, tuple(sizes)
     return sorted(best.values(), key=lambda x: price(found, x[1]) - x[0])
 

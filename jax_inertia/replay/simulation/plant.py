@@ -127,9 +127,8 @@ class Plant:
         trees = model.dof_treeid[m.dof]
         self.trees = np.zeros_like(trees) if coupled else trees
         """Joints of separate trees on a fixed base do not feel each other."""
-        self.quick: Plant = copy.copy(self)
+        self.quick = self.in_steps(0.0)
         """The same in long steps."""
-        self.quick._compiled, self.quick.quick = {}, self.quick
         self.retime(loop.kp)
 
     def retime(self, kp: Float[np.ndarray, " n"]) -> None:
@@ -147,6 +146,12 @@ class Plant:
             for m in plant._compiled.values():
                 for one in (m.model, *m.copies):
                     one.opt.timestep = plant.step
+
+    def in_steps(self, h: float) -> "Plant":
+        """The same plant in other steps [s]; its own quick one is itself."""
+        other = copy.copy(self)
+        other._compiled, other.quick, other.step = {}, other, h
+        return other
 
     def compiled(self, structure: Structure) -> Compiled:
         """The model of a structure, made once."""
