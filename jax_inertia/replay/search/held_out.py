@@ -105,7 +105,7 @@ class Unseen:
 def least_share(before: float, after: float, floor: float) -> float:
     """Of a gap, what an odd effect takes that is listed; rms errors of the nominal replay and the corrected one.
 
-    What is left counts no less than the floor: a tenth of an error that nobody would miss is no cause of a gap.
+    The remainder counts no less than the floor: a tenth of an error that nobody would notice is no cause of a gap.
     """
     return min(LISTED, (_RETURNS * max(after, floor) / before) ** 2)
 
