@@ -43,7 +43,7 @@ def one():
     return spec
 
 
-def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD) -> Log:
+def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD, pull=None) -> Log:
     """A log of 200 Hz by MuJoCo C at 0.5 ms, a 1 kHz loop; `law(miss, v)` is the loop's torque, (torque, friction)."""
     m = spec().compile()
     n = m.nv
@@ -58,6 +58,8 @@ def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD) -> Log:
     )
     told = told + np.repeat(rng.normal(size=(len(at) // 50 + 1, n)) * 0.2, 50, axis=0)[: len(at)]
     d.qpos[:] = told[0]
+    for body, force in (pull or {}).items():
+        d.xfrc_applied[m.body(body).id, :3] = force
     rows = []
     for k in range(int(seconds / m.opt.timestep) - 1):
         now = told[int((k * m.opt.timestep + 1e-9) / 0.02)]

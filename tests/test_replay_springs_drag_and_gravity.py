@@ -4,15 +4,16 @@ for a model's forces, and logs that MuJoCo C made at 0.5 ms with forces of its o
 import mujoco
 import numpy as np
 import pytest
-from test_replay_effects import KD, KP, LOOP, NAMES, made, odd_effects, two
+from test_replay_effects import KD, KP, LOOP, NAMES, chain, made, odd_effects, two
 
 from jax_inertia.replay import pipeline
 from jax_inertia.replay.corrected import corrected
-from jax_inertia.replay.joint_numbers import SHIFT, TILT
+from jax_inertia.replay.joint_numbers import FORCE, SHIFT, TILT
 from jax_inertia.replay.loop import ALL, NO_JOINT, Loop, Parameter
 from jax_inertia.replay.record import Commanded, Record
 from jax_inertia.replay.simulation.plant import Plant, Structure
 from jax_inertia.replay.simulation.simulate import replay
+from jax_inertia.replay.simulation.spec_edits import add_force
 from jax_inertia.replay.varying_friction import callback, law
 
 SPRUNG = """<mujoco><compiler angle="radian"/><worldbody><body name="left">
@@ -69,6 +70,35 @@ def test_gravity_and_centres_are_turned_and_moved():
     assert data.qfrc_bias[0] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_a_constant_force_is_what_mujoco_applies_in_the_worlds_axes():
+    """Of actuators on a site at the centre of mass, against `mj_applyFT`; in a model and in corrected.xml's way."""
+    plant = Plant(mujoco.MjSpec.from_string(SPRUNG), NAMES, LOOP)
+    force = np.array([1.5, -0.7, 0.4])
+    table = [number(f, NO_JOINT, "right") for f in FORCE]
+    x = plant.numbers(table, force, None)
+    assert plant.structure(x) == Structure(pulled=("right",))
+    m = plant.compiled(plant.structure(x))
+    model = plant.variants(plant.structure(x), [x])[0]
+    spec = mujoco.MjSpec.from_string(SPRUNG)
+    add_force(spec, "right", np.array([0.02, 0.0, -0.15]), force)
+    alone, bare = spec.compile(), mujoco.MjModel.from_xml_string(SPRUNG)
+    for q in np.random.default_rng(0).normal(size=(5, 2)):
+        data = mujoco.MjData(bare)
+        data.qpos[:] = q
+        mujoco.mj_forward(bare, data)
+        applied = np.zeros(2)
+        mujoco.mj_applyFT(
+            bare, data, force, np.zeros(3), data.xipos[bare.body("right").id], bare.body("right").id, applied
+        )  # fmt: skip
+        for one in (model, alone):
+            own = mujoco.MjData(one)
+            own.qpos[:], own.ctrl[:] = q, 0.0
+            if one is model:
+                own.ctrl[m.act] = q
+            mujoco.mj_forward(one, own)
+            np.testing.assert_allclose(own.qfrc_actuator, applied, atol=1e-12)
+
+
 def test_a_body_is_heavier_by_a_share_and_its_centre_off():
     plant = Plant(mujoco.MjSpec.from_string(SPRUNG), NAMES, LOOP)
     table = [number("mass_share", NO_JOINT, "right"), number("centre_x", NO_JOINT, "right")]
@@ -106,6 +136,27 @@ def test_what_every_model_is_off_by_is_no_effect():
         ("coulomb_friction", "b"),
     }
     assert np.all(found.replayed.after < 2e-4)
+
+
+@pytest.mark.slow
+def test_a_constant_force_is_found_where_it_acts():
+    """On the lower of two links, where no shifted centre and no tilt does the same; corrected.xml replays it."""
+    pull = {"lower": np.array([1.0, 0.0, 2.0])}
+
+    def law(miss, v):
+        return KP * miss - KD * v, 0.05
+
+    log, other = (made(law, spec=chain, seed=k, pull=pull) for k in (4, 5))
+    found = pipeline.diagnose([log], chain, test_log=other)
+    (effect,) = odd_effects(found).values()
+    assert (effect.family, effect.name) == ("constant_force", "lower")
+    for axis, size in zip("xz", (1.0, 2.0), strict=True):
+        own = dict(effect.sizes)[f"force_{axis}"]
+        assert own.value == pytest.approx(size, rel=0.1)
+        assert own.low < size < own.high
+    spec = chain()
+    assert any("lower" in note and "_force" in note for note in corrected(spec, found))
+    assert spec.compile().nu == 2 + 3
 
 
 def hidden(family: str, seed: int):

@@ -23,8 +23,10 @@ from jax_inertia.replay.simulation.plant import HOLD, change_body, changed_bodie
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,
+    PULL,
     actuator_of,
     add_dead_band,
+    add_force,
     add_play,
     set_limit,
     with_loop,
@@ -70,6 +72,9 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
                 joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
+    nominal = spec.compile()
+    for body, force in x.forces.items():
+        add_force(spec, body, nominal.body_ipos[nominal.body(body).id], force)
     for body in changed_bodies(x):
         model = spec.compile()
         change_body(model, body, x)
@@ -112,6 +117,10 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
         out.append(
             f"friction of {where(x.varies_at)} varies with torque, speed, direction or position: corrected.xml has its "
             "mean; jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
+        )
+    if x.forces:
+        out.append(
+            f"the force on {listed(list(x.forces))} is three more actuators, NAME{PULL}_x, _y, _z, without control"
         )
     if (x.drag > 0).any():
         out.append(

@@ -62,6 +62,8 @@ class Numbers(NamedTuple):
     """Of bodies' centres of mass, in the body's axes."""
     heavier: Mapping[str, Float[np.ndarray, " 2"]]
     """By what share bodies' masses are larger, of the same shape, and by what share their inertias are beyond that."""
+    forces: Mapping[str, Float[np.ndarray, " 3"]]
+    """Constant forces at bodies' centres of mass, along the world's axes [N]."""
     tilt: Float[np.ndarray, " 2"]
     """Of gravity, by a rotation vector about world x and y [rad]."""
 
@@ -109,13 +111,15 @@ class Numbers(NamedTuple):
 
 TURNS = 0.01
 """Speed within which friction that differs by direction turns from one to the other [rad/s]."""
-NOT_OF_JOINTS = "mass", "centres", "shifts", "heavier", "tilt"
+NOT_OF_JOINTS = "mass", "centres", "shifts", "heavier", "forces", "tilt"
 """Fields that are of bodies or of the whole robot."""
 CENTRE = "payload_x", "payload_y", "payload_z"
 """Families of a load's place."""
+FORCE = "force_x", "force_y", "force_z"
+"""Families of a constant force."""
 SHIFT, TILT = ("com_shift_x", "com_shift_y", "com_shift_z"), ("tilt_x", "tilt_y")
 """Families of a centre's shift, and of where gravity points."""
-COORDINATES = *CENTRE, *SHIFT, *TILT, "spring_torque"
+COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque"
 """Families of which an effect may need some and not others."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
@@ -145,7 +149,7 @@ def nominal_numbers(
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
         none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none, none,
-        {}, {}, {}, {}, np.zeros(2),
+        {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -161,7 +165,7 @@ def decoded(
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in NOT_OF_JOINTS}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
-    mass, centres, shifts, heavier, tilt = {}, {}, {}, {}, np.zeros(2)
+    mass, centres, shifts, heavier, forces, tilt = {}, {}, {}, {}, {}, np.zeros(2)
     whole = base.damping + base.kd
     least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
@@ -192,10 +196,14 @@ def decoded(
             shifts.setdefault(p.body, np.zeros(3))[OFF.index(p.family)] += x
         elif p.family in SHARES:
             heavier.setdefault(p.body, np.zeros(2))[SHARES.index(p.family)] = x
+        elif p.family in FORCE:
+            forces.setdefault(p.body, np.zeros(3))[FORCE.index(p.family)] = x
         elif p.family in TILT:
             tilt[TILT.index(p.family)] = x
     new["delay"] += new["lead"]
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, least)
-    return Numbers(**new, mass=mass, centres=centres, shifts=shifts, heavier=heavier, tilt=tilt)
+    return Numbers(
+        **new, mass=mass, centres=centres, shifts=shifts, heavier=heavier, forces=forces, tilt=tilt
+    )

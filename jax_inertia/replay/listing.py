@@ -31,7 +31,7 @@ PARAMETERS = {
     "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",
     "asymmetric_coulomb": "half_difference", "quadratic_viscous": "coefficient", "joint_spring": "stiffness",
     "spring_torque": "torque", "com_shift_x": "com_shift_x", "com_shift_y": "com_shift_y", "com_shift_z": "com_shift_z",
-    "tilt_x": "tilt_x", "tilt_y": "tilt_y",
+    "tilt_x": "tilt_x", "tilt_y": "tilt_y", "force_x": "force_x", "force_y": "force_y", "force_z": "force_z",
 }  # fmt: skip
 """What the parameter of each family is called."""
 

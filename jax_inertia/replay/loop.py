@@ -149,6 +149,7 @@ UNITS: Mapping[str, str] = {
     "com_shift_z": "m",
     "tilt_x": "rad",
     "tilt_y": "rad",
+    **dict.fromkeys(("force_x", "force_y", "force_z"), "N"),
     **dict.fromkeys(("mass_share", "inertia_share"), "1"),
     **dict.fromkeys(("centre_x", "centre_y", "centre_z"), "m"),
 }

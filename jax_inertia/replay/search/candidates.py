@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.environment import LEVEL
 from jax_inertia.model.joint_inertia import bodies_off_their_axes, moved_bodies
-from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT, Numbers
+from jax_inertia.replay.joint_numbers import CENTRE, FORCE, SHIFT, TILT, Numbers
 from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter
 from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.simulation.plant import Plant
@@ -59,6 +59,7 @@ _PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
 """Of a load from its body's centre of mass [m]."""
 _TRIED = 0.3
 """Of a prior deviation, where a number is first tried whose column grows with it."""
+_FORCE_SHARE, _GRAVITY = 0.2, 9.81
 _SHIFT_SHARE = 0.3
 """Of a body's radius of gyration, by which covers, cables and batteries that CAD leaves out move its centre."""
 
@@ -91,7 +92,7 @@ def candidates(
         out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
-    return out + _masses(plant) + _shifts(plant)
+    return out + _masses(plant) + _shifts(plant) + _forces(plant)
 
 
 def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.ndarray]:
@@ -199,6 +200,14 @@ def _shifts(plant: Plant) -> list[Candidate]:
             _several("com_shift", SHIFT, NO_JOINT, model.body(b).name, max(sd, 1e-3), 10.0 * sd)
         )
     return out
+
+
+def _forces(plant: Plant) -> list[Candidate]:
+    """Of cables, hoists and balancers, in units of the robot's weight."""
+    model = plant.model
+    sd = _FORCE_SHARE * _GRAVITY * float(model.body_mass.sum())
+    names = [model.body(b).name for b in moved_bodies(model)]
+    return [_several("constant_force", FORCE, NO_JOINT, b, sd, np.inf) for b in names]
 
 
 def centre_of(c: Candidate, plant: Plant) -> Candidate | None:

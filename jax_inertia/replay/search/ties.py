@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.joint_numbers import CENTRE, SHIFT, TILT
+from jax_inertia.replay.joint_numbers import CENTRE, FORCE, SHIFT, TILT
 from jax_inertia.replay.loop import ALL, TOLERANCES, Loop, Parameter
 from jax_inertia.replay.result import Tie
 
 _TIED = 0.9
 _EFFECTS = {
     **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
-    "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
+    **dict.fromkeys(FORCE, "constant_force"), "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
 }  # fmt: skip
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
 _SUM = (

@@ -23,8 +23,10 @@ from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,
+    PULL,
     actuator_of,
     add_dead_band,
+    add_force,
     add_play,
     with_loop,
 )
@@ -59,11 +61,13 @@ _FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
 class Structure(NamedTuple):
-    """What a compiled model has beyond joints and loops: dead bands (everywhere or nowhere), play."""
+    """What a compiled model has beyond joints and loops: dead bands (everywhere or nowhere), play, forces."""
 
     dead: bool = False
     play: tuple[int, ...] = ()
     """Joints that have it."""
+    pulled: tuple[str, ...] = ()
+    """Bodies on which a constant force acts."""
 
 
 class Compiled(NamedTuple):
@@ -78,6 +82,8 @@ class Compiled(NamedTuple):
     """Actuators of dead bands."""
     play: Int[np.ndarray, " p"]
     """Joints of play, in the structure's order."""
+    pull: Int[np.ndarray, "f 3"]
+    """Actuators of forces, in the structure's order."""
     copies: list[MjModel]
     """To be set to one variant each."""
 
@@ -166,6 +172,8 @@ class Plant:
         if structure.dead:
             for name in self.names:
                 add_dead_band(spec, name)
+        for body in structure.pulled:
+            add_force(spec, body, self.model.body_ipos[self.model.body(body).id], np.zeros(3))
         model = spec.compile()
         if self.step:
             model.opt.timestep = self.step
@@ -179,8 +187,10 @@ class Plant:
         if self.holds:
             model.dof_solimp[dof] = HOLD
         play = np.array([model.joint(f"{self.names[j]}{PLAY}").id for j in structure.play], int)
+        pull = [[model.actuator(f"{b}{PULL}_{k}").id for k in "xyz"] for b in structure.pulled]
         return Compiled(
-            model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play, []
+            model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play,
+            np.array(pull, int).reshape(-1, 3), [],
         )  # fmt: skip
 
     def tree_of(self, p: Parameter) -> int | None:
@@ -210,7 +220,7 @@ class Plant:
     def structure(self, numbers: Numbers) -> Structure:
         """What a model must have to hold the numbers."""
         play = tuple(np.flatnonzero(numbers.play > 0).tolist())
-        return Structure(bool(np.any(numbers.dead > 0)), play)
+        return Structure(bool(np.any(numbers.dead > 0)), play, tuple(numbers.forces))
 
     def variants(self, structure: Structure, some: Sequence[Numbers]) -> list[MjModel]:
         """Models with the numbers; valid until the next call for the structure."""
@@ -258,6 +268,8 @@ class Plant:
             model.jnt_actfrcrange[joint] = np.where(
                 both[:, None], np.stack([-top, top], 1), m.model.jnt_actfrcrange[joint]
             )
+        for actuators, force in zip(m.pull, x.forces.values(), strict=True):
+            model.actuator_biasprm[actuators, 0] = force
         if len(m.play):
             half = 0.5 * x.play[list(structure.play)]
             model.jnt_range[m.play] = np.stack([-half, half], 1)

@@ -8,8 +8,8 @@ import numpy as np
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.loop import Loop
 
-DEAD, PLAY = "_dead_band", "_play"
-"""What names of added actuators and joints end in."""
+DEAD, PLAY, PULL = "_dead_band", "_play", "_force"
+"""What names of added actuators, joints and sites end in."""
 _LIGHT = 1e-6
 # Of the ends of play: stiff, and inelastic, at the steps of a replay.
 _STOP = np.array([0.004, 1.0]), np.array([0.99, 0.999, 1e-4, 0.5, 2.0])
@@ -81,6 +81,24 @@ def add_dead_band(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
     new.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     reach = kp * width * abs(gear)
     new.forcerange = np.array([-reach, reach])
+
+
+def add_force(spec: MjSpec, body: str, at: np.ndarray, force: np.ndarray) -> None:
+    """A constant force at a point of a body, along the world's axes, by three actuators that take no control.
+
+    They act on a site of the body, in the axes of one of the world.
+    """
+    world = f"world{PULL}"
+    if world not in {s.name for s in spec.sites}:
+        spec.worldbody.add_site(name=world)
+    spec.body(body).add_site(name=f"{body}{PULL}", pos=at)
+    for axis, size, letter in zip(np.eye(3), force, "xyz", strict=True):
+        new = spec.add_actuator(name=f"{body}{PULL}_{letter}", target=f"{body}{PULL}")
+        new.trntype, new.refsite = mujoco.mjtTrn.mjTRN_SITE, world
+        new.gear = np.concatenate([axis, np.zeros(3)])
+        new.gaintype, new.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        none = np.zeros_like(new.gainprm)
+        new.gainprm, new.biasprm = none, np.concatenate([[size], none[1:]])
 
 
 def add_play(spec: MjSpec, joint: str, width: float = 1e-3) -> None:

@@ -49,7 +49,9 @@ def stepwise(
     path = np.empty((len(models), steps, state.shape[1]))
     fields = [k for k in Numbers._fields if k not in NOT_OF_JOINTS]
     of_joints = {k: np.stack([getattr(x, k)[joints] for x in some]) for k in fields}
-    stacked = Numbers(**of_joints, mass={}, centres={}, shifts={}, heavier={}, tilt=np.zeros(2))
+    stacked = Numbers(
+        **of_joints, mass={}, centres={}, shifts={}, heavier={}, forces={}, tilt=np.zeros(2)
+    )
     q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
     losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
     varies = any(x.varies for x in some)
