@@ -13,7 +13,7 @@ class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
         τ = gain · (clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇)
-        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²) + uneven sign(q̇), 0) sign(q̇)
+        friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇)
                    + damping q̇ + drag |q̇| q̇
         spring torque = wound − spring q
 
@@ -46,8 +46,6 @@ class Numbers(NamedTuple):
     """Of `delay`, what the torque that was logged does not have: it was made of the targets so much earlier."""
     gain: Float[np.ndarray, " n"]
     """Of the joint's torque over the one that the loop says."""
-    uneven: Float[np.ndarray, " n"]
-    """Half of what dry friction has more in the positive direction than in the negative one."""
     drag: Float[np.ndarray, " n"]
     """Quadratic viscous friction [N m s²/rad²]."""
     spring: Float[np.ndarray, " n"]
@@ -75,7 +73,7 @@ class Numbers(NamedTuple):
     @property
     def varies_at(self) -> Bool[np.ndarray, " n"]:
         """At which joints it does."""
-        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0) | (self.uneven != 0)
+        return (self.load > 0) | (self.stiction > 0) | (self.slant != 0)
 
     @property
     def at_joint(self) -> "Numbers":
@@ -104,13 +102,9 @@ class Numbers(NamedTuple):
         size = self.dry + self.slant * (q - self.middle) + self.load * np.abs(torque)
         if self.stiction.any():
             size += self.stiction * np.exp(-((v / self.slow) ** 2))
-        if self.uneven.any():
-            size += self.uneven * np.tanh(v / TURNS)
         return np.maximum(size, 0.0)
 
 
-TURNS = 0.01
-"""Speed within which friction that differs by direction turns from one to the other [rad/s]."""
 NOT_OF_JOINTS = "mass", "centres", "shifts", "heavier", "forces", "tilt"
 """Fields that are of bodies or of the whole robot."""
 CENTRE = "payload_x", "payload_y", "payload_z"
@@ -129,7 +123,7 @@ _ADDED = {
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
-    "torque_speed": "back", "position_friction": "slant", "asymmetric_coulomb": "uneven", "quadratic_viscous": "drag",
+    "torque_speed": "back", "position_friction": "slant", "quadratic_viscous": "drag",
     "joint_spring": "spring",
 }  # fmt: skip
 
@@ -148,7 +142,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none, none,
+        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none,
         {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
@@ -177,6 +171,9 @@ def decoded(
             new[_ADDED[p.family]][at] += max(x, 0.0) if p.family == "target_lag" else x
         elif p.family in _REPLACED:
             new[_REPLACED[p.family]][at] = x
+        elif p.family == "asymmetric_coulomb":
+            # Of F + d one way and F − d the other, d is a constant torque.
+            new["wound"][at] -= x
         elif p.family in ("kp_scale", "kd_scale"):
             new[p.family[:2]][at] *= np.exp(x)
         elif p.family == "viscous_friction":

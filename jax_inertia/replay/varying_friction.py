@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.model.mujoco_types import MjData, MjModel
-from jax_inertia.replay.joint_numbers import TURNS
 from jax_inertia.replay.result import Diagnosis
 
 
 def law(found: Diagnosis) -> dict[str, dict[str, float]]:
     """What `callback` needs, by joint; nothing where friction does not vary.
 
-    friction = coulomb + slope (q − middle) + load |τ| + stiction exp(−(q̇ / stribeck_velocity)²)
-               + half_difference tanh(q̇ / TURNS), never less than 0,
+    friction = coulomb + slope (q − middle) + load |τ| + stiction exp(−(q̇ / stribeck_velocity)²), never less than 0,
 
     τ the motor's torque [N m] and q as in corrected.xml.
     """
@@ -34,7 +32,6 @@ def law(found: Diagnosis) -> dict[str, dict[str, float]]:
             "load": float(x.load[j]),
             "stiction": float(x.stiction[j]),
             "stribeck_velocity": float(x.slow[j]),
-            "half_difference": float(x.uneven[j]),
         }
         for j, name in enumerate(found.names)
         if x.varies_at[j]
@@ -49,18 +46,14 @@ def callback(model: MjModel, report: Mapping[str, Any]) -> Callable[[MjModel, Mj
         raise ValueError(f"the model has no joint {lacking[0]!r}, whose friction the report tells")
     joints = [known[name] for name in commanded]
     dofs, at = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-    keys = (
-        *("coulomb", "slope", "middle", "load", "stiction", "stribeck_velocity"),
-        "half_difference",
-    )
-    numbers = [[x.get(k, 0.0) for k in keys] for x in commanded.values()]
-    dry, slope, middle, load, stiction, slow, uneven = np.reshape(numbers, (-1, len(keys))).T
+    keys = "coulomb", "slope", "middle", "load", "stiction", "stribeck_velocity"
+    numbers = [[x[k] for k in keys] for x in commanded.values()]
+    dry, slope, middle, load, stiction, slow = np.reshape(numbers, (-1, len(keys))).T
 
     def correct(model: MjModel, data: MjData) -> None:
         rest = np.exp(-((data.qvel[dofs] / slow) ** 2))
         torque = np.abs(data.qfrc_actuator[dofs])
         there = dry + slope * (data.qpos[at] - middle)
-        there = there + uneven * np.tanh(data.qvel[dofs] / TURNS)
         model.dof_frictionloss[dofs] = np.maximum(there + load * torque + stiction * rest, 0.0)
 
     return correct

@@ -15,7 +15,7 @@ from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.simulation.plant import Plant
 
 STEPPED = (
-    "load_friction", "stribeck_friction", "position_friction", "asymmetric_coulomb", "torque_saturation",
+    "load_friction", "stribeck_friction", "position_friction", "torque_saturation",
     "torque_speed",
 )  # fmt: skip
 """Families of what changes a joint along the motion, whose replays are stepped."""
@@ -78,6 +78,13 @@ def candidates(
         if records[0].torque is not None:
             out.append(
                 _one("torque_gain", j, 0.0, _STRENGTH, -2.0, 2.0, (0.3 * _STRENGTH,), scales=True)
+            )
+            # Without torque it is a bias of the loop's.
+            dry = max(now.dry[j], 0.1 * torque[j])
+            out.append(
+                _one(
+                    "asymmetric_coulomb", j, 0.0, dry, -np.inf, np.inf, (_TRIED * dry,), scales=True
+                )
             )
         out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
         out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
@@ -159,7 +166,6 @@ def _of_friction(j: int, dry: float, travel: float) -> list[Candidate]:
         _one("load_friction", j, 0.0, _LOAD, 0.0, 0.9, _LOADS),
         Candidate("stribeck_friction", (more, slow), starts),
         _one("position_friction", j, 0.0, slant, -np.inf, np.inf, (_TRIED * slant,), scales=True),
-        _one("asymmetric_coulomb", j, 0.0, dry, -np.inf, np.inf, (_TRIED * dry,), scales=True),
     ]
 
 

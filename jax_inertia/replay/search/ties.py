@@ -19,6 +19,8 @@ _SUM = (
 _EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
     "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
     "viscous_friction": (("kd_scale", _SUM),),
+    "torque_bias": (("asymmetric_coulomb", "dry friction F + d one way and F − d the other is F and a torque of −d; "
+                     "torque parts them"),),
     "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
     "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
 }  # fmt: skip
@@ -33,7 +35,7 @@ IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
                            "them"),),
     "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
     "quadratic_viscous": (("viscous_friction", "at one speed it is one number; slow and fast motion part them"),),
-    "asymmetric_coulomb": (("torque_bias", "in motion both pull one way; loads held at rest, and turns, part them"),),
+    "asymmetric_coulomb": (("joint_spring", "wound up far a spring is a torque too; wide motion parts them"),),
     "encoder_offset": (("torque_bias", _LEANS),),
     "torque_bias": (("encoder_offset", _LEANS),),
     "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
