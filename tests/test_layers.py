@@ -37,7 +37,7 @@ ORDER: dict[str, str] = {
         command pipeline figures varying_friction late_targets corrected report entry""",
     "replay.simulation": "spec_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit",
-    "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd undecided instead",
+    "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead",
     "fleet": "numbers drift page jobs",
     "cli": """console gains conventions convert command_page replay_run replay diagnose_output diagnose_run diagnose
         plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",

@@ -136,7 +136,7 @@ def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
     sd = LOOSE_TIME / np.sqrt(3.0)
     out = np.zeros(len(table))
     for k, p in enumerate(table):
-        if p.family in ("target_delay", "target_lag", "torque_lead"):
+        if p.family in ("target_delay", "target_lag", "actuator_lag", "torque_lead"):
             out[k] = sd
         elif p.family == "viscous_friction":
             out[k] = loop.kp[p.joint] * sd

@@ -38,7 +38,7 @@ _FINEST = 5e-4
 
 def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
     """Put what was found into a spec, which is changed; what has no attribute is in the remarks."""
-    loop, names, x, was = found.loop, found.names, found.numbers.at_joint, found.original
+    loop, names, x, was = found.loop, found.names, found.numbers.at_joint.lumped, found.original
     if loop.source != "model":
         with_loop(spec, names, loop)
     for j, name in enumerate(names):
@@ -118,6 +118,11 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
             f"friction of {where(x.varies_at)} varies with torque, speed, direction or position: corrected.xml has its "
             "mean; jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
         )
+    if (x.behind > 0).any():
+        out.append(
+            f"the lag of the motor at {where(x.behind > 0)} is in corrected.xml to its second order: targets that lag, "
+            "and less kd and armature"
+        )
     if x.forces:
         out.append(
             f"the force on {listed(list(x.forces))} is three more actuators, NAME{PULL}_x, _y, _z, without control"
@@ -130,7 +135,7 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
 
 
 def _set_gains(actuator, found: Diagnosis, j: int) -> None:
-    x, was, gear = found.numbers.at_joint, found.original, float(actuator.gear[0])
+    x, was, gear = found.numbers.at_joint.lumped, found.original, float(actuator.gear[0])
     ratio = float(x.kp[j] / was.kp[j])
     bias = np.array(actuator.biasprm, float)
     if ratio != 1.0:

@@ -44,6 +44,8 @@ class Numbers(NamedTuple):
     lag: Float[np.ndarray, " n"]
     lead: Float[np.ndarray, " n"]
     """Of `delay`, what the torque that was logged does not have: it was made of the targets so much earlier."""
+    behind: Float[np.ndarray, " n"]
+    """Time constant T of the motor's torque; `lag` has it too, of the targets."""
     gain: Float[np.ndarray, " n"]
     """Of the joint's torque over the one that the loop says."""
     drag: Float[np.ndarray, " n"]
@@ -80,6 +82,19 @@ class Numbers(NamedTuple):
         """The same numbers as the joint feels them, every torque times the gain."""
         felt = {k: self.gain * getattr(self, k) for k in ("kp", "kd", "bias", "limit", "back")}
         return self._replace(**felt, gain=np.ones_like(self.gain))
+
+    @property
+    def lumped(self) -> "Numbers":
+        """Without a motor's lag, which is kp and kd of targets that lag and, to the second order in T, of the joint
+
+        (kp + kd s) / (T s + 1) = kp + (kd − kp T) s − (kd − kp T) T s²
+        """
+        damping = self.kd - self.kp * self.behind
+        return self._replace(
+            kd=damping,
+            armature=self.armature - damping * self.behind,
+            behind=np.zeros_like(self.behind),
+        )
 
     def asked(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the loop asks for, which the limit cuts, at positions and velocities (..., n)."""
@@ -118,7 +133,7 @@ COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque"
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
     "encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag",
-    "torque_lead": "lead", "spring_torque": "wound",
+    "actuator_lag": "behind", "torque_lead": "lead", "spring_torque": "wound",
 }  # fmt: skip
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
@@ -142,7 +157,7 @@ def nominal_numbers(
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none, none + 1.0, none, none, none,
+        none + 0.1, none, middle, none, delay, lag, none, none, none + 1.0, none, none, none,
         {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
@@ -198,6 +213,7 @@ def decoded(
         elif p.family in TILT:
             tilt[TILT.index(p.family)] = x
     new["delay"] += new["lead"]
+    new["lag"] += new["behind"]
     rest = whole - base.kd
     new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
     new["damping"] = np.maximum(rest, least)

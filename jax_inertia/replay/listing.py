@@ -25,7 +25,8 @@ CHANGES = ("armature", "viscous_friction", "coulomb_friction")
 PARAMETERS = {
     "armature": "armature", "viscous_friction": "damping", "coulomb_friction": "coulomb", "encoder_offset": "offset",
     "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
-    "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope", "dead_band": "half_width",
+    "actuator_lag": "time_constant", "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope",
+    "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
     "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",

@@ -126,6 +126,7 @@ UNITS: Mapping[str, str] = {
     "torque_bias": "N m",
     "torque_saturation": "N m",
     "target_lag": "s",
+    "actuator_lag": "s",
     "payload": "kg",
     "payload_x": "m",
     "payload_y": "m",

@@ -14,7 +14,7 @@ from jax_inertia.model.joint_inertia import bodies_off_their_axes
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay import checks, listing, proof
 from jax_inertia.replay.command import of_the_loop, with_damping
-from jax_inertia.replay.fitting.fit import ROUNDS, Fit, fit
+from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.fitting.start import start as first_numbers
 from jax_inertia.replay.loop import (
     NO_JOINT,
@@ -27,6 +27,7 @@ from jax_inertia.replay.loop import (
 from jax_inertia.replay.record import Record, record_of
 from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
+from jax_inertia.replay.search.exchange import exchanged
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.search.tries import AS_GOOD
@@ -36,6 +37,8 @@ FIT_SHARE = 0.7
 """Of logs without another motion, what is fitted; the rest is replayed."""
 LONGEST, SHORTEST = 60.0, 8.0
 """Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
+_FIRST = 6
+"""Rounds of the fits that say whether friction creeps."""
 _IDLE = 0.005
 _SPARSER = 1.01
 _DROPPED = 3
@@ -157,6 +160,7 @@ def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _
     search = odd.Search(possible, (), (), ())
     if "odd" not in exclude:
         search = odd.add_odd(plant, possible, records, held, torque, least, exclude, progress)
+        search = exchanged(plant, search, records, held, least, progress)
     found = _sparse(plant, search.found, len(table), records, held, least, progress)
     progress("taking each effect back")
     found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
@@ -191,20 +195,21 @@ def _ordinary_fit(
     least = checks.least(held, plant.loop)
     progress("looking for kp and delay")
     first = _first_numbers(plants, table, records)
-    everything = fit(plant, table, records, first, floor=least, progress=progress)
+    everything = fit(plant, table, records, first, floor=least, rounds=_FIRST, progress=progress)
     if sound:
         return plant, everything, records, least
     progress("the same with a friction that creeps at rest")
-    creeping = fit(bare, table, records, everything.theta, floor=least, progress=progress)
+    creeping = fit(
+        bare, table, records, everything.theta, floor=least, rounds=_FIRST, progress=progress
+    )
     if _creeps(plants, everything, creeping, held, least):
         plant, everything = bare, creeping
     records = checks.without_touches(plant, everything, records)
     touched = any(r.touched is not None for r in records)
     least = np.hypot(least, checks.step_error(plant, everything, records))
     near = None if touched else (everything.error, everything.columns)
-    rounds = ROUNDS if touched else 0
     everything = fit(
-        plant, table, records, everything.theta, floor=least, known=near, rounds=rounds, exact=True, progress=progress
+        plant, table, records, everything.theta, floor=least, known=near, exact=True, progress=progress
     )  # fmt: skip
     return plant, everything, records, least
 

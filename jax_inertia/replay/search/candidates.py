@@ -16,7 +16,7 @@ from jax_inertia.replay.simulation.plant import Plant
 
 STEPPED = (
     "load_friction", "stribeck_friction", "position_friction", "torque_saturation",
-    "torque_speed",
+    "torque_speed", "actuator_lag",
 )  # fmt: skip
 """Families of what changes a joint along the motion, whose replays are stepped."""
 
@@ -86,7 +86,8 @@ def candidates(
                     "asymmetric_coulomb", j, 0.0, dry, -np.inf, np.inf, (_TRIED * dry,), scales=True
                 )
             )
-        out += _of_targets(j) + _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
+        out += [*_lags(j, records[0].torque is not None), _own_delay(j)]
+        out += _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
         out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
         joint = plant.model.joint(plant.names[j])
         own = float(plant.model.jnt_stiffness[joint.id])
@@ -96,7 +97,7 @@ def candidates(
     if len(plant.names) > 1:
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
-        out += [_one("target_lag", ALL, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)]
+        out += _lags(ALL, records[0].torque is not None)
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
     return out + _masses(plant) + _shifts(plant) + _forces(plant)
@@ -132,11 +133,15 @@ def _several(
     return Candidate(name, every, starts, True)
 
 
-def _of_targets(j: int) -> list[Candidate]:
-    return [
-        _one("target_lag", j, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True),
-        _one("target_delay", j, 0.0, _OWN_DELAY, 0.0, _LONGEST_OWN, (0.5 * _OWN_DELAY,), scales=True),
-    ]  # fmt: skip
+def _lags(j: int, torque_logged: bool) -> list[Candidate]:
+    """Of targets; and of the motor's torque, which that of the loop does not have."""
+    names = ("target_lag",) if torque_logged else ("target_lag", "actuator_lag")
+    return [_one(name, j, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True) for name in names]
+
+
+def _own_delay(j: int) -> Candidate:
+    start = (0.5 * _OWN_DELAY,)
+    return _one("target_delay", j, 0.0, _OWN_DELAY, 0.0, _LONGEST_OWN, start, scales=True)
 
 
 def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) -> list[Candidate]:

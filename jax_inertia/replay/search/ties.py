@@ -92,5 +92,6 @@ def ties_of(
 
 _LATE = {
     "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
+    "actuator_lag": "target_lag",
     "kd_scale": "target_delay",
 }  # fmt: skip

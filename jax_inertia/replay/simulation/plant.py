@@ -233,6 +233,8 @@ class Plant:
 
     def _set(self, m: Compiled, structure: Structure, model: MjModel, x: Numbers) -> None:
         x = x.at_joint
+        lagging, (implicit, _) = x.behind > 0, maxwell(x, model.opt.timestep)
+        x = x._replace(kd=np.where(lagging, 0.0, x.kd))
         # Behind play there is nothing but the rotor.
         least = np.where(x.play > 0, _ROTOR, -np.inf)
         armature = np.maximum(x.armature, least)
@@ -246,7 +248,7 @@ class Plant:
         model.actuator_gainprm[m.act, 0] = m.model.actuator_gainprm[m.act, 0] * ratio
         model.actuator_biasprm[m.act, 1] = m.model.actuator_biasprm[m.act, 1] * ratio
         model.actuator_biasprm[m.act, 0] = x.bias / m.gear
-        model.actuator_biasprm[m.act, 2] = (x.back - x.kd) / square
+        model.actuator_biasprm[m.act, 2] = (x.back - x.kd - implicit) / square
         # A limit that is said stays, of whatever kind; another one replaces an actuator's.
         commanded = np.isfinite(x.limit) & (x.limit != self.loop.limit)
         reach = np.where(commanded, x.limit, 0.0) / np.abs(m.gear)
@@ -286,6 +288,19 @@ class Plant:
         """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
         own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
         return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
+
+
+def maxwell(x: Numbers, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """What the damping of a torque that lags by T takes of a step's speeds: implicitly of v', and of the past's w.
+
+    (kp + kd s) / (T s + 1) = kp + d s / (T s + 1) with d = kd − kp T: a spring, and in parallel a damper d that feels a
+    speed w which lags, T ẇ + w = v. Over a step h, w' = b w + (1 − b) v' with b = exp(−h / T), and d acts on the mean
+    of w and w'. Without lag this is the midpoint rule. (0, 0) where nothing lags.
+    """
+    lagging = x.behind > 0
+    b = np.exp(-h / np.where(lagging, x.behind, 1.0))
+    d = np.where(lagging, x.kd - x.kp * x.behind, 0.0)
+    return 0.5 * d * (1.0 - b), 0.5 * d * (1.0 + b)
 
 
 def _wind(m: Compiled, model: MjModel, x: Numbers) -> None:

@@ -10,7 +10,7 @@ from mujoco import rollout
 
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.replay.joint_numbers import NOT_OF_JOINTS, Numbers
-from jax_inertia.replay.simulation.plant import Compiled, Plant
+from jax_inertia.replay.simulation.plant import Compiled, Plant, maxwell
 
 _EVERY = 2e-3
 """Friction that varies is set anew this often [s], and no more than once a step."""
@@ -23,7 +23,7 @@ _A_THREAD = 8
 
 def stepped_at(plant: Plant, x: Numbers) -> Bool[np.ndarray, " n"]:
     """Joints that change along the motion."""
-    return x.varies_at | limited_at(plant, x)
+    return x.varies_at | limited_at(plant, x) | (x.behind > 0)
 
 
 def limited_at(plant: Plant, x: Numbers) -> Bool[np.ndarray, " n"]:
@@ -44,7 +44,8 @@ def stepwise(
     h: float,
 ) -> Float[np.ndarray, "B K s"]:
     """States after each step h; `commanded`: what `joints` are, in parts of a step, without the encoders' offset."""
-    every = 1 if limited.any() else max(round(_EVERY / h), 1)
+    lagging = any(np.any(x.behind > 0) for x in some)
+    every = 1 if limited.any() or lagging else max(round(_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
     path = np.empty((len(models), steps, state.shape[1]))
     fields = [k for k in Numbers._fields if k not in NOT_OF_JOINTS]
@@ -55,6 +56,7 @@ def stepwise(
     q_of, v_of = 1 + m.qadr[joints], 1 + nq + m.dof[joints]
     losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
     varies = any(x.varies for x in some)
+    lag = _Lag(m, joints, stacked, h) if lagging else None
     limits = _Limits(m, joints, limited, models, stacked, h) if limited.any() else None
     # A thread is worth its wake-up for several models, each of a step or two; one alone only waits for another.
     threads = min(cores() // 2, len(models) // _A_THREAD)
@@ -72,6 +74,8 @@ def stepwise(
                     loss[dofs] = own
             if limits is not None:
                 limits.set(commanded[:, k], q, v)
+            if lag is not None:
+                lag.add(control[:, k], v)
             some_control = np.ascontiguousarray(control[:, k : k + every])
             if (n := some_control.shape[1]) < every:
                 part, seen = (np.ascontiguousarray(x[:, :n]) for x in (part, seen))
@@ -86,6 +90,23 @@ def stepwise(
 def cores() -> int:
     """That this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+
+
+class _Lag:
+    """What a motor's lag adds to the control of each step, of the speeds that were (`plant.maxwell`)."""
+
+    def __init__(self, m: Compiled, joints: Int[np.ndarray, " j"], x: Numbers, h: float):
+        felt = x.at_joint
+        self._decay = np.where(
+            x.behind > 0, np.exp(-h / np.where(x.behind > 0, x.behind, 1.0)), 0.0
+        )
+        self._of_past = maxwell(felt, h)[1] / felt.kp * m.gear[joints]
+        self._acts, self._w = m.act[joints], None
+
+    def add(self, control: Float[np.ndarray, "B u"], v: Float[np.ndarray, "B j"]) -> None:
+        """To the next step's, `v` being the last one's speed."""
+        self._w = v if self._w is None else self._decay * self._w + (1.0 - self._decay) * v
+        control[:, self._acts] -= self._of_past * self._w
 
 
 class _Limits:
