@@ -97,7 +97,8 @@ def candidates(
     if len(plant.names) > 1:
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
-        out += _lags(ALL, records[0].torque is not None)
+        # A lag of all motors alike is the hold of their loop, too.
+        out += _lags(ALL, torque_logged=True)
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
     return out + _masses(plant) + _shifts(plant) + _forces(plant)

@@ -32,7 +32,8 @@ from jax_inertia.replay.simulation.plant import Plant
 
 MOST = 6
 _GAIN = 0.02
-_FINALISTS = 4
+_FINALISTS, _ELSEWHERE = 4, 2
+"""Candidates that are fitted in a round: those that promise most, and the best of further joints and bodies."""
 _SETTLED = 2
 """Of the effects that pass, how many are fitted until they settle before one is chosen.
 
@@ -226,8 +227,14 @@ def _finalists(
     records: Sequence[Record],
     floor: np.ndarray,
 ) -> list[tuple[Candidate, Fit]]:
-    """Fits with the candidates that promise most."""
-    order = ranked(plant, found, pool, records)[:_FINALISTS]
+    """Fits with the candidates that promise most, and with the best of some places that none of these is at."""
+    order = ranked(plant, found, pool, records)
+    seen = {c.place for _, c, _ in order[:_FINALISTS]}
+    elsewhere: dict[tuple[int, str], tuple] = {}
+    for x in order:
+        elsewhere.setdefault(x[1].place, x)
+    further = [x for place, x in elsewhere.items() if place not in seen]
+    order = order[:_FINALISTS] + further[:_ELSEWHERE]
     least = _CONTENDERS * max((gain for gain, *_ in order), default=0.0)
     return [
         (c, fitted(plant, found, c, start, records, floor))

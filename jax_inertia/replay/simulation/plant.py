@@ -148,10 +148,21 @@ class Plant:
         longest = max(float(np.linalg.eigvalsh(whole * np.outer(scale, scale))[0]), 0.0)
         stable = min(stiff, max(2.0 * _TAKEN * longest, _SHORTEST))
         for plant, most in ((self, STEP), (self.quick, QUICK if self.holds else CREEPING)):
-            plant.step, plant._room = float(min(most, stable)), longest * damping
-            for m in plant._compiled.values():
-                for one in (m.model, *m.copies):
-                    one.opt.timestep = plant.step
+            plant._room = longest * damping
+            plant._take(float(min(most, stable)))
+
+    def _take(self, h: float) -> None:
+        self.step = h
+        for m in self._compiled.values():
+            for one in (m.model, *m.copies):
+                one.opt.timestep = h
+
+    def halve(self) -> bool:
+        """Take steps half as long; False where they are as short as they may be."""
+        if self.step <= _SHORTEST:
+            return False
+        self._take(0.5 * self.step)
+        return True
 
     def in_steps(self, h: float) -> "Plant":
         """The same plant in other steps [s]; its own quick one is itself."""

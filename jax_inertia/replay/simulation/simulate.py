@@ -25,7 +25,7 @@ from jax_inertia.replay.simulation.plant import Compiled, Plant
 from jax_inertia.replay.simulation.stepped import PARTS, cores, limited_at, stepped_at, stepwise
 
 _ROLLS, _STEPPED = 16, 64
-_LOST = 10.0
+LOST = 10.0
 """Where a simulation diverges, its error is taken to be this [rad]."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 WINDOW = 0.01
@@ -99,8 +99,8 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     k = np.minimum(where.astype(int), steps - 1)
     share = (where - k)[:, None]
     now = q[:, k] + share * (q[:, k + 1] - q[:, k]) + np.stack([x.offset for x in some])[:, None]
-    now[lost.any(axis=1)] = record.q + _LOST
-    return np.nan_to_num(now, nan=_LOST)
+    now[lost.any(axis=1)] = record.q + LOST
+    return np.nan_to_num(now, nan=LOST)
 
 
 def _at_once(m: Compiled, models, state, control) -> np.ndarray:
