@@ -34,7 +34,7 @@ ORDER: dict[str, str] = {
     "control": "qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": """loop record joint_numbers simulation fitting result checks search listing proof
-        command pipeline figures varying_friction late_targets corrected report entry""",
+        command inputs pipeline figures varying_friction late_targets corrected report entry""",
     "replay.simulation": "spec_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit",
     "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead",

@@ -21,6 +21,7 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.preflight import Finding, preflight
 from jax_inertia.replay import pipeline, report
 from jax_inertia.replay.command import of_the_loop
+from jax_inertia.replay.inputs import FLOATS
 from jax_inertia.replay.loop import UNITS, position_loop
 from jax_inertia.replay.result import Diagnosis
 from jax_inertia.replay.simulation.spec_edits import fixed_base
@@ -49,7 +50,7 @@ def usable(log: Log, robot: Robot) -> tuple[Finding, ...]:
     if log.qpos_target is None:
         raise LogError("a replay needs the joints' position targets: qpos_target")
     if robot.has_free_base:
-        raise LogError(pipeline.FLOATS)
+        raise LogError(FLOATS)
     found = preflight(log, robot)
     found.raise_for_errors()
     return found.findings

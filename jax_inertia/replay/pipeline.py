@@ -4,28 +4,27 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.logs.log import Log, LogError, TorqueKind
-from jax_inertia.model.joint_inertia import bodies_off_their_axes
-from jax_inertia.model.mujoco_types import MjModel, MjSpec
+from jax_inertia.logs.log import Log
+from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay import checks, listing, proof
-from jax_inertia.replay.command import of_the_loop, with_damping
 from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.fitting.start import start as first_numbers
-from jax_inertia.replay.loop import (
-    NO_JOINT,
-    TOLERANCES,
-    Loop,
-    Parameter,
-    ordinary,
-    position_loop,
+from jax_inertia.replay.inputs import (
+    check_base,
+    loops_of,
+    ordinary_numbers,
+    split_records,
+    tolerances,
+    typical_torque,
 )
-from jax_inertia.replay.record import Record, record_of
-from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Replayed, total
+from jax_inertia.replay.loop import (
+    TOLERANCES,
+)
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
 from jax_inertia.replay.search.exchange import exchanged
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
@@ -33,10 +32,6 @@ from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.search.tries import AS_GOOD
 from jax_inertia.replay.simulation.plant import Plant
 
-FIT_SHARE = 0.7
-"""Of logs without another motion, what is fitted; the rest is replayed."""
-LONGEST, SHORTEST = 60.0, 8.0
-"""Of all logs together what is fitted at most, and replayed as gate; of each at least [s]."""
 _FIRST = 6
 """Rounds of the fits that say whether friction creeps."""
 _IDLE = 0.005
@@ -71,17 +66,19 @@ def diagnose(
     """
     names = logs[0].joint_names
     check_base(spec().compile())
-    loops, test_loop, torque_logged = _loops(logs, test_log, lambda: spec().compile(), kp, kd)
+    loops, test_loop, torque_logged = loops_of(logs, test_log, lambda: spec().compile(), kp, kd)
     loop = loops[0]
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
-    wholes, records, held, of = _parts(plant, logs, loops, test_log, test_loop, torque_logged)
+    wholes, records, held, of = split_records(
+        plant, logs, loops, test_log, test_loop, torque_logged
+    )
     progress("replaying the nominal model")
     nothing = (), np.zeros(0)
     nominal = proof.paths(bare, *nothing, held)
     replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
     replayed = proof.with_torques(replayed, bare, nothing, nothing)
     torque = typical_torque(plant, records)
-    own = _ordinary(plant, records, torque, loops, logs)
+    own = ordinary_numbers(plant, records, torque, loops, logs)
     table = (*(p for p in own if p.family not in exclude), *tolerances(plant))
     sound = listing.at_floor(replayed)
     done = _fitted((plant, bare), table, records, held, torque, sound, exclude, progress)
@@ -116,20 +113,6 @@ def diagnose(
         verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
         plant.nominal, proof.mean_friction(numbers, held), plant.holds, replayed, worse, tuple(notes),
     )  # fmt: skip
-
-
-def _loops(
-    logs: Sequence[Log], test_log: Log | None, model: Callable[[], MjModel], kp, kd
-) -> tuple[list[Loop], Loop, bool]:
-    """The loop of each log, that of the other run, and whether all logs have the torque of their loop."""
-    loops = [position_loop(log, model(), kp, kd) for log in logs]
-    test_loop = loops[0] if test_log is None else position_loop(test_log, model(), kp, kd)
-    every = [*zip(logs, loops, strict=True), *([] if test_log is None else [(test_log, test_loop)])]
-    torque_logged = all(of_the_loop(one, own) for one, own in every)
-    if torque_logged:
-        loops = [with_damping(own, one) for own, one in zip(loops, logs, strict=True)]
-        test_loop = test_loop._replace(kd=loops[0].kd) if not test_loop.kd.any() else test_loop
-    return loops, test_loop, torque_logged
 
 
 class _Fitted(NamedTuple):
@@ -255,103 +238,6 @@ def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
     return fit(
         plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3, exact=True
     )
-
-
-def _ordinary(
-    plant: Plant,
-    records: Sequence[Record],
-    torque: Float[np.ndarray, " n"],
-    loops: Sequence[Loop],
-    logs: Sequence[Log],
-) -> tuple[Parameter, ...]:
-    """The ordinary numbers about those of the plant's model."""
-    m, dofs = plant.model, plant.dof
-    inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
-    own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
-    logged = records[0].torque is not None
-    period = records[0].period
-    commanded = all(one.tau_kind is TorqueKind.COMMANDED for one in logs)
-    return ordinary(
-        plant.loop, *own, inertia, torque, period, loops, torque_logged=logged, commanded=commanded
-    )
-
-
-def tolerances(plant: Plant) -> tuple[Parameter, ...]:
-    """By what a nominal model's masses, inertias and centres of mass are off."""
-    sds = dict.fromkeys(TOLERANCES, Settings.com_tolerance)
-    sds |= {"mass_share": Settings.mass_tolerance, "inertia_share": Settings.inertia_tolerance}
-    return tuple(
-        Parameter(f, NO_JOINT, 0.0, sd, -0.5, 0.5, plant.model.body(b).name)
-        for b in bodies_off_their_axes(plant.model)
-        for f, sd in sds.items()
-    )
-
-
-def _parts(
-    plant: Plant,
-    logs: Sequence[Log],
-    loops: Sequence[Loop],
-    test_log: Log | None,
-    test_loop: Loop,
-    torque: bool,
-) -> tuple[list[Record], list[Record], tuple[Record, ...], str]:
-    """Whole records, what is fitted of them, what is replayed, and what the latter is called."""
-    records = [record_of(log, loop, torque=torque) for log, loop in zip(logs, loops, strict=True)]
-    wholes = records
-    for r in records:
-        if np.ptp(r.target, axis=0).max() < 1e-3:
-            raise LogError("qpos_target never changes: it cannot show how the robot follows")
-    if test_log is not None:
-        held, of = (record_of(test_log, test_loop, torque=torque),), OTHER_RUN
-    else:
-        cuts = [int(FIT_SHARE * len(r.time)) for r in records]
-        held = tuple(r.between(k, len(r.time)) for r, k in zip(records, cuts, strict=True))
-        records = [r.between(0, k) for r, k in zip(records, cuts, strict=True)]
-        of = f"the rest of the log{'s' if len(logs) > 1 else ''}"
-    longest = max(LONGEST / len(records), SHORTEST)
-    wholes = checks.settling(plant, [_first(r, longest) for r in wholes])
-    if test_log is not None:
-        return wholes, wholes, tuple(checks.settling(plant, held)), of
-    records, shown = (
-        checks.settling(plant, [_first(r, longest) for r in rs]) for rs in (records, held)
-    )
-    return wholes, records, tuple(shown), of
-
-
-def _first(r: Record, seconds: float) -> Record:
-    return r.between(0, int(np.searchsorted(r.time, seconds, side="right")))
-
-
-FLOATS = (
-    "the model's base floats, and a replay needs to know what carries it; log a robot that hangs "
-    "with its base fixed, and give --fix-base"
-)
-
-
-def check_base(model: MjModel) -> None:
-    """Raise `LogError` for a base that floats."""
-    free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
-    if free.any():
-        raise LogError(FLOATS)
-
-
-def typical_torque(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray, " n"]:
-    """What gravity and inertia ask of each joint along the logs, rms [N m]."""
-    data, parts = mujoco.MjData(plant.model), []
-    for r in records:
-        wide = max(int(0.05 / r.period), 1)
-        rows = np.arange(2 * wide, len(r.q) - 2 * wide, max(len(r.q) // 200, 1))
-        # Curvature over ten hundredths of a second: of the encoders' counts nothing is left.
-        bend = (r.q[rows + 2 * wide] - 2 * r.q[rows] + r.q[rows - 2 * wide]) / (
-            2 * wide * r.period
-        ) ** 2
-        for k, a in zip(rows, bend, strict=True):
-            mujoco.mj_resetData(plant.model, data)
-            data.qpos[plant.qadr] = r.q[k]
-            mujoco.mj_forward(plant.model, data)
-            weight = data.qfrc_bias[plant.dof].copy()
-            parts.append(np.abs(weight) + plant.inertia(r.q[k]) * np.abs(a))
-    return np.maximum(np.sqrt(np.mean(np.square(parts), axis=0)), 1e-3)
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
