@@ -35,7 +35,7 @@ ORDER: dict[str, str] = {
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "replay": """loop record joint_numbers simulation fitting result checks search listing proof
         command inputs pipeline figures varying_friction late_targets corrected report entry""",
-    "replay.simulation": "spec_edits plant stepped simulate",
+    "replay.simulation": "spec_edits model_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit",
     "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead",
     "fleet": "numbers drift page jobs",

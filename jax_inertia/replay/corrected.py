@@ -19,7 +19,8 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.listing import PARAMETERS, size_of, whole
 from jax_inertia.replay.loop import TOLERANCES
 from jax_inertia.replay.result import Diagnosis
-from jax_inertia.replay.simulation.plant import HOLD, change_body, changed_bodies
+from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies
+from jax_inertia.replay.simulation.plant import HOLD
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,

@@ -9,17 +9,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.environment import turned
-from jax_inertia.diagnosis.effects.spec_joint import SOFT
 from jax_inertia.model.joint_inertia import (
     mass_matrix,
     middles,
-    put_load,
-    shift_centre,
     without_contacts,
 )
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
+from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, maxwell, wind
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     PLAY,
@@ -253,7 +251,7 @@ class Plant:
         model.dof_frictionloss[m.dof] = x.dry
         model.dof_damping[m.dof] = x.damping + x.back
         model.dof_dampingpoly[m.dof, 0] = m.model.dof_dampingpoly[m.dof, 0] + x.drag
-        _wind(m, model, x)
+        wind(m.model, model, m.dof, m.qadr, x)
         model.opt.gravity[:] = turned(m.model.opt.gravity, x.tilt)
         ratio, square = x.kp / self.loop.kp, m.gear**2
         model.actuator_gainprm[m.act, 0] = m.model.actuator_gainprm[m.act, 0] * ratio
@@ -299,45 +297,3 @@ class Plant:
         """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
         own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
         return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
-
-
-def maxwell(x: Numbers, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """What the damping of a torque that lags by T takes of a step's speeds: implicitly of v', and of the past's w.
-
-    (kp + kd s) / (T s + 1) = kp + d s / (T s + 1) with d = kd − kp T: a spring, and in parallel a damper d that feels a
-    speed w which lags, T ẇ + w = v. Over a step h, w' = b w + (1 − b) v' with b = exp(−h / T), and d acts on the mean
-    of w and w'. Without lag this is the midpoint rule. (0, 0) where nothing lags.
-    """
-    lagging = x.behind > 0
-    b = np.exp(-h / np.where(lagging, x.behind, 1.0))
-    d = np.where(lagging, x.kd - x.kp * x.behind, 0.0)
-    return 0.5 * d * (1.0 - b), 0.5 * d * (1.0 + b)
-
-
-def _wind(m: Compiled, model: MjModel, x: Numbers) -> None:
-    """Springs of a model: its own and another one, κ and κ q₀ added up; a torque alone is that of a soft one."""
-    joints = model.dof_jntid[m.dof]
-    own, reference = m.model.jnt_stiffness[joints], m.model.qpos_spring[m.qadr]
-    moment = own * reference + x.wound
-    total = np.maximum(own + x.spring, SOFT * np.abs(moment))
-    rest = moment / np.where(total > 0, total, 1.0)
-    model.jnt_stiffness[joints] = total
-    model.qpos_spring[m.qadr] = np.where(total > 0, rest, reference)
-
-
-def changed_bodies(x: Numbers) -> list[str]:
-    """Names of bodies whose inertials are not the nominal ones."""
-    return list(dict.fromkeys((*x.heavier, *x.mass, *x.shifts)))
-
-
-def change_body(model: MjModel, name: str, x: Numbers) -> None:
-    """Give a body of a model its inertial."""
-    body = model.body(name).id
-    if name in x.heavier:
-        mass, inertia = x.heavier[name]
-        put_load(model, body, mass * float(model.body_mass[body]), None)
-        model.body_inertia[body] *= 1.0 + inertia
-    if name in x.mass:
-        put_load(model, body, x.mass[name], x.centres.get(name))
-    if name in x.shifts:
-        shift_centre(model, body, x.shifts[name])

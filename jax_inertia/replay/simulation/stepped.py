@@ -10,7 +10,8 @@ from mujoco import rollout
 
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.replay.joint_numbers import NOT_OF_JOINTS, Numbers
-from jax_inertia.replay.simulation.plant import Compiled, Plant, maxwell
+from jax_inertia.replay.simulation.model_edits import maxwell
+from jax_inertia.replay.simulation.plant import Compiled, Plant
 
 _EVERY = 2e-3
 """Friction that varies is set anew this often [s], and no more than once a step."""
@@ -93,7 +94,7 @@ def cores() -> int:
 
 
 class _Lag:
-    """What a motor's lag adds to the control of each step, of the speeds that were (`plant.maxwell`)."""
+    """What a motor's lag adds to the control of each step, of the speeds that were (`model_edits.maxwell`)."""
 
     def __init__(self, m: Compiled, joints: Int[np.ndarray, " j"], x: Numbers, h: float):
         felt = x.at_joint

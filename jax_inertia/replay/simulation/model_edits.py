@@ -1,0 +1,53 @@
+"""Numbers put into a compiled model, which no spec is asked for: springs, bodies, what a motor's lag leaves of kd."""
+
+import numpy as np
+
+from jax_inertia.diagnosis.effects.spec_joint import SOFT
+from jax_inertia.model.joint_inertia import put_load, shift_centre
+from jax_inertia.model.mujoco_types import MjModel
+from jax_inertia.replay.joint_numbers import Numbers
+
+
+def maxwell(x: Numbers, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """What the damping of a torque that lags by T takes of a step's speeds: implicitly of v', and of the past's w.
+
+    (kp + kd s) / (T s + 1) = kp + d s / (T s + 1) with d = kd − kp T: a spring, and in parallel a damper d that feels a
+    speed w which lags, T ẇ + w = v. Over a step h, w' = b w + (1 − b) v' with b = exp(−h / T), and d acts on the mean
+    of w and w'. Without lag this is the midpoint rule. (0, 0) where nothing lags.
+    """
+    lagging = x.behind > 0
+    b = np.exp(-h / np.where(lagging, x.behind, 1.0))
+    d = np.where(lagging, x.kd - x.kp * x.behind, 0.0)
+    return 0.5 * d * (1.0 - b), 0.5 * d * (1.0 + b)
+
+
+def wind(nominal: MjModel, model: MjModel, dof: np.ndarray, qadr: np.ndarray, x: Numbers) -> None:
+    """Springs of a model: its own and another one, κ and κ q₀ added up; a torque alone is that of a soft one.
+
+    `dof`, `qadr`: of the log's joints.
+    """
+    joints = model.dof_jntid[dof]
+    own, reference = nominal.jnt_stiffness[joints], nominal.qpos_spring[qadr]
+    moment = own * reference + x.wound
+    total = np.maximum(own + x.spring, SOFT * np.abs(moment))
+    rest = moment / np.where(total > 0, total, 1.0)
+    model.jnt_stiffness[joints] = total
+    model.qpos_spring[qadr] = np.where(total > 0, rest, reference)
+
+
+def changed_bodies(x: Numbers) -> list[str]:
+    """Names of bodies whose inertials are not the nominal ones."""
+    return list(dict.fromkeys((*x.heavier, *x.mass, *x.shifts)))
+
+
+def change_body(model: MjModel, name: str, x: Numbers) -> None:
+    """Give a body of a model its inertial."""
+    body = model.body(name).id
+    if name in x.heavier:
+        mass, inertia = x.heavier[name]
+        put_load(model, body, mass * float(model.body_mass[body]), None)
+        model.body_inertia[body] *= 1.0 + inertia
+    if name in x.mass:
+        put_load(model, body, x.mass[name], x.centres.get(name))
+    if name in x.shifts:
+        shift_centre(model, body, x.shifts[name])
