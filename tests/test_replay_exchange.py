@@ -5,9 +5,11 @@ import numpy as np
 from jax_inertia.replay.fitting.errors import Weights
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
+from jax_inertia.replay.search import exchange
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.exchange import _with
 from jax_inertia.replay.search.odd import Odd, Search
+from jax_inertia.replay.simulation.plant import Plant
 
 NONE = np.zeros(0)
 
@@ -37,3 +39,29 @@ def test_an_exchanged_effect_is_last_and_all_others_keep_their_numbers():
     assert [o.candidate for o in new.odd] == [force, lag]
     assert new.odd[0].rivals == (load, lag)
     assert new.pool == (own, load)
+
+
+def test_a_second_exchange_finds_its_effect_where_the_first_left_it(monkeypatch):
+    own, load, lag, play, force, bias = (
+        candidate(f, k)
+        for f, k in [("own", 2), ("load", 4), ("lag", 1), ("play", 1), ("force", 3), ("bias", 2)]
+    )
+    odd = (
+        Odd(load, (2, 3, 4, 5), (force,)),
+        Odd(lag, (6,), (bias,)),
+        Odd(play, (7,), ()),
+    )
+    search = Search(fitted(own, load, lag, play), odd, (), ())
+
+    def instead(plant, found, o, rival, records, floor):
+        rest = [p for k, p in enumerate(found.table) if k not in o.rows]
+        return fitted(Candidate("rest", tuple(rest), ()), rival)
+
+    monkeypatch.setattr(exchange, "Unseen", lambda plant, records: None)
+    monkeypatch.setattr(exchange, "_instead", instead)
+    monkeypatch.setattr(exchange, "_likelier", lambda *of: True)
+    plant = Plant.__new__(Plant)
+    new = exchange.exchanged(plant, search, (), (), NONE, lambda text: None)
+    assert [o.candidate for o in new.odd] == [force, bias, play]
+    for o in new.odd:
+        assert tuple(new.found.table[k] for k in o.rows) == o.candidate.parameters

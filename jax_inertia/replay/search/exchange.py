@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.odd import Odd, Search
 from jax_inertia.replay.search.parsimony import Parabola
 from jax_inertia.replay.search.tries import ROUNDS, fitted_from, price, ranked, settled
@@ -31,8 +31,10 @@ def exchanged(
     progress: Callable[[str], None],
 ) -> Search:
     """The same search, with whatever is likelier in the place of an effect that has rivals and was not the last."""
-    run = unseen.Unseen(plant, held_out)
-    for o in search.odd[:-1]:
+    run = Unseen(plant, held_out)
+    for i in range(len(search.odd) - 1):
+        # Of the search as it is now: an exchange moves the numbers of all others.
+        o = search.odd[i]
         for rival in o.rivals[:_RIVALS]:
             progress(f"{rival.family} for {o.candidate.family}")
             tried = _instead(plant, search.found, o, rival, records, floor)
@@ -65,9 +67,7 @@ def _others(found: Fit, o: Odd) -> list[int]:
     return [k for k in range(len(found.table)) if k not in o.rows]
 
 
-def _likelier(
-    plant: Plant, found: Fit, o: Odd, rival: Candidate, tried: Fit, run: unseen.Unseen
-) -> bool:
+def _likelier(plant: Plant, found: Fit, o: Odd, rival: Candidate, tried: Fit, run: Unseen) -> bool:
     """By S, prices paid, and the runs that played no part."""
     now = Parabola(found, plant.loop, found.samples).worth()
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
