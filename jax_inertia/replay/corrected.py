@@ -73,9 +73,10 @@ def corrected(spec: MjSpec, found: Diagnosis) -> tuple[str, ...]:
                 joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
-    nominal = spec.compile()
-    for body, force in x.forces.items():
-        add_force(spec, body, nominal.body_ipos[nominal.body(body).id], force)
+    if x.forces:
+        nominal = spec.compile()
+        for body, force in x.forces.items():
+            add_force(spec, body, nominal.body_ipos[nominal.body(body).id], force)
     for body in changed_bodies(x):
         model = spec.compile()
         change_body(model, body, x)
@@ -116,7 +117,7 @@ def _remarks(found: Diagnosis) -> tuple[str, ...]:
         )
     if x.varies:
         out.append(
-            f"friction of {where(x.varies_at)} varies with torque, speed, direction or position: corrected.xml has its "
+            f"friction of {where(x.varies_at)} varies with torque, speed or position: corrected.xml has its "
             "mean; jax_inertia.replay.varying_friction.callback(model, report) sets it before each mj_step"
         )
     if (x.behind > 0).any():

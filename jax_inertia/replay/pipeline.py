@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jax_inertia.logs.log import Log
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay import checks, listing, proof
-from jax_inertia.replay.fitting.fit import Fit, fit
+from jax_inertia.replay.fitting.fit import Fit, Progress, fit
 from jax_inertia.replay.fitting.start import start as first_numbers
 from jax_inertia.replay.inputs import (
     check_base,
@@ -20,9 +20,7 @@ from jax_inertia.replay.inputs import (
     tolerances,
     typical_torque,
 )
-from jax_inertia.replay.loop import (
-    TOLERANCES,
-)
+from jax_inertia.replay.loop import TOLERANCES
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.result import Diagnosis, Replayed, total
 from jax_inertia.replay.search import causal, odd, parsimony
@@ -43,8 +41,6 @@ _HARM = (
     "numbers that fit the log replay the rest worse than the nominal model: none of them is kept"
 )
 _LIKE_MUJOCO = "joints that friction should hold creep at rest, as MuJoCo's own friction lets them: it is left so"
-
-Progress = Callable[[str], None]
 
 
 def diagnose(

@@ -148,7 +148,7 @@ def _along_valleys(problem: Problem, theta, error, columns, progress: Progress) 
         columns = derivatives.narrow(
             problem.plant, problem.table, problem.records, theta, problem.free, bend
         )
-        step, _ = problem.bent_step(theta, error, columns)
+        step = problem.bent_step(theta, error, columns)
         theta, error = step.theta, step.error
         if step.gain <= ENOUGH:
             break

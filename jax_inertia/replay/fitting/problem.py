@@ -77,7 +77,7 @@ class Problem(NamedTuple):
     def gains(self, w: Weights, now: Step, thetas, found) -> Float[np.ndarray, " B"]:
         """By what share of it the cost is less than at `now`."""
         mean, sd = (x[self.free] for x in self.prior)
-        before = _cost(now.error[None], w, now.theta[None, self.free], mean, sd)[0]
+        before = self._cost(w, now.theta, now.error)
         return (before - _cost(found, w, thetas[:, self.free], mean, sd)) / before
 
     def step(self, theta, error, columns) -> Step:
@@ -96,8 +96,8 @@ class Problem(NamedTuple):
                 break
         return best
 
-    def bent_step(self, theta, error, columns) -> tuple[Step, float]:
-        """(the best of some parts of an undamped step that bends as its valley does, what it promised of the cost).
+    def bent_step(self, theta, error, columns) -> Step:
+        """The best of some parts of an undamped step that bends as its valley does; none where it promises little.
 
         v = −H⁻¹ g and, with r_vv the error's second derivative along v, a = −H⁻¹ Jᵀ W r_vv: θ + s v + s² a / 2
         (geodesic acceleration; Transtrum and Sethna 2012). `columns` have to be exact where numbers are hardly known.
@@ -109,13 +109,13 @@ class Problem(NamedTuple):
         promised = -float(about.gradient @ v) / self._cost(about.weights, theta, error)
         now = Step(theta, error, 0.0)
         if promised < ENOUGH:
-            return now, promised
+            return now
         sides = self.errors(theta + _PROBED * np.stack([v, -v]))
         bend = (sides[0] - 2.0 * error + sides[1]) / _PROBED**2
         flat = (columns * about.weights.root).reshape(len(theta), -1)
         a[about.go] = -inverse @ (flat @ (bend * about.weights.root).ravel())[about.go]
         tries = theta + _PARTS[:, None] * v + 0.5 * _PARTS[:, None] ** 2 * a
-        return self._best(about.weights, now, tries, now), promised
+        return self._best(about.weights, now, tries, now)
 
     def _cost(self, w: Weights, theta, error) -> float:
         mean, sd = (x[self.free] for x in self.prior)

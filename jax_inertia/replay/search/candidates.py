@@ -75,20 +75,23 @@ def candidates(
     travel = np.ptp(np.concatenate([r.q for r in records]), axis=0)
     out = []
     for j in range(len(plant.names)):
+        dry = max(now.dry[j], 0.1 * torque[j])
         if records[0].torque is not None:
             out.append(
                 _one("torque_gain", j, 0.0, _STRENGTH, -2.0, 2.0, (0.3 * _STRENGTH,), scales=True)
             )
             # Without torque it is a bias of the loop's.
-            dry = max(now.dry[j], 0.1 * torque[j])
             out.append(
                 _one(
                     "asymmetric_coulomb", j, 0.0, dry, -np.inf, np.inf, (_TRIED * dry,), scales=True
                 )
             )
-        out += [*_lags(j, records[0].torque is not None), _own_delay(j)]
+        else:
+            # Of the motor's torque, which that of the loop does not have.
+            out.append(_lag("actuator_lag", j))
+        out += [_lag("target_lag", j), _own_delay(j)]
         out += _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
-        out += _of_friction(j, max(now.dry[j], 0.1 * torque[j]), travel[j])
+        out += _of_friction(j, dry, travel[j])
         joint = plant.model.joint(plant.names[j])
         own = float(plant.model.jnt_stiffness[joint.id])
         out += _of_motion(j, torque[j], fastest[j], travel[j], own)
@@ -97,8 +100,8 @@ def candidates(
     if len(plant.names) > 1:
         out += _of_angles(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
-        # A lag of all motors alike is the hold of their loop, too.
-        out += _lags(ALL, torque_logged=True)
+        # A lag of all motors alike is the hold of their loop, too, and no candidate.
+        out.append(_lag("target_lag", ALL))
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
     return out + _masses(plant) + _shifts(plant) + _forces(plant)
@@ -134,10 +137,8 @@ def _several(
     return Candidate(name, every, starts, True)
 
 
-def _lags(j: int, torque_logged: bool) -> list[Candidate]:
-    """Of targets; and of the motor's torque, which that of the loop does not have."""
-    names = ("target_lag",) if torque_logged else ("target_lag", "actuator_lag")
-    return [_one(name, j, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True) for name in names]
+def _lag(family: str, j: int) -> Candidate:
+    return _one(family, j, 0.0, _LAG, 0.0, 0.5, (0.5 * _LAG,), scales=True)
 
 
 def _own_delay(j: int) -> Candidate:

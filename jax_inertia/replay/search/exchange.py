@@ -13,7 +13,7 @@ from jax_inertia.replay.fitting.fit import Fit, fit
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.held_out import Unseen
-from jax_inertia.replay.search.odd import Odd, Search
+from jax_inertia.replay.search.odd import Odd, Search, fall
 from jax_inertia.replay.search.parsimony import Parabola
 from jax_inertia.replay.search.tries import ROUNDS, fitted_from, price, ranked, settled
 from jax_inertia.replay.simulation.plant import Plant
@@ -70,10 +70,8 @@ def _others(found: Fit, o: Odd) -> list[int]:
 def _likelier(plant: Plant, found: Fit, o: Odd, rival: Candidate, tried: Fit, run: Unseen) -> bool:
     """By S, prices paid, and the runs that played no part."""
     now = Parabola(found, plant.loop, found.samples).worth()
-    new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
-    paid = price(found, o.candidate) - price(found, rival)
-    held = run.likelier(run.errors(tried), run.errors(found), found.weights)
-    return now.total - new.total + paid + held > 0
+    fell = fall(plant, found, now, rival, tried)[0] + price(found, o.candidate)
+    return fell + run.likelier(run.errors(tried), run.errors(found), found.weights) > 0
 
 
 def _with(search: Search, o: Odd, rival: Candidate, tried: Fit) -> Search:

@@ -1,6 +1,7 @@
 """How far replays of runs that played no part in a fit err, output by output."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,7 +32,7 @@ class Unseen:
         if records[0].torque is not None:
             self._floor = checks.torque_floor(records, plant.loop)
 
-    @property
+    @cached_property
     def floor(self) -> Float[np.ndarray, " m"]:
         """What encoders and clocks leave of each output, rms."""
         least = checks.floor(self._records)

@@ -149,8 +149,8 @@ def _judged(
     possible = []
     for c, tried in fits:
         after = run.errors(tried)
-        fall, kept = _fall(plant, found, now, c, tried)
-        evidence = fall + run.likelier(after, before, found.weights)
+        fell, kept = fall(plant, found, now, c, tried)
+        evidence = fell + run.likelier(after, before, found.weights)
         # A number that does not carry over to another stretch is none of the robot's; one that stands for several
         # does if it does no harm.
         simpler = kept + numbers_of(c) < now.kept
@@ -164,7 +164,7 @@ def _judged(
     return passed, possible
 
 
-def _fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
+def fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
     """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
     new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
     return now.total - new.total - price(found, c), new.kept
@@ -205,7 +205,7 @@ def _first(
         fits = [settled(plant, x, records, floor) for _, x in passed[c][:_STARTS]]
         tried = _simplest(plant, fits, found.samples)
         held = run.likelier(run.errors(tried), before, found.weights)
-        out[c] = _fall(plant, found, now, c, tried)[0] + held, tried
+        out[c] = fall(plant, found, now, c, tried)[0] + held, tried
         for whole in placed(plant, c, tried, records, floor):
             out |= {
                 x: fits[0] for x, fits in _judged(plant, found, [whole], run, before)[0].items()

@@ -1,5 +1,7 @@
 """Numbers put into a compiled model, which no spec is asked for: springs, bodies, what a motor's lag leaves of kd."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects.spec_joint import SOFT
@@ -8,17 +10,28 @@ from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.replay.joint_numbers import Numbers
 
 
-def maxwell(x: Numbers, h: float) -> tuple[np.ndarray, np.ndarray]:
+class Maxwell(NamedTuple):
+    """What a damper whose speed lags takes of a step; 0 where nothing lags."""
+
+    implicit: np.ndarray
+    """Damping of v' [N m s/rad]."""
+    past: np.ndarray
+    """Damping of w."""
+    decay: np.ndarray
+    """b, of w over the step."""
+
+
+def maxwell(x: Numbers, h: float) -> Maxwell:
     """What the damping of a torque that lags by T takes of a step's speeds: implicitly of v', and of the past's w.
 
     (kp + kd s) / (T s + 1) = kp + d s / (T s + 1) with d = kd − kp T: a spring, and in parallel a damper d that feels a
     speed w which lags, T ẇ + w = v. Over a step h, w' = b w + (1 − b) v' with b = exp(−h / T), and d acts on the mean
-    of w and w'. Without lag this is the midpoint rule. (0, 0) where nothing lags.
+    of w and w'. Without lag this is the midpoint rule.
     """
     lagging = x.behind > 0
-    b = np.exp(-h / np.where(lagging, x.behind, 1.0))
+    b = np.where(lagging, np.exp(-h / np.where(lagging, x.behind, 1.0)), 0.0)
     d = np.where(lagging, x.kd - x.kp * x.behind, 0.0)
-    return 0.5 * d * (1.0 - b), 0.5 * d * (1.0 + b)
+    return Maxwell(0.5 * d * (1.0 - b), 0.5 * d * (1.0 + b), b)
 
 
 def wind(nominal: MjModel, model: MjModel, dof: np.ndarray, qadr: np.ndarray, x: Numbers) -> None:

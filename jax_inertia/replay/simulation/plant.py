@@ -242,8 +242,8 @@ class Plant:
 
     def _set(self, m: Compiled, structure: Structure, model: MjModel, x: Numbers) -> None:
         x = x.at_joint
-        lagging, (implicit, _) = x.behind > 0, maxwell(x, model.opt.timestep)
-        x = x._replace(kd=np.where(lagging, 0.0, x.kd))
+        implicit = maxwell(x, model.opt.timestep).implicit
+        x = x._replace(kd=np.where(x.behind > 0, 0.0, x.kd))
         # Behind play there is nothing but the rotor.
         least = np.where(x.play > 0, _ROTOR, -np.inf)
         armature = np.maximum(x.armature, least)

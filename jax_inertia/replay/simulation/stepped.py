@@ -98,10 +98,8 @@ class _Lag:
 
     def __init__(self, m: Compiled, joints: Int[np.ndarray, " j"], x: Numbers, h: float):
         felt = x.at_joint
-        self._decay = np.where(
-            x.behind > 0, np.exp(-h / np.where(x.behind > 0, x.behind, 1.0)), 0.0
-        )
-        self._of_past = maxwell(felt, h)[1] / felt.kp * m.gear[joints]
+        _, past, self._decay = maxwell(felt, h)
+        self._of_past = past / felt.kp * m.gear[joints]
         self._acts, self._w = m.act[joints], None
 
     def add(self, control: Float[np.ndarray, "B u"], v: Float[np.ndarray, "B j"]) -> None:
