@@ -66,6 +66,17 @@ def test_an_ordinary_robot_leaves_nothing_of_its_own_equation(ordinary):
     assert seen["sigmas"] < 0.5
 
 
+def test_ripple_of_a_drive_is_no_effect(ordinary):
+    """It moves the robot and is in no log: how visible an effect is must not count it."""
+    s, hidden, noise, _ = ordinary
+    s = dataclasses.replace(s, rate=1000)
+    log = cad.simulate(s, hidden, 0, noise, preroll=0.4)
+    seen = cad_truth.judge(s.robot, hidden, log, noise, s.rate)["visibility"]
+    assert np.all(noise.ripple > 0)
+    for joint, left in seen["rms"].items():
+        assert left < 0.2 * seen["noise"][joint]
+
+
 def test_friction_slides_at_the_law(ordinary):
     """Away from reversals the bristle's torque is g(v, τ) sign v + d |v|^p sign v."""
     _, hidden, _, log = ordinary

@@ -1,6 +1,7 @@
 """What a fair reader may ask of a log: the nearest ordinary terms, what the log determines, how visible the odd is.
 
-All from the clean log (no sensor noise), through one chain: 10 Hz zero-phase low-pass on both sides.
+All from the clean log (neither the sensors' noise nor the drive's ripple), through one chain: 10 Hz zero-phase low-pass
+on both sides.
 
 - The friction that was really there is written as d v + F sign v by least squares over the moving rows: `damping` and
   `friction` of the truth. Another motion gives other numbers; both are stated.
@@ -55,19 +56,15 @@ def clean(robot: Robot, hidden: Hidden, log: dict) -> Clean:
     rate = 1.0 / dt
     sos = butter(4, CUT, fs=rate, output="sos")
     smooth = lambda x: sosfiltfilt(sos, x, axis=0)  # noqa: E731
-    held = log["tau"].copy()
+    held = log["tau"] + log["ripple"]  # what the drive gave: its ripple is noise, and no effect
     held[1:] = 0.5 * (held[1:] + held[:-1])  # row k's torque is held from there on
     model = hidden.model(robot, with_odd=False)
     model.dof_armature[:] = hidden.armature
     v = log["qvel"]
     a = np.gradient(v, dt, axis=0)
-    step = max(1, round(rate / 250.0))
-    need = inverse_dynamics(model, log["qpos"][::step], v[::step], a[::step])
-    fast = butter(4, CUT, fs=rate / step, output="sos")
-    need = sosfiltfilt(fast, need, axis=0)
-    at = np.arange(len(v)) / step
+    # Of every row: accelerations answer the ripple, and every fourth of them would fold it into the band.
+    rigid = smooth(inverse_dynamics(model, log["qpos"], v, a))
     thin = slice(round(0.5 * rate), len(v) - round(0.5 * rate), max(1, round(rate / ROWS)))
-    rigid = np.stack([np.interp(at, np.arange(len(need)), x) for x in need.T], 1)
     friction = smooth(log["friction"])
     missing = smooth(held) + hidden.bias - rigid - friction
     return Clean(

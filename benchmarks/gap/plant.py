@@ -124,7 +124,7 @@ class Plant:
         return out
 
     def run(self, controller, motion, start, rate, duration, noise: Noise, rng, preroll=PREROLL):
-        """Runs the motion; returns the clean log and, under `noise`, what the sensors add to it.
+        """Runs the motion; returns the clean log, under `noise` what the sensors add to it, and the drive's `ripple`.
 
         Row k holds the sensors at time k / rate and the torque command held from there to the next
         row; contact wrenches are means over that same interval.
@@ -190,6 +190,7 @@ class Plant:
         for record in self.record:
             record(log)
         log["noise"] = {name: x[-rows:] for name, x in draws.items()}
+        log["ripple"] = ripple[-rows:]
         return log
 
     def _check(self, t: float, aim: np.ndarray) -> None:
