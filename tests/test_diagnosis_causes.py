@@ -101,6 +101,30 @@ def test_causes_that_make_the_other_run_worse_than_no_cause_are_none(motion):
         assert other.error(left) <= rms(rows.y, rows.weight)
 
 
+@pytest.mark.parametrize("seed", [0, 23, 105, 150])
+def test_what_did_no_harm_itself_comes_back(seed):
+    """Numbers fitted together may go for what one of them does: each is asked again once that is gone."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(ROWS, 3)) @ rng.normal(size=(3, 3))
+    places = [Place("joint", name, 0) for name in "abc"]
+    every = tuple(
+        dataclasses.replace(spring(column), place=place)
+        for column, place in zip(columns.T, places, strict=True)
+    )
+    evidence = Evidence(columns @ rng.normal(size=(3, 1)), np.ones((ROWS, 1)), np.array([0.1]))
+    now = evidence.posterior(every)
+    rows = _Rows(columns @ rng.normal(size=(3, 1)))
+    for h in every:
+        rows.has(h)
+    other = OtherRun(rows, evidence)
+    left = carried_over(now, other)
+    error = other.error(left)
+    assert error <= rms(rows.y, rows.weight)
+    for h in every:
+        if h not in left.chosen:
+            assert other.error(evidence.posterior((*left.chosen, h))) >= error
+
+
 def push(name, body, size, motion, start=1.0):
     place, shape = Place("body", name, body), (start, start + 0.4, 0.5, 0.0)
     columns = size * np.stack([motion, 0.0 * motion, 0.0 * motion], axis=-1)

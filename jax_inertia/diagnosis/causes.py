@@ -172,11 +172,22 @@ def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]
 def carried_over(now: Posterior, judge: OtherRun | HeldOut) -> Posterior:
     """The posterior without what makes it predict the other run worse than the model as it is, tolerances too.
 
-    The worst first, one at a time, everything else refitted.
+    The worst first, one at a time, everything else refitted; then each of those again that helps with the others gone:
+    what one of them did harm with may have been another's.
     """
     nominal = rms(judge.residual.y, judge.residual.weight)
+    gone = []
     while judge.error(now) > nominal:
         asked = [h for h in now.chosen if h.family not in PASSING]
         errors = judge.errors_without(now, asked)
-        now = now.without(asked[int(np.argmin(errors))])
+        gone.append(asked[int(np.argmin(errors))])
+        now = now.without(gone[-1])
+    while gone:
+        each = [judge.evidence.posterior((*now.chosen, h)) for h in gone]
+        errors = [judge.error(p) for p in each]
+        best = int(np.argmin(errors))
+        if errors[best] >= judge.error(now):
+            break
+        now = each[best]
+        gone.pop(best)
     return now
