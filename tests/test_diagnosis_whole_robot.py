@@ -20,6 +20,8 @@ from diagnosis_robot import (
 from scipy.integrate import solve_ivp
 
 from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
+from jax_inertia.diagnosis.effects.friction_forms import MILD_STICTION, FrictionForms
 from jax_inertia.diagnosis.effects.identified import effects_in
 from jax_inertia.diagnosis.effects.joint import Cogging
 from jax_inertia.diagnosis.effects.registry import EFFECTS
@@ -28,7 +30,8 @@ from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.report.next_motion import to_record
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.search.ordinary import ordinary_physics
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.logs.log import Log
 from jax_inertia.model.load import load_model
@@ -69,6 +72,19 @@ def test_every_joint_s_ordinary_physics_comes_back(plain):
             assert own[family].value == pytest.approx(true, rel=0.03), (name, family)
             assert own[family].low < true < own[family].high
         assert own["torque_bias"].value == pytest.approx(BIAS[k], abs=0.03)
+
+
+def test_mild_forms_turn_round_as_the_friction_and_are_no_large_part_of_it(robot):
+    t, q, v, a = MOTIONS[0]
+    residual = Residual(robot, log_of(t, q, NEEDED[0] + ordinary(v, a), 0), Settings())
+    found = ordinary_physics(residual, EFFECTS, Settings(), CalibrationState.AS_BOUGHT).posterior
+    dry = {h.place: h for h in found.chosen if isinstance(h.effect, CoulombFriction)}
+    forms = {h.place: h for h in found.chosen if isinstance(h.effect, FrictionForms)}
+    assert len(forms) == len(COULOMB)
+    assert dry.keys() == forms.keys()
+    for place, h in forms.items():
+        assert h.shape[0] == dry[place].shape[0]
+        assert np.all(h.scale[:2] <= MILD_STICTION * 1.1 * found.of(dry[place])[0][0])
 
 
 def test_nothing_odd_is_invented_and_the_gap_goes(plain):

@@ -8,6 +8,9 @@ from jax_inertia.diagnosis.effects.dry_friction import BENT, direction, ways
 FORM_TOLERANCE = 0.05
 """How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
 Stribeck curves and loads of a few per cent are no finding (Armstrong-Hélouvry et al. 1994, sec. 2)."""
+MILD_STICTION = 0.2
+"""How far stiction is above Coulomb friction on such robots, relative to that: what is there at creep alone is next to
+nothing of a motion's rms, however large."""
 
 
 TURNING_TOLERANCE = 0.5
@@ -58,7 +61,8 @@ class FrictionTurning(Effect):
 class FrictionForms(Effect):
     """Mild forms of an ordinary joint's friction, marginalised: Stribeck at two speeds, load, |q̇| q̇, direction.
 
-    Shape: presliding displacement [rad], and the rms of the joint's ordinary friction torque [N m].
+    Shape: presliding displacement [rad], the rms of the joint's ordinary friction torque and its Coulomb friction
+    [N m].
     """
 
     name, equation, named, marginal = "friction_forms", "level (1 + a mild form)", False, True
@@ -85,6 +89,8 @@ class FrictionForms(Effect):
     def scale(self, context, place, shape):
         size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
         out = FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
+        if shape[2] > 0:
+            out[:2] = np.minimum(out[:2], MILD_STICTION * shape[2])
         out[6:] = TURNING_TOLERANCE * shape[1]
         return out
 

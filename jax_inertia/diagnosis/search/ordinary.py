@@ -19,7 +19,7 @@ from jax_inertia.diagnosis.effects.friction_forms import (
 )
 from jax_inertia.diagnosis.effects.ground import places_of_ground
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances, StatedNumbers
-from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.search.candidates import make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
@@ -64,9 +64,13 @@ def ordinary_physics(
             chosen += _turning(residual, evidence, before, dry, place, settings)
     now = learned(evidence, tuple(chosen), 4)
     now = bounded(residual, evidence, now)
-    forms = _forms(residual, now, presliding_of(chosen), settings)
-    now = learned(evidence, (*now.chosen, *forms), 2)
-    return OrdinaryPhysics(evidence, now, tuple(chosen[len(never_exact) :]))
+    plain = now.chosen
+    for _ in range(2):
+        # What is mild is so in proportion to a friction that is itself known with its forms alone.
+        forms = _forms(residual, now, presliding_of(chosen), settings)
+        now = learned(evidence, (*plain, *forms), 2)
+    tried = tuple(chosen[len(never_exact) :])
+    return OrdinaryPhysics(evidence, reconsidered(residual, evidence, now, tried, settings), tried)
 
 
 def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> OrdinaryPhysics:
@@ -113,31 +117,34 @@ def _ground(residual: Residual) -> list[Hypothesis]:
     return [hypothesis(residual, *one, 0.0) for one in every]
 
 
-def _turning(residual, evidence, now: Posterior, dry, place, settings) -> tuple[Hypothesis, ...]:
-    """The joint's dry friction with the presliding displacement of most evidence, with the model's own."""
-    shapes = list(dry.shapes(residual.context, place))
-    tried = [_alike(residual, dry, place, shape, settings) for shape in shapes]
-    gains = evidence.gains(now, [joined(both) for both in tried])
+def _turning(
+    residual, evidence, now: Posterior, dry, place, settings, forms: tuple[Hypothesis, ...] = ()
+) -> tuple[Hypothesis, ...]:
+    """The joint's dry friction with the presliding displacement of most evidence, with the model's own and `forms`."""
+
+    def of(shape) -> tuple[Hypothesis, ...]:
+        alike = _alike(residual, dry, place, shape, settings)
+        return *alike, *(reshaped(f, residual, (shape[0], *f.shape[1:])) for f in forms)
+
+    tried = [of(shape) for shape in dry.shapes(residual.context, place)]
+    gains = evidence.gains(now, [joined(each) for each in tried])
     best = tried[int(np.argmax(gains))]
     creeps = isinstance(dry, CoulombFriction) and best[0].shape[0] < 0.0
-    return _creeping(residual, evidence, now, best, settings) if creeps else best
+    return _creeping(evidence, now, best, of) if creeps else best
 
 
-def _creeping(
-    residual, evidence, now: Posterior, dry: tuple[Hypothesis, ...], settings
-) -> tuple[Hypothesis, ...]:
-    """Dry friction that creeps, by the level of most evidence between its grid's points."""
+def _creeping(evidence, now: Posterior, dry: tuple[Hypothesis, ...], of) -> tuple[Hypothesis, ...]:
+    """Dry friction that creeps, by the level of most evidence between its grid's points; `of` lays one by its shape."""
     level, *way = dry[0].shape
 
-    def of(share: float) -> tuple[Hypothesis, ...]:
-        shape = (level * float(np.exp(share)), *way)
-        return _alike(residual, dry[0].effect, dry[0].place, shape, settings)
+    def at(share: float) -> tuple[Hypothesis, ...]:
+        return of((level * float(np.exp(share)), *way))
 
     def loss(share: float) -> float:
-        return -float(evidence.gains(now, (joined(of(share)),))[0])
+        return -float(evidence.gains(now, (joined(at(share)),))[0])
 
     best = minimize_scalar(loss, bounds=LEVELS, method="bounded", options={"maxiter": 12})
-    return of(float(best.x)) if best.fun < loss(0.0) else dry
+    return at(float(best.x)) if best.fun < loss(0.0) else dry
 
 
 LEVELS = -1.2, 1.2
@@ -260,9 +267,13 @@ def reconsidered(
         if not isinstance(h.effect, CoulombFriction | StatedFriction) or not _leads(now, h):
             continue
         own = tuple(c for c in now.chosen if _one_joints_dry(c, h))
-        rest = evidence.posterior(tuple(c for c in now.chosen if c not in own))
-        best = _turning(residual, evidence, rest, h.effect, h.place, settings)
-        gains = evidence.gains(rest, (joined(own), joined(best)))
+        # Mild forms turn round as the joint's dry friction does: laid over another way, they would turn it back.
+        forms = tuple(
+            c for c in now.chosen if isinstance(c.effect, FrictionForms) and c.place == h.place
+        )
+        rest = evidence.posterior(tuple(c for c in now.chosen if c not in (*own, *forms)))
+        best = _turning(residual, evidence, rest, h.effect, h.place, settings, forms)
+        gains = evidence.gains(rest, (joined((*own, *forms)), joined(best)))
         if best[0].shape != h.shape and bool(np.diff(gains)[0] > ANOTHER):
             now = evidence.posterior((*rest.chosen, *best))
     return learned(evidence, now.chosen, 1)
@@ -305,16 +316,15 @@ def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> 
     out = []
     effect = FrictionForms()
     for name, row in residual.context.joint_dofs.items():
-        own = [
-            now.torque(h)[:, row]
-            for h in now.chosen
-            if h.family in FRICTION and h.place.index == row and h.place.kind == "joint"
-        ]
+        place = Place("joint", name, row)
+        own = [h for h in now.chosen if h.family in FRICTION and h.place == place]
         # A joint at rest for good has none.
-        if np.any(own):
-            level = float(np.sqrt(np.mean(sum(own) ** 2)))
-            place = Place("joint", name, row)
-            out.append(make(residual, effect, place, (presliding.get(row, 0.0), level), settings))
+        if np.any([now.torque(h) for h in own]):
+            level = float(np.sqrt(np.mean(sum(now.torque(h)[:, row] for h in own) ** 2)))
+            dry = [h for h in own if isinstance(h.effect, CoulombFriction)]
+            coulomb = sum((float(now.of(h)[0][0]) for h in dry), start=0.0)
+            shape = (presliding.get(row, 0.0), level, coulomb)
+            out.append(make(residual, effect, place, shape, settings))
     return out
 
 
