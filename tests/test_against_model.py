@@ -192,6 +192,24 @@ def test_a_turned_mount(arm, angles):
     assert against_model(log, mounted(robot, told)) == ()
 
 
+@pytest.mark.parametrize("direction", [(1.2, 0.0, 0.0), (1.6, 0.2, 0.6)])
+def test_a_constant_force_is_no_turned_mount(arm, direction):
+    """Torque by MuJoCo's own Jacobian of a body's centre of mass; the force is some of the weight that it carries."""
+    xml, robot, log = arm
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, body, held = mujoco.MjData(model), 3, np.zeros_like(log.tau)
+    force = 9.81 * model.body_subtreemass[body] * np.array(direction)
+    for k, q in enumerate(log.qpos):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+        held[k] = jacobian.T @ force
+    pulled = dataclasses.replace(log, tau=log.tau - held)
+    assert "mount" not in [finding.check for finding in against_model(pulled, robot)]
+
+
 def test_a_tilt_that_a_constant_force_resembles_is_left_to_the_diagnosis(arm):
     xml, robot, _ = arm
     gravity = np.asarray(mounted(robot, (10.0, 15.0)).gravity)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
+from jaxtyping import Float
 
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.model.robot import HINGE
@@ -28,6 +29,8 @@ _HEAVIEST = 20.0
 FITS = 0.1
 # Below this, tilt is an effect of a diagnosis [rad], which tells it from a constant force.
 _TURNED = 0.5
+# What another cause leaves of what this one does, to be the better of the two: on one link a force is a turned gravity.
+_CLEARLY = 0.5
 # Gravity may come out this much off 9.81 m/s².
 _STRENGTH = 0.15
 # A motor whose joint needs next to nothing is felt from this share of the largest torque on.
@@ -322,13 +325,27 @@ def mount(c: Compared) -> Iterator[Reading]:
     if angle < _TURNED or not c.weighing.any():
         return
     needed = c.inertia + parts.less_friction(parts.gravity @ gravity)
+    left = c.left(needed, joints=c.weighing)
+    if any(_beside(c, pull) < _CLEARLY * left for pull in parts.forces()):
+        # A constant force on one body says it better: that is a diagnosis' to find.
+        return
     message = (
         f"torques fit the motion if gravity is turned by {np.degrees(angle):.0f}°, to "
         f"({', '.join(f'{x:.2f}' for x in gravity)}) m/s²: the base is mounted otherwise than in the model; give "
         f"--mount={mounting(gravity)}"
     )
     plain = c.left_beside_load(c.tau - c.needed, c.weighing)
-    yield Reading(c.left(needed, joints=c.weighing), error("mount", message), plain)
+    yield Reading(left, error("mount", message), plain)
+
+
+def _beside(c: Compared, pull: Float[np.ndarray, "R n 3"]) -> float:
+    """What a load and a constant force leave of the joints that weigh; `pull`: torque against the force."""
+    missing = c.tau - c.needed
+    rows, wanted = pull[:, c.weighing], missing[:, c.weighing]
+    size = c.size[c.weighing]
+    columns = (rows / size[:, None]).reshape(-1, 3)
+    force = np.linalg.lstsq(columns, (wanted / size).ravel(), rcond=1e-3)[0]
+    return c.left_beside_load(missing - pull @ force, c.weighing)
 
 
 def mounting(gravity: np.ndarray) -> str:

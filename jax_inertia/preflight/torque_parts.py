@@ -10,6 +10,7 @@ inner products alone.
 """
 
 import dataclasses
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax
@@ -109,6 +110,18 @@ class Parts:
         a[:, self.rows] *= scale
         return self.less_friction(_needed(self.robot, q, v, a)[:, self.rows])
 
+    def forces(self) -> Iterator[Float[np.ndarray, "R n 3"]]:
+        """Torque, less friction, against 1 N along each axis of the world at each moving body's centre of mass."""
+        q, v, _ = self.motion
+        bare, still = _bare(self.robot), np.zeros_like(v)
+        for body in np.flatnonzero(self.robot.topology.body_dof.any(axis=1)).tolist():
+            one = _with_masses(bare, body, _points(_centre(self.robot, body), 0.0)[0])
+            pull = [
+                _needed(dataclasses.replace(one, gravity=jnp.asarray(e)), q, still, still)
+                for e in np.eye(3)
+            ]
+            yield self.less_friction(np.stack(pull, axis=-1)[:, self.rows])
+
 
 def parts(log: Log, robot: Robot) -> Parts | None:
     """The parts of a log's torque; None where the log does not show them: contacts, a base that floats, little motion.
@@ -175,17 +188,27 @@ def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple
         for e in np.eye(3)
     ]
     inertia = _needed(dataclasses.replace(robot, gravity=jnp.asarray(np.zeros(3))), q, v, a)
-    bare = dataclasses.replace(limp, armature=none)
-    if robot.compensated is not None:
-        none_held = jnp.asarray(np.zeros(robot.compensated.shape))
-        bare = dataclasses.replace(bare, compensated=none_held)
-    load = []
+    bare, load = _bare(robot), []
     for body in carriers(robot):
         for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH)):
-            pi = np.zeros((robot.nb, 10))
-            pi[body] = point
-            load.append(_needed(dataclasses.replace(bare, pi=jnp.asarray(pi)), q, v, a))
+            load.append(_needed(_with_masses(bare, body, point), q, v, a))
     return np.stack(gravity, axis=-1), inertia, np.stack(load, axis=-1)
+
+
+def _bare(robot: Robot) -> Robot:
+    """The robot without springs, rotors and held weights."""
+    none = jnp.asarray(np.zeros(robot.nv))
+    bare = dataclasses.replace(robot, stiffness=none, armature=none)
+    if robot.compensated is not None:
+        bare = dataclasses.replace(bare, compensated=jnp.asarray(np.zeros(robot.compensated.shape)))
+    return bare
+
+
+def _with_masses(robot: Robot, body: int, pi: Float[np.ndarray, "10"]) -> Robot:
+    """The robot with one body's inertial parameters, and nothing else that weighs."""
+    every = np.zeros((robot.nb, 10))
+    every[body] = pi
+    return dataclasses.replace(robot, pi=jnp.asarray(every))
 
 
 def _needed(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Float[np.ndarray, "R nv"]:
