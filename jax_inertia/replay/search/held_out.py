@@ -93,6 +93,11 @@ class Unseen:
             least = np.concatenate([least, self._floor])
         return np.any(apart >= least, axis=1)
 
+    def moved(self, errors: Float[np.ndarray, "B N m"]) -> Bool[np.ndarray, " E"]:
+        """Which effects, of the errors of `taken_back`, change the replay of some output by more than the `floor`."""
+        apart = np.sqrt(np.mean((errors[1:] - errors[:1]) ** 2, axis=1))
+        return np.any(apart > self.floor, axis=1)
+
     def squares(self, square: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
         """Of the mean square of each output."""
         n = len(self._plant.names)

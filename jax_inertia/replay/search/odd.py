@@ -88,11 +88,11 @@ def add_odd(
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
     out, possible, afresh = [], [], True
-    said = afresh_fits.gains_as_said(plant, found, records, floor)
-    found = afresh_fits.simpler(plant, found, said, records, floor) if said else found
-    before = run.errors(found)
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
+        said = afresh_fits.gains_as_said(plant, found, records, floor)
+        found = afresh_fits.simpler(plant, found, said, records, floor) if said else found
+        before = run.errors(found)
         excess, loops = _rms(found)[: len(plant.names)] / floor[: len(plant.names)], []
         off = excess
         if torque_logged:
@@ -115,16 +115,13 @@ def add_odd(
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
-                fits += (
-                    afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
-                )
+            fits += afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
             passed, more = _judged(plant, found, fits, run, before)
             possible, afresh = [*possible, *more], False
         if not passed:
             break
         first, chosen = _first(plant, found, passed, records, floor, run, before)
         evidence, found = chosen[first]
-        before = run.errors(found)
         rows = tuple(range(len(found.table) - len(first.parameters), len(found.table)))
         order = sorted(passed, key=lambda c: -chosen[c][0])
         rivals = tuple(c for c in order if chosen[c][0] > evidence - AS_GOOD and c != first)
@@ -146,6 +143,7 @@ def _judged(
     """
     now, best = Parabola(found, plant.loop, found.samples).worth(), run.missed_by(before[None])[0]
     passed: Passed = {}
+    unseen_by: Passed = {}
     possible = []
     for c, tried in fits:
         after = run.errors(tried)
@@ -155,13 +153,27 @@ def _judged(
         # does if it does no harm.
         simpler = kept + numbers_of(c) < now.kept
         least = 1.0 + _GAIN if simpler else 1.0 - _GAIN
-        if evidence > AS_GOOD and unseen.carries_over(run.missed_by(after[None])[0], best, least):
+        missed = run.missed_by(after[None])[0]
+        if evidence > AS_GOOD and unseen.carries_over(missed, best, least):
             passed.setdefault(c, []).append((evidence, tried))
-            passed[c].sort(key=lambda x: -x[0])
+        elif evidence > AS_GOOD and _below_what_is_seen(run, found, tried, missed, best):
+            unseen_by.setdefault(c, []).append((evidence, tried))
         elif evidence > -AS_GOOD and c.family != "payload_centre":
             # Where a load is, is no effect by itself.
             possible.append(c)
-    return passed, possible
+    # Where the runs can tell of some, they do.
+    passed = passed or unseen_by
+    return {c: sorted(x, key=lambda y: -y[0]) for c, x in passed.items()}, possible
+
+
+def _below_what_is_seen(
+    run: unseen.Unseen, found: Fit, tried: Fit, missed: np.ndarray, best: np.ndarray
+) -> bool:
+    """Whether runs err by less than is seen with an effect and without, and would by more were it taken back alone."""
+    if np.any(np.maximum(missed, best) > run.squares(run.floor**2)):
+        return False
+    own = tuple(range(len(found.table), len(tried.table)))
+    return bool(run.moved(run.taken_back(tried, [own]))[0])
 
 
 def fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
