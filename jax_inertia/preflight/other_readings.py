@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.model.robot import HINGE
@@ -313,11 +313,8 @@ def _zeros(c: Compared, ones: np.ndarray, hinge: np.ndarray) -> Iterator[Reading
 def mount(c: Compared) -> Iterator[Reading]:
     """A base that is mounted at another angle than the model's."""
     parts = c.parts
-    pull = parts.less_friction(parts.gravity) / c.size[:, None]
-    rows = pull[:, c.judged].reshape(-1, 3)
-    wanted = ((c.tau - c.needed) / c.size)[:, c.judged].ravel()
     # Directions of which the robot feels nothing stay the model's.
-    gravity = parts.direction + np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
+    gravity = parts.direction + _best(c, parts.less_friction(parts.gravity), c.judged)
     before, after = np.linalg.norm(parts.direction), np.linalg.norm(gravity)
     if before == 0 or abs(after / before - 1.0) > _STRENGTH:
         return
@@ -340,12 +337,17 @@ def mount(c: Compared) -> Iterator[Reading]:
 
 def _beside(c: Compared, pull: Float[np.ndarray, "R n 3"]) -> float:
     """What a load and a constant force leave of the joints that weigh; `pull`: torque against the force."""
-    missing = c.tau - c.needed
-    rows, wanted = pull[:, c.weighing], missing[:, c.weighing]
-    size = c.size[c.weighing]
-    columns = (rows / size[:, None]).reshape(-1, 3)
-    force = np.linalg.lstsq(columns, (wanted / size).ravel(), rcond=1e-3)[0]
-    return c.left_beside_load(missing - pull @ force, c.weighing)
+    force = _best(c, pull, c.weighing)
+    return c.left_beside_load(c.tau - c.needed - pull @ force, c.weighing)
+
+
+def _best(
+    c: Compared, pull: Float[np.ndarray, "R n 3"], joints: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, " 3"]:
+    """The vector that explains most of what the model misses at some joints; `pull`: torque against its axes."""
+    columns = (pull / c.size[:, None])[:, joints].reshape(-1, 3)
+    missing = ((c.tau - c.needed) / c.size)[:, joints]
+    return np.linalg.lstsq(columns, missing.ravel(), rcond=1e-3)[0]
 
 
 def mounting(gravity: np.ndarray) -> str:

@@ -112,15 +112,10 @@ class Parts:
 
     def forces(self) -> Iterator[Float[np.ndarray, "R n 3"]]:
         """Torque, less friction, against 1 N along each axis of the world at each moving body's centre of mass."""
-        q, v, _ = self.motion
-        bare, still = _bare(self.robot), np.zeros_like(v)
+        q, bare = self.motion[0], _bare(self.robot)
         for body in np.flatnonzero(self.robot.topology.body_dof.any(axis=1)).tolist():
             one = _with_masses(bare, body, _points(_centre(self.robot, body), 0.0)[0])
-            pull = [
-                _needed(dataclasses.replace(one, gravity=jnp.asarray(e)), q, still, still)
-                for e in np.eye(3)
-            ]
-            yield self.less_friction(np.stack(pull, axis=-1)[:, self.rows])
+            yield self.less_friction(_against_gravity(one, q)[:, self.rows])
 
 
 def parts(log: Log, robot: Robot) -> Parts | None:
@@ -181,18 +176,20 @@ def parts(log: Log, robot: Robot) -> Parts | None:
 def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
     """Gravity (R, nv, 3), inertia (R, nv), load (R, nv, masses) of some moments, at most `ROWS`."""
     # Made by NumPy: each small operation of jax would be compiled for itself.
-    still, none = np.zeros_like(v), jnp.asarray(np.zeros(robot.nv))
-    limp = dataclasses.replace(robot, stiffness=none)
-    gravity = [
-        _needed(dataclasses.replace(limp, gravity=jnp.asarray(e)), q, still, still)
-        for e in np.eye(3)
-    ]
     inertia = _needed(dataclasses.replace(robot, gravity=jnp.asarray(np.zeros(3))), q, v, a)
     bare, load = _bare(robot), []
     for body in carriers(robot):
         for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH)):
             load.append(_needed(_with_masses(bare, body, point), q, v, a))
-    return np.stack(gravity, axis=-1), inertia, np.stack(load, axis=-1)
+    return _against_gravity(robot, q), inertia, np.stack(load, axis=-1)
+
+
+def _against_gravity(robot: Robot, q: np.ndarray) -> Float[np.ndarray, "R nv 3"]:
+    """Torque against 1 m/s² of gravity along each axis of the world."""
+    limp = dataclasses.replace(robot, stiffness=jnp.asarray(np.zeros(robot.nv)))
+    still = np.zeros((len(q), robot.nv))
+    each = (dataclasses.replace(limp, gravity=jnp.asarray(e)) for e in np.eye(3))
+    return np.stack([_needed(one, q, still, still) for one in each], axis=-1)
 
 
 def _bare(robot: Robot) -> Robot:

@@ -318,9 +318,9 @@ def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> 
     for name, row in residual.context.joint_dofs.items():
         place = Place("joint", name, row)
         own = [h for h in now.chosen if h.family in FRICTION and h.place == place]
+        level = float(np.sqrt(np.mean(sum((now.torque(h)[:, row] for h in own), start=0.0) ** 2)))
         # A joint at rest for good has none.
-        if np.any([now.torque(h) for h in own]):
-            level = float(np.sqrt(np.mean(sum(now.torque(h)[:, row] for h in own) ** 2)))
+        if level > 0:
             dry = [h for h in own if isinstance(h.effect, CoulombFriction)]
             coulomb = sum((float(now.of(h)[0][0]) for h in dry), start=0.0)
             shape = (presliding.get(row, 0.0), level, coulomb)

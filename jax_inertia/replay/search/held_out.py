@@ -87,16 +87,14 @@ class Unseen:
         That is, rms over the runs, at some joint a step of its encoder (√12 of its deviation) or, where logged, what
         its torque errs by though nothing is wrong. An effect below both is a guess about what remains, and no cause.
         """
-        apart = np.sqrt(np.mean((errors[1:] - errors[:1]) ** 2, axis=1))
         least = np.sqrt(12.0) * np.max([checks.encoder_noise(r.q) for r in self._records], axis=0)
         if self._floor is not None:
             least = np.concatenate([least, self._floor])
-        return np.any(apart >= least, axis=1)
+        return np.any(_apart(errors[1:], errors[:1]) >= least, axis=1)
 
-    def moved(self, errors: Float[np.ndarray, "B N m"]) -> Bool[np.ndarray, " E"]:
-        """Which effects, of the errors of `taken_back`, change the replay of some output by more than the `floor`."""
-        apart = np.sqrt(np.mean((errors[1:] - errors[:1]) ** 2, axis=1))
-        return np.any(apart > self.floor, axis=1)
+    def moved(self, new: Float[np.ndarray, "N m"], old: Float[np.ndarray, "N m"]) -> bool:
+        """Whether replays of two fits, by their errors, differ in some output by more than the `floor`."""
+        return bool(np.any(_apart(new, old) > self.floor))
 
     def squares(self, square: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
         """Of the mean square of each output."""
@@ -106,6 +104,11 @@ class Unseen:
             return np.array([position])
         torque = square[n:] / np.maximum(self._floor, 1e-12) ** 2
         return np.array([position, max(float(np.mean(torque)), 1.0)])
+
+
+def _apart(new: Float[np.ndarray, "... N m"], old: Float[np.ndarray, "... N m"]) -> np.ndarray:
+    """By how much replays differ, rms of each output, of their errors."""
+    return np.sqrt(np.mean((new - old) ** 2, axis=-2))
 
 
 def least_share(before: float, after: float, floor: float) -> float:

@@ -143,7 +143,7 @@ def _judged(
     """
     now, best = Parabola(found, plant.loop, found.samples).worth(), run.missed_by(before[None])[0]
     passed: Passed = {}
-    unseen_by: Passed = {}
+    untold: Passed = {}
     possible = []
     for c, tried in fits:
         after = run.errors(tried)
@@ -156,24 +156,29 @@ def _judged(
         missed = run.missed_by(after[None])[0]
         if evidence > AS_GOOD and unseen.carries_over(missed, best, least):
             passed.setdefault(c, []).append((evidence, tried))
-        elif evidence > AS_GOOD and _below_what_is_seen(run, found, tried, missed, best):
-            unseen_by.setdefault(c, []).append((evidence, tried))
+        elif evidence > AS_GOOD and _below_what_is_seen(run, found, tried, after, best):
+            untold.setdefault(c, []).append((evidence, tried))
         elif evidence > -AS_GOOD and c.family != "payload_centre":
             # Where a load is, is no effect by itself.
             possible.append(c)
     # Where the runs can tell of some, they do.
-    passed = passed or unseen_by
+    passed = passed or untold
     return {c: sorted(x, key=lambda y: -y[0]) for c, x in passed.items()}, possible
 
 
 def _below_what_is_seen(
-    run: unseen.Unseen, found: Fit, tried: Fit, missed: np.ndarray, best: np.ndarray
+    run: unseen.Unseen, found: Fit, tried: Fit, after: np.ndarray, best: np.ndarray
 ) -> bool:
-    """Whether runs err by less than is seen with an effect and without, and would by more were it taken back alone."""
+    """Whether runs err by less than is seen with an effect and without, and would by more were it taken back alone.
+
+    `after`: errors of their replays with it; `best`: mean squares without.
+    """
+    missed = run.missed_by(after[None])[0]
     if np.any(np.maximum(missed, best) > run.squares(run.floor**2)):
         return False
-    own = tuple(range(len(found.table), len(tried.table)))
-    return bool(run.moved(run.taken_back(tried, [own]))[0])
+    theta, own = tried.theta.copy(), len(found.table)
+    theta[own:] = [p.nominal for p in tried.table[own:]]
+    return run.moved(run.errors(tried._replace(theta=theta)), after)
 
 
 def fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
