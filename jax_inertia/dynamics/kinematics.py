@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jax_inertia.maths import spatial
 from jax_inertia.maths.batch_last import compose, cross, skew, total, turn
-from jax_inertia.maths.scalar_trace import one_thread
+from jax_inertia.maths.scalar.trace import one_thread
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, Robot
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
+from jax_inertia.logs.plain_file import require_replaceable
+
 try:
     import fcntl
 except ImportError:  # Windows
@@ -23,7 +25,9 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     """A file to write to that takes its name only when all went well; what was there stays until then.
 
     What a process that was killed left of the same file is removed.
+    Raises ValueError for the name of what is no plain file: a pipe, a device, a folder.
     """
+    require_replaceable(path)
     _remove_orphans(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:

@@ -4,11 +4,13 @@ for part in Stream(estimator).run(read_chunks("day.parquet", names=robot)):
     print(part.time[-1], part.trace.estimate.pi[-1, 0, 0])
 """
 
+import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from jax_inertia.logs.as_model import JointNames
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import _log_of, _naming
 from jax_inertia.logs.readers import column_plan, columns
-from jax_inertia.logs.readers.delimited import csv_parts
+from jax_inertia.logs.readers.delimited import More, csv_parts
 from jax_inertia.logs.readers.options import Options
 from jax_inertia.logs.readers.parquet import parquet_parts
 from jax_inertia.logs.readers.stamps import guess
@@ -31,14 +33,14 @@ def read_chunks(
     rows: int = 1 << 16,
     options: Options | None = None,
     names: JointNames | None = None,
-    more: Callable[[], bool] | None = None,
+    more: More | None = None,
 ) -> Iterator[Log]:
     """Read a .csv or .parquet file as logs of `rows` samples each, in order; the last has one more or fewer.
 
     Names, units and every sample are checked as `read_log` does, chunk by chunk, and stamps and `sigma_*` also from
     chunk to chunk; only the first chunk carries notes. Raises `LogError` with one line, where the chunk is reached
     that is at fault: what came before it was sound. A .csv file that is still being written is followed: at its end
-    `more` is asked whether to look again (`followed`). Other kinds of files: `jax-inertia convert` makes a .parquet.
+    `more` is asked what to go on with (`followed`). Other kinds of files: `jax-inertia convert` makes a .parquet.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -66,7 +68,7 @@ def read_chunks(
                 raise LogError("a .parquet file cannot be read while it is written; write a .csv")
             parts = parquet_parts(path, options, rows)
         else:
-            parts = csv_parts(path, options, more or (lambda: False))
+            parts = csv_parts(path, options, more)
         for plan, table in _recut(parts, rows):
             contents = columns.arrays(plan, table)
             if before is None and options.time_unit is None and not contents.in_seconds:
@@ -82,19 +84,28 @@ def read_chunks(
             before = log
 
 
-def followed(path: Path, idle: float, pause: float = 0.05) -> Callable[[], bool]:
-    """`more` of a file that is written: True as soon as it has grown, False once it has not for `idle` seconds."""
-    seen = 0
+def followed(path: Path, idle: float, pause: float = 0.05) -> More:
+    """`more` of a file that is written, until nothing has come for `idle` seconds.
 
-    def more() -> bool:
-        nonlocal seen
+    A log that is rotated is followed into its successor, whether the old file is renamed and another begun at `path`,
+    or copied and cut to nothing: what is there is read first.
+    """
+
+    def more(file: TextIO) -> TextIO | None:
         end = time.monotonic() + idle
-        while (size := path.stat().st_size) <= seen:
+        while True:
+            here = os.fstat(file.fileno())
+            read = os.lseek(file.fileno(), 0, os.SEEK_CUR)
+            if here.st_size > read:
+                return file
+            with contextlib.suppress(FileNotFoundError):
+                # Cut to nothing is to be seen before it has grown again beyond where it was.
+                if here.st_size < read or not os.path.samestat(here, path.stat()):
+                    file.close()
+                    return open(path, encoding=file.encoding)
             if time.monotonic() > end:
-                return False
+                return None
             time.sleep(pause)
-        seen = size
-        return True
 
     return more
 

@@ -16,10 +16,12 @@ from jax_inertia.logs.atomic_files import check_target, whole_file
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.npz import LogError, read_npz
 from jax_inertia.logs.readers.bag import bag_parts, read_bag
+from jax_inertia.logs.readers.bag_messages import kind_of
 from jax_inertia.logs.readers.delimited import read_csv
 from jax_inertia.logs.readers.export import write_table
 from jax_inertia.logs.readers.options import Contents, Options, applied
 from jax_inertia.logs.readers.parquet import read_dataset, read_parquet
+from jax_inertia.logs.readers.registers import spread
 from jax_inertia.logs.schema import SHAPES, TEXTS, check_declared, check_time, fields_of
 from jax_inertia.text.closest_names import listed
 
@@ -55,7 +57,19 @@ def read_log(
     """
     path, options = Path(path), options or Options()
     with _naming(path):
-        return _log_of(_reader(path)(path, options, max_bytes), options, names)
+        contents = _evenly(_reader(path)(path, options, max_bytes))
+        return _log_of(contents, options, names)
+
+
+def _evenly(contents: Contents) -> Contents:
+    """The contents with stamps that were rounded spread; of a whole log, for a chunk does not know its neighbours."""
+    if "time" not in contents.arrays:
+        return contents
+    time, note = spread(contents.arrays["time"])
+    if not note:
+        return contents
+    arrays = {**contents.arrays, "time": time}
+    return dataclasses.replace(contents, arrays=arrays, notes=[*contents.notes, note])
 
 
 def _log_of(
@@ -93,10 +107,15 @@ def _of_robot(log: Log, names: JointNames) -> Log:
     return dataclasses.replace(kept, notes=(*log.notes, note))
 
 
+def _check_spread(time: np.ndarray) -> None:
+    """Raise `LogError` for stamps that are no time, once those that repeat are spread."""
+    check_time(spread(time)[0])
+
+
 def _npz(path: Path, options: Options, max_bytes: int) -> Contents:
     options.check("an .npz file", ())
     # What is wrong with names and stamps is known before the channels are unfolded; of seconds by default.
-    first = {} if options.time_unit else {"time": check_time}
+    first = {} if options.time_unit else {"time": _check_spread}
     arrays, others = read_npz(
         path, (*SHAPES, *TEXTS), max_bytes, declared=check_declared, first=first
     )
@@ -124,9 +143,9 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
         raise LogError("no such file, but a folder without a ROS 2 bag or a LeRobot dataset in it")
     if not path.is_file():
         raise LogError("no such file")
-    if path.suffix.lower() not in _READERS:
+    if (kind := kind_of(path)) not in _READERS:
         raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
-    return _READERS[path.suffix.lower()]
+    return _READERS[kind]
 
 
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:

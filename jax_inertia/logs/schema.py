@@ -216,6 +216,8 @@ def _require_times(shape: tuple[int, ...]) -> None:
 def check_time(time: np.ndarray) -> None:
     """Raise `LogError` naming the first stamp that is no second, or does not come after the one before."""
     _require_times(time.shape)
+    if time.dtype.kind not in "fiu":
+        raise LogError("time holds text; expected seconds")
     # The bound leaves room for Unix time in seconds and none for milliseconds or less.
     _check_stamps(time, np.abs(time) < 1e11)
     if back := np.flatnonzero(~(np.diff(time) > 0)).tolist():

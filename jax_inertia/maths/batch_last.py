@@ -129,8 +129,10 @@ def total(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
-def cross(a: Float[Array, "n 3 ..."], b: Float[Array, "n 3 ..."]) -> Float[Array, "n 3 ..."]:
-    """a × b."""
+def cross(
+    a: Float[Array | np.ndarray, "n 3 ..."], b: Float[Array | np.ndarray, "n 3 ..."]
+) -> Float[Array | np.ndarray, "n 3 ..."]:
+    """a × b, of JAX or of NumPy."""
     return a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT]
 
 

@@ -153,8 +153,8 @@ def from_pseudo_inertia(p: Float[Array, "*b 4 4"]) -> Float[Array, "*b 10"]:
 def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
     """Whether the pseudo-inertia is positive definite: m > 0, I_c ≻ 0 and the triangle inequalities.
 
-    Tested by Cholesky after scaling the diagonal to one, so that the answer does not depend on units and holds in
-    float32 for bodies of ordinary proportions.
+    Tested by Cholesky, whose success depends on no unit: its errors are those of the matrix whose diagonal is scaled to
+    one (Demmel, LAPACK Working Note 14, 1989). So it holds in float32 for bodies of ordinary proportions.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.maths.inertial_parameters import from_com, is_physical
@@ -167,13 +167,8 @@ def is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
 
 @jax.jit
 def _is_physical(pi: Float[Array, "*b 10"]) -> Bool[Array, "*b"]:
-    p = pseudo_inertia(pi)
-    diagonal: Array = jnp.diagonal(p, axis1=-2, axis2=-1)
-    ok = jnp.all(diagonal > 0, axis=-1) & jnp.all(jnp.isfinite(pi), axis=-1)
-    scale = jax.lax.rsqrt(jnp.where(ok[..., None], diagonal, 1.0))
-    scaled = p * scale[..., :, None] * scale[..., None, :]
-    factor = spatial.cholesky(jnp.where(ok[..., None, None], scaled, jnp.eye(4, dtype=p.dtype)))
-    return ok & jnp.all(jnp.isfinite(factor), axis=(-2, -1))
+    factor = spatial.cholesky(pseudo_inertia(pi))
+    return jnp.all(jnp.isfinite(factor), axis=(-2, -1)) & jnp.all(jnp.isfinite(pi), axis=-1)
 
 
 # --- the paper's factor: P = UᵀU ---------------------------------------------------------------------------------
@@ -208,7 +203,7 @@ def from_log_cholesky(theta: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
 
 
 def to_log_cholesky(pi: Float[Array, "*b 10"]) -> Float[Array, "*b 10"]:
-    """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical.
+    """θ = g⁻¹(π), the unique θ of a physical body; NaN where the body is not physical, which `is_physical` says.
 
     >>> import jax.numpy as jnp
     >>> from jax_inertia.maths.inertial_parameters import from_com, from_log_cholesky, to_log_cholesky

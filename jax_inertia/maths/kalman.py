@@ -16,11 +16,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.maths.gates import Gate
 from jax_inertia.maths.kalman_forms import Correction as Correction
+from jax_inertia.maths.kalman_forms import Elementary as Elementary
 from jax_inertia.maths.kalman_forms import Form as Form
 from jax_inertia.maths.kalman_forms import Information as Information
 from jax_inertia.maths.kalman_forms import SquareRoot as SquareRoot
@@ -48,12 +48,20 @@ class Innovation(eqx.Module):
     sigma: Float[Array, " m"]
     """Standard deviation of ν by the filter's own account, √diag(S); exact for independent noise."""
     nis: Float[Array, ""]
-    """Normalised innovation squared νᵀ S⁻¹ ν over the rows used."""
+    """Normalised innovation squared νᵀ S⁻¹ ν over the rows used, as the gate tests it (`update_by`)."""
     rows: Float[Array, ""]
     """Number of rows used: the degrees of freedom of `nis`."""
     log_likelihood: Float[Array, ""]
     """log N(ν; 0, S) over the rows used."""
     accepted: Bool[Array, ""]
+    """Whether the measurement was believed; False where none of its rows hangs on the state, which is no verdict."""
+    tested: Bool[Array, ""]
+    """Whether any row that hangs on the state was used: else the measurement says nothing, neither for nor against."""
+
+    @property
+    def rejected(self) -> Bool[Array, "*t"]:
+        """Tested, and not believed; of one measurement, or of each of a run."""
+        return self.tested & ~self.accepted
 
 
 def predict(belief: Belief, q: Float[Array, "n n"]) -> Belief:
@@ -140,6 +148,7 @@ def update_by(
     gate: Gate | None = None,
     outliers: Gate | None = None,
     iterations: int = 1,
+    elsewhere: Float[Array, "k n"] | None = None,
     form: Form | None = None,
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]] = lambda x: x,
 ) -> tuple[Belief, Innovation]:
@@ -149,6 +158,10 @@ def update_by(
     `rows`, ascending, are those that hang on the state at all (None: any may); the noise must be independent then, and
     the others count in `nis` alone. `project` is applied to every iterate. The belief is returned unchanged where the
     gate rejects or the result would not be finite.
+
+    With iterations the gate tests the cost that they end at, |z − h(x)|² + |x − x⁻|² in units of noise and prior: for a
+    linear model νᵀ S⁻¹ ν itself, and for others what it stands for, where one slope at x⁻ says nothing of a far
+    state. They start at x⁻, or at one of the places `elsewhere` where that costs less.
 
     `outliers` has the γ up to which a measurement is believed at its word. One beyond it contradicts the belief: its
     noise is taken to be larger, by the factor that makes νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ (Chang 2014, J. Geodesy 88:391).
@@ -168,12 +181,12 @@ def update_by(
     form = default_form(belief.mean.dtype) if form is None else form
     prior, p = belief.mean, belief.covariance
     size = len(noise.variances())
-    hanging = tuple(range(size)) if rows is None else rows
+    hanging, measured = tuple(range(size)) if rows is None else rows, form.kept(measure)
     rest = np.setdiff1d(np.arange(size), hanging)
-    measured = form.kept(measure)
+    root = None if iterations == 1 else form.cholesky(p)
+    places = _Places.of(belief, form, root, elsewhere)
 
-    def linearised(x: Float[Array, " n"]) -> _Rows:
-        one = measured()
+    def linearised(x: Float[Array, " n"], one: Measurement) -> _Rows:
         used = one.used().astype(prior.dtype)
         h, left = one.slope(x), one.left(x)
         nu = left - h @ (prior - x)
@@ -182,11 +195,13 @@ def update_by(
         every = jnp.concatenate([own[:, -1], others[:, -1]])
         return _Rows(own[:, :-2], own[:, -2], jnp.sum(others[:, -2] ** 2), every)
 
-    def seen_first() -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, ""], _Rows]:
-        used = measured().used().astype(prior.dtype)
-        return measured().left(prior), used, jnp.sum(used), linearised(prior)
+    def seen_first() -> tuple[Array, Array, Array, Array, _Rows]:
+        one = measured()
+        used = one.used().astype(prior.dtype)
+        x = places.cheapest(lambda y: noise.whiten(one.left(y)[:, None], used)[:, 0])
+        return one.left(prior), used, jnp.sum(used), x, linearised(x, one)
 
-    residual, used, count, white = form.fused(seen_first)()
+    residual, used, count, start, white = form.fused(seen_first)()
     first = white.corrected(form, p)
     step, covariance = first.step, first.covariance
     weight = jnp.ones_like(first.nis)
@@ -194,30 +209,76 @@ def update_by(
         weight = _weight(form, p, white, first.nis, outliers.threshold(count))
         weighed = white.times(weight).corrected(form, p)
         step, covariance = weighed.step, weighed.covariance
-    mean = form.fused(lambda step: project(prior + step))(step)
-    if iterations > 1:
+    mean, nis = form.fused(lambda step: project(prior + step))(step), first.nis
+    if root is not None:
 
         def left(x: Float[Array, " n"]) -> Float[Array, " m"]:
             return weight * noise.whiten(measured().left(x)[:, None], used)[:, 0]
 
         def again(x: Float[Array, " n"]) -> _Rows:
-            return linearised(x).times(weight)
+            return linearised(x, measured()).times(weight)
 
-        trials = _Trials(belief, form, form.fused(again), form.fused(left), project)
-        mean, step, covariance = trials.run((weight * white.left, step, covariance), iterations - 1)
+        trials = _Trials(belief, root, form, form.fused(again), form.fused(left), project)
+        at_start = start, weight * white.left, step, covariance
+        mean, cost, step, covariance = trials.run(at_start, iterations - 1)
+        # What counts as noisier costs less than it would at its word.
+        nis = jnp.where(weight < 1.0, nis, cost)
 
     limit = jnp.inf if gate is None else gate.threshold(count)
-    # The step too, since `project` may make a number of what is none. An entry of the covariance that is none leaves
-    # none on its row's diagonal.
-    finite = [jnp.all(jnp.isfinite(x)) for x in (step, mean, jnp.diagonal(covariance))]
-    accepted = (first.nis <= limit) & finite[0] & finite[1] & finite[2]
+    tested = jnp.any(take_rows(used, hanging) > 0)
+    accepted = tested & (nis <= limit) & _finite(step, mean, covariance)
     out = Belief(jnp.where(accepted, mean, prior), jnp.where(accepted, covariance, p))
     # The log-density of ν itself: whitening scaled it by √det R.
     log_det = first.log_det + noise.log_det(used)
     likelihood = -0.5 * (first.nis + log_det + count * jnp.log(2.0 * jnp.pi))
     seen = noise.colour(spread_rows(first.rows, hanging, size), used)
     sigma = jnp.sqrt(jnp.sum(seen**2, axis=1) + noise.variances())
-    return out, Innovation(residual, sigma, first.nis, count, likelihood, accepted)
+    return out, Innovation(residual, sigma, nis, count, likelihood, accepted, tested)
+
+
+def _finite(step: Array, mean: Array, covariance: Array) -> Bool[Array, ""]:
+    """Whether an update is of numbers. The step too, since `project` may make a number of what is none; an entry of the
+    covariance that is none leaves none on its row's diagonal.
+    """
+    each = [jnp.all(jnp.isfinite(x)) for x in (step, mean, jnp.diagonal(covariance))]
+    return each[0] & each[1] & each[2]
+
+
+class _Places(NamedTuple):
+    """Where iterations may start: at the prior's mean, or elsewhere."""
+
+    prior: Float[Array, " n"]
+    elsewhere: list[Float[Array, " n"]]
+    away: Float[Array, " k"]
+    """(x − x⁻)ᵀ P⁻¹ (x − x⁻) of each of the others."""
+
+    @classmethod
+    def of(
+        cls,
+        belief: Belief,
+        form: Form,
+        root: Float[Array, "n n"] | None,
+        elsewhere: Float[Array, "k n"] | None,
+    ) -> "_Places":
+        """`root` is the Cholesky factor of the covariance; None: there is one iteration, which starts at the mean."""
+        if root is None or elsewhere is None:
+            return cls(belief.mean, [], jnp.zeros(0, belief.mean.dtype))
+        shift = (elsewhere - belief.mean).T
+        away = jnp.sum(form.solve(root, shift) ** 2, axis=0)
+        return cls(belief.mean, [elsewhere[k] for k in range(len(elsewhere))], away)
+
+    def cheapest(
+        self, left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
+    ) -> Float[Array, " n"]:
+        """Where |white z − h(x)|² + |x − x⁻|² is least."""
+        x = self.prior
+        if not self.elsewhere:
+            return x
+        least = jnp.sum(left(x) ** 2)
+        for k, place in enumerate(self.elsewhere):
+            cost = jnp.sum(left(place) ** 2) + self.away[k]
+            x, least = jnp.where(cost < least, place, x), jnp.minimum(cost, least)
+        return x
 
 
 class _Rows(NamedTuple):
@@ -245,19 +306,24 @@ class _Trials(NamedTuple):
     """Iterations after the first: linearise where the last one ended; back with a shorter step where the cost rose."""
 
     prior: Belief
+    root: Float[Array, "n n"]
+    """Cholesky factor of the prior's covariance."""
     form: Form
     linearise: Callable[[Float[Array, " n"]], _Rows]
     left: Callable[[Float[Array, " n"]], Float[Array, " m"]]
     """White z − h(x)."""
     project: Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
-    def run(self, first: tuple[Array, Array, Array], count: int) -> tuple[Array, Array, Array]:
-        """(mean, step, covariance), given the whitened residual at the prior and the first step with its covariance."""
+    def run(
+        self, first: tuple[Array, Array, Array, Array], count: int
+    ) -> tuple[Array, Array, Array, Array]:
+        """(mean, its cost, step, covariance), given where to start: x, the whitened residual there, the step that its
+        slope gives, and the covariance.
+        """
         prior, p = self.prior.mean, self.prior.covariance
-        root = cholesky(p)
 
         def cost(x: Float[Array, " n"], left: Float[Array, " m"]) -> Float[Array, ""]:
-            away = solve_triangular(root, x - prior, lower=True)
+            away = self.form.solve(self.root, x - prior)
             value = left @ left + away @ away
             return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
@@ -271,12 +337,15 @@ class _Trials(NamedTuple):
             stayed = (x, best, step, covariance, 0.25 * share)
             return jax.tree.map(lambda a, b: jnp.where(better, a, b), moved, stayed)
 
-        left, step, covariance = first
-        start = (prior, cost(prior, left), step, covariance, jnp.ones_like(prior[0]))
+        x, left, step, covariance = first
+        start = (x, cost(x, left), step, covariance, jnp.ones_like(prior[0]))
         state: tuple[Array, ...] = jax.lax.fori_loop(0, count, again, start)
         x, best, step, covariance, share = state
         last = self.project(x + share * (prior + step - x))
-        return jnp.where(cost(last, self.left(last)) <= best, last, x), step, covariance
+        value = cost(last, self.left(last))
+        better = value <= best
+        mean = jnp.where(better, last, x)
+        return mean, jnp.where(better, value, best), step, covariance
 
 
 def _weight(

@@ -2,7 +2,7 @@
 
 `Standard` is the paper's text (Foster et al., eq. update); `SquareRoot` (the default in float32) computes the same
 through a QR factorisation, so that the covariance stays symmetric positive, and `Information` (the default in float64)
-through a Cholesky factorisation, which is faster.
+through a Cholesky factorisation, which is faster. `Elementary` calls no library, for programs that are exported.
 """
 
 import abc
@@ -48,6 +48,14 @@ class Form(eqx.Module):
         """
         value = function()
         return lambda: value
+
+    def cholesky(self, p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+        """L of P = L Lᵀ, as `cholesky` does."""
+        return cholesky(p)
+
+    def solve(self, lower: Float[Array, "n n"], b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
+        """L⁻¹ b."""
+        return solve_triangular(lower, b, lower=True)
 
     @abc.abstractmethod
     def correct(
@@ -102,6 +110,62 @@ class SquareRoot(Form):
             log_det=2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(r)[:n]))),
             rows=rows,
         )
+
+
+class Elementary(Form):
+    """The same by sums, products and roots alone, without a call of LAPACK: for programs that are exported.
+
+    The rows one after the other by the triangular update of Carlson (1973, "Fast triangular formulation of the square
+    root filter", AIAA Journal 11), with f = Lᵀ h, s_j = 1 + Σ_{k ≥ j} f_k² and columns L_k:
+
+        L_j ← L_j √(s_{j+1}/s_j) − (Σ_{k > j} L_k f_k) f_j / √(s_j s_{j+1}).
+    """
+
+    def cholesky(self, p: Float[Array, "n n"]) -> Float[Array, "n n"]:
+        scale, unit = _unit_diagonal(p)
+        rows = jnp.arange(len(p))
+        columns: list[Array] = []
+        for j in range(len(p)):
+            column = unit[:, j]
+            for other in columns:
+                column = column - other * other[j]
+            columns.append(jnp.where(rows >= j, column / jnp.sqrt(column[j]), 0.0))
+        return scale[:, None] * jnp.stack(columns, axis=1)
+
+    def solve(self, lower: Float[Array, "n n"], b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
+        found: list[Array] = []
+        for i, row in enumerate(lower):
+            left = b[i]
+            for k, x in enumerate(found):
+                left = left - row[k] * x
+            found.append(left / row[i])
+        return jnp.stack(found)
+
+    @in_full_precision
+    def correct(
+        self, p: Float[Array, "n n"], h: Float[Array, "m n"], nu: Float[Array, " m"]
+    ) -> Correction:
+        n = len(p)
+        factor = self.cholesky(p)
+        later = jnp.tril(jnp.ones((n, n), p.dtype), -1)
+        """Of x @ later, entry j is the sum of x_k over k > j."""
+
+        def absorbed(carry: tuple, row: tuple) -> tuple[tuple, None]:
+            lower, step, nis, log_det = carry
+            one, measured = row
+            f = one @ lower
+            after = 1.0 + f**2 @ later
+            s = after + f**2
+            left = (measured - one @ step) / s[0]
+            spread = lower * f
+            lower = lower * jnp.sqrt(after / s) - (spread @ later) * (f / jnp.sqrt(s * after))
+            step = step + jnp.sum(spread, axis=1) * left
+            return (lower, step, nis + s[0] * left**2, log_det + jnp.log(s[0])), None
+
+        zero = jnp.zeros((), p.dtype)
+        start = (factor, jnp.zeros(n, p.dtype), zero, zero)
+        (lower, step, nis, log_det), _ = jax.lax.scan(absorbed, start, (h, nu))
+        return Correction(step, positive(lower @ lower.T), nis, log_det, h @ factor)
 
 
 class Information(Form):
@@ -184,8 +248,13 @@ def cholesky(p: Float[Array, "n n"]) -> Float[Array, "n n"]:
     Array([[2., 0.],
            [0., 2.]], dtype=float64)
     """
+    scale, unit = _unit_diagonal(p)
+    return scale[:, None] * jnp.linalg.cholesky(unit)
+
+
+def _unit_diagonal(p: Float[Array, "n n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+    """Standard deviations, and the correlations with what keeps them positive in spite of rounding."""
     diagonal: Array = jnp.diagonal(p)
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    unit = p / (scale[:, None] * scale[None, :])
     jitter = 8.0 * jnp.finfo(p.dtype).eps
-    return scale[:, None] * jnp.linalg.cholesky(unit + jitter * jnp.eye(len(p), dtype=p.dtype))
+    return scale, p / (scale[:, None] * scale[None, :]) + jitter * jnp.eye(len(p), dtype=p.dtype)

@@ -17,7 +17,7 @@ from jax.experimental.pallas import mosaic_gpu as gpu
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxtyping import Array, Float
 
-from jax_inertia.maths.scalar_trace import one_thread, traced
+from jax_inertia.maths.scalar.trace import one_thread, traced
 
 LANES = 128
 """Samples to a block: Mosaic's threads are groups of so many."""
@@ -92,7 +92,7 @@ def in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
     It maps trees of arrays to such, all float32 (booleans may be among them) for the kernel, without loops or
     factorisations; of a `cond` both branches are computed. Numbers known where it is traced, closed over or not, are
     folded in, and all that they make needless falls away. Elsewhere it is what it was. A batch over several devices
-    has to be split by `jax.shard_map`: XLA does not split a kernel. Not differentiable.
+    has to be split by `jax.shard_map` with `check_vma=False`: XLA does not split a kernel. Not differentiable.
     """
 
     def wrapped(*args: Any) -> Any:

@@ -24,7 +24,7 @@ def description(name: str) -> Path:
         repositories = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
     except ImportError as error:
         raise ModelError(
-            f"{PREFIX}{name} needs robot_descriptions: pip install 'jax-inertia[descriptions]' ({error})"
+            f"{PREFIX}{name} needs robot_descriptions: pip install robot_descriptions ({error})"
         ) from None
     known = sorted(package.DESCRIPTIONS)
     if name not in known:

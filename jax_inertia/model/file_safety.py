@@ -5,10 +5,13 @@ terabytes or a file that never ends, and includes can reach anywhere. This reads
 does, and refuses what no robot needs.
 """
 
+import contextlib
+import os
 import re
+import shlex
 import stat
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -110,20 +113,53 @@ def _character(where: str | Path, match: re.Match[str]) -> str:
     return chr(code)
 
 
-def check_model(path: Path) -> str:
-    """The name of a model's first tag (`mujoco`, or `robot` for a URDF).
+class Checked(NamedTuple):
+    """What a model file is, and what it consists of."""
+
+    root: str
+    """Its first tag: `mujoco`, or `robot` for a URDF."""
+    files: tuple[Path, ...]
+    """Itself, what it includes, and the meshes, height fields and textures that are there."""
+
+
+# Folders below which models may include files, besides their own.
+_roots: list[Path] = []
+
+
+@contextlib.contextmanager
+def includes_below(root: Path | None) -> Iterator[None]:
+    """Let models include files from below this folder while the block runs; without one, from their own alone.
+
+    Raises `ModelError` for what is no folder.
+    """
+    if root is None:
+        yield
+        return
+    if not root.is_dir():
+        raise ModelError(f"{root}: no such folder, below which a model could include files")
+    _roots.append(root.resolve())
+    try:
+        yield
+    finally:
+        _roots.pop()
+
+
+def check_model(path: Path) -> Checked:
+    """What a model file is and consists of.
 
     Raises `ModelError` for a file, or one that it includes, that asks for what no robot needs.
     """
     root, first = path.resolve().parent, ""
-    seen: set[Path] = set()
+    seen: dict[Path, None] = {}
+    folders: dict[str, None] = {".": None}
+    named: dict[str, None] = {}
     bodies, copies = 0, 1
     waiting = [path.resolve()]
     while waiting:
         file = waiting.pop()
         if file in seen:
             continue
-        seen.add(file)
+        seen[file] = None
         if len(seen) > _MOST_FILES:
             raise ModelError(f"{path}: includes more than {_MOST_FILES} files")
         text = _text(path, file)
@@ -137,8 +173,9 @@ def check_model(path: Path) -> str:
         bodies, copies = bodies + more, copies * most
         if copies > _MOST_COPIES:
             raise ModelError(f"{path}: <replicate> makes {copies} copies; at most {_MOST_COPIES}")
-        folders = [t.attributes[f] for t in found for f in _FOLDERS if f in t.attributes]
-        _check_files(path, root, found, folders)
+        folders |= {t.attributes[f]: None for t in found for f in _FOLDERS if f in t.attributes}
+        tags_with_files = (t.attributes for t in found if not t.closes)
+        named |= {a[key]: None for a in tags_with_files for key in _FILES if a.get(key)}
         for tag in found:
             if tag.name in ("include", "model") and not tag.closes and "file" in tag.attributes:
                 waiting += _included(path, root, file.parent, tag.attributes["file"])
@@ -146,7 +183,8 @@ def check_model(path: Path) -> str:
         raise ModelError(f"{path}: has {bodies} bodies; at most {MOST_BODIES} make sense")
     if first in _ELSE:
         raise ModelError(f"{path}: {_ELSE[first]}; a model is MJCF or URDF")
-    return first
+    parts = _plain_files(path, root, list(folders)[:20], named)
+    return Checked(first, tuple(dict.fromkeys((*seen, *parts))))
 
 
 def _text(path: Path, file: Path) -> str:
@@ -240,19 +278,25 @@ def _whole(text: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _check_files(path: Path, root: Path, found: list[Tag], folders: list[str]) -> None:
-    """Refuse what would be opened and is no plain file: a device or a pipe has no end."""
-    for tag in found:
-        for name in _FILES:
-            if tag.closes or not (value := tag.attributes.get(name)):
-                continue
-            bare = value.split("://", 1)[-1]
-            for folder in (".", *folders[:20]):
-                for candidate in (root / folder / bare, root / folder / Path(bare).name):
-                    if _is_special(candidate):
-                        raise ModelError(
-                            f"{path}: {value[:200]!r} is a device or a pipe, not a file"
-                        )
+def _plain_files(
+    path: Path, root: Path, folders: Iterable[str], named: Iterable[str]
+) -> Iterator[Path]:
+    """The files that names may mean and that are there; refused is what is no plain file: a pipe has no end."""
+    for value in named:
+        bare = value.split("://", 1)[-1]
+        for folder in folders:
+            for candidate in (root / folder / bare, root / folder / Path(bare).name):
+                if _is_special(candidate):
+                    raise ModelError(f"{path}: {value[:200]!r} is a device or a pipe, not a file")
+                if _is_file(candidate):
+                    yield candidate
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _is_special(path: Path) -> bool:
@@ -271,9 +315,12 @@ def _included(path: Path, root: Path, beside: Path, name: str) -> Iterator[Path]
             there = file.is_file()
         except (OSError, ValueError, RuntimeError):
             continue
-        if not file.is_relative_to(root):
+        if not any(file.is_relative_to(allowed) for allowed in (root, *_roots)):
+            shared = Path(os.path.commonpath([root, file]))
+            way = f", or, if you trust it, --include-root {shlex.quote(str(shared))}"
             raise ModelError(
                 f"{path}: includes {name[:200]!r}, which is outside the model's folder; copy it there"
+                + way * (shared != Path(shared.anchor))
             )
         if there:
             yield file

@@ -36,11 +36,11 @@ def same_joints(
     notes: list[str] = []
     held = _asked(robot, logs, fix or {}, joints)
     if held:
-        notes.append(f"held, as asked: {_told(held)}")
+        notes.append(f"held by option: {_told(held)}")
     coupled, moving = _coupled(robot, logs, held)
     robot = locked(robot, held | coupled)
     if still := {name: x for name, x in coupled.items() if name not in moving}:
-        notes.append(f"held, for they follow one another and stand still: {_told(still)}")
+        notes.append(f"held, since they follow one another and stand still: {_told(still)}")
     have = logs[0].joint_names
     light = _light(robot, logs) if any(name in have for name in robot.joint_names) else {}
     if light:

@@ -16,6 +16,7 @@ import numpy as np
 from jax_inertia.model.file_safety import ModelError
 from jax_inertia.model.finite_numbers import require_finite, require_finite_robot
 from jax_inertia.model.geometry import rotation_of, surface_of
+from jax_inertia.model.model_errors import errors_in
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.model.robot import BALL, FREE, HINGE, SLIDE, WELD, Driven, Robot, Topology
 from jax_inertia.model.spec import compile_spec, load_spec, model_path, set_inertials
@@ -223,23 +224,37 @@ def _to_robot(model: MjModel) -> Robot:
         "spring_reference": spring,
         "gravity": model.opt.gravity * _enabled(model, _DISABLE.mjDSBL_GRAVITY),
     }
+    body_names = tuple(model.body(b).name or f"body_{b}" for b in bodies)
+    joint_names = tuple(model.joint(j).name or f"joint_{j}" for j in joints)
+    rows = dict(zip(joint_names, model.jnt_dofadr.tolist(), strict=True))
+    scalars = {name: d for name, d in rows.items() if scalar[d]}
     return Robot(
         topology=Topology(
             tuple(tree.parent), tuple(tree.kind), tuple(tree.qpos_adr), tuple(tree.body_node)
         ),
-        body_names=tuple(model.body(b).name or f"body_{b}" for b in bodies),
-        joint_names=tuple(model.joint(j).name or f"joint_{j}" for j in joints),
+        body_names=body_names,
+        joint_names=joint_names,
         joint_type=tuple(_KIND[mujoco.mjtJoint(model.jnt_type[j])] for j in joints),
         joint_qposadr=tuple(int(i) for i in model.jnt_qposadr),
         joint_dofadr=tuple(int(i) for i in model.jnt_dofadr),
+        joint_range=tuple(_range_of(model, j) for j in joints),
         nq=model.nq,
         nv=model.nv,
         surface=surface_of(model, bodies),
         compensated=_compensated(model, bodies),
         loops=tuple(_loops(model)),
         driven=tuple(_driven(model)),
+        errors=errors_in(model, body_names, scalars, model.nv),
         **{name: jnp.asarray(value) for name, value in stacked.items()},
     )
+
+
+def _range_of(model: MjModel, j: int) -> tuple[float, float]:
+    """Least and greatest position of a hinge or slide that is limited [rad, m]; infinite for any other joint."""
+    if not model.jnt_limited[j] or model.jnt_type[j] not in _SCALAR:
+        return -np.inf, np.inf
+    low, high = model.jnt_range[j]
+    return float(low), float(high)
 
 
 def _active(model: MjModel) -> np.ndarray:

@@ -73,6 +73,7 @@ def _without(robot: Robot, positions: Mapping[str, float]) -> Robot:
         ),
         joint_names=tuple(name for _, name in names),
         joint_type=tuple(robot.joint_type[k] for k, _ in names),
+        joint_range=tuple(robot.joint_range[k] for k, _ in names),
         joint_qposadr=tuple(earlier(robot.joint_qposadr[k], places) for k, _ in names),
         joint_dofadr=tuple(earlier(robot.joint_dofadr[k], dofs) for k, _ in names),
         nq=robot.nq - len(places),

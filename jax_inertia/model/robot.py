@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jax_inertia.maths.argument_checks import known
+from jax_inertia.model.model_errors import ModelErrors
 from jax_inertia.text.closest_names import listed
 from jax_inertia.text.notebook_page import has_numbers, line, table
 
@@ -197,6 +198,8 @@ class Robot(eqx.Module):
     joint_type: tuple[str, ...] = eqx.field(static=True)
     joint_qposadr: tuple[int, ...] = eqx.field(static=True)
     joint_dofadr: tuple[int, ...] = eqx.field(static=True)
+    joint_range: tuple[tuple[float, float], ...] = eqx.field(static=True)
+    """Least and greatest position of each joint [rad, m]; infinite where the model has no limit."""
     nq: int = eqx.field(static=True)
     nv: int = eqx.field(static=True)
 
@@ -215,6 +218,8 @@ class Robot(eqx.Module):
     surface: Surface
     compensated: Float[Array, "nb 4"] | None = None
     """Mass and first moment of each body that MuJoCo's `gravcomp` lifts [kg, kg m]; None where it lifts nothing."""
+    errors: ModelErrors | None = None
+    """How far the numbers may be from the robot's, where the model says so: one that a diagnosis has corrected."""
     loops: tuple[str, ...] = eqx.field(static=True, default=())
     """Constraints that close a chain (connect, weld, ...), by name: their forces are not in the dynamics."""
     driven: tuple[Driven, ...] = eqx.field(static=True, default=())
@@ -224,6 +229,11 @@ class Robot(eqx.Module):
     def nb(self) -> int:
         """Number of moving bodies."""
         return len(self.body_names)
+
+    @property
+    def joint_kinds(self) -> dict[str, str]:
+        """What each joint is (hinge, slide, ball, free), by name."""
+        return dict(zip(self.joint_names, self.joint_type, strict=True))
 
     @property
     def has_free_base(self) -> bool:

@@ -1,7 +1,8 @@
 """MuJoCo specs: read from a file, compiled with clear errors, and given inertial parameters."""
 
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -12,10 +13,14 @@ from jax_inertia.model.descriptions import PREFIX, description
 from jax_inertia.model.file_safety import ModelError, check_model
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
+from jax_inertia.model.shapes import named, without_refused_shapes
 from jax_inertia.model.urdf_read import ModelWarning, repair, with_floating_base
+from jax_inertia.model.urdf_text import for_mujoco, part_at
+from jax_inertia.text.closest_names import listed
 
 # What MuJoCo raises of a model; RuntimeError is what it makes of memory that ran out.
 _REFUSALS = ValueError, RuntimeError, MemoryError, mujoco.FatalError
+_FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 def model_path(model: str | Path) -> Path:
@@ -28,44 +33,96 @@ def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
     """Parse an MJCF or URDF file into an editable spec that compiles, meshes or not; ModelError if it cannot.
 
     What the file asks for is checked first: it may come from anywhere. `floating_base` as of `load_model`.
+
+    >>> import tempfile, pathlib
+    >>> from jax_inertia.model.spec import load_spec
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "ball.xml"
+    >>> body = '<body name="ball"><freejoint/><geom size="0.1" mass="2"/></body>'
+    >>> _ = file.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    >>> load_spec(file).compile().nv
+    6
     """
     path = model_path(path)
     if path.is_dir():
         raise ModelError(f"{path}: a folder; name the MJCF or URDF file in it")
     if not path.is_file():
         raise ModelError(f"{path}: no such model file")
-    root = check_model(path)
+    root = check_model(path).root
     if floating_base and root != "robot":
         raise ModelError(
             f"{path}: MJCF says itself whether its base floats; give its base a <freejoint/>"
         )
     with mujoco_warnings() as said:
         try:
-            spec = _afloat(path) if floating_base else mujoco.MjSpec.from_file(str(path))
+            if root == "robot":
+                spec, lines = _urdf(path, floating_base)
+            else:
+                spec, lines = mujoco.MjSpec.from_file(str(path)), []
             # A welded link must stay a body of its own: its parameters may be what is asked for.
             spec.compiler.fusestatic = False
-            # To look at a spec, too, MuJoCo refuses: where a name is there twice.
-            _drop_missing_meshes(spec, path)
-            raised = repair(spec) if root == "robot" else []
+            # Before the spec is compiled once: where that fails, MuJoCo refuses to show parts of it, too.
+            lines += repair(spec) if root == "robot" else without_loose_bodies(spec)
+            lines += without_refused_shapes(spec, path)
         except ModelError:
             raise
         except _REFUSALS as error:
             raise ModelError(f"{path}: {error}") from None
-    for line in (*_worth(said), *raised):
+    for line in (*_worth(said), *lines):
         warnings.warn(f"{path}: {line}", ModelWarning, stacklevel=3)
     return spec
 
 
-def _afloat(path: Path) -> MjSpec:
-    """The spec of a URDF whose root link moves freely."""
+def _urdf(path: Path, floating_base: bool) -> tuple[MjSpec, list[str]]:
+    """The spec of a URDF, its root link free to move if asked, and what was read otherwise than it stands."""
+    text, lines = for_mujoco(path.read_bytes().decode("utf-8", "replace"))
     try:
-        text = with_floating_base(path.read_bytes().decode("utf-8", "replace"))
+        spec = mujoco.MjSpec.from_string(with_floating_base(text) if floating_base else text)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
-    spec = mujoco.MjSpec.from_string(text)
+    except _REFUSALS as error:
+        line = re.search(r"line (\d+)", str(error))
+        inside = part_at(text, int(line.group(1))) if line else ""
+        raise ModelError(f"{path}: {error}" + f" ({inside})" * bool(inside)) from None
     # Meshes lie next to the file, whatever was read.
     spec.modelfiledir = str(path.parent)
-    return spec
+    return spec, lines
+
+
+def without_loose_bodies(spec: MjSpec) -> list[str]:
+    """Remove floating bodies without other joints from a scene in which another tree has some; a line that names them.
+
+    Keyframes go with them, since they are of all positions.
+
+    >>> import mujoco
+    >>> from jax_inertia.model.spec import without_loose_bodies
+    >>> arm = '<body name="arm"><joint/><geom size="0.1"/></body>'
+    >>> cube = '<body name="cube"><freejoint/><geom size="0.1"/></body>'
+    >>> spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{cube}{arm}</worldbody></mujoco>")
+    >>> without_loose_bodies(spec), spec.compile().nv
+    (["left out, floats and has no joints, so is not the robot: 'cube'"], 1)
+    """
+    trees = list(spec.worldbody.bodies)
+    joints = {tree.name or f"body {k}": list(_joints(tree)) for k, tree in enumerate(trees)}
+    loose = [kinds == [_FREE] for kinds in joints.values()]
+    if not any(loose) or not any(set(kinds) - {_FREE} for kinds in joints.values()):
+        return []
+    for key in list(spec.keys):
+        spec.delete(key)
+    for tree, one in zip(trees, loose, strict=True):
+        if one:
+            spec.delete(tree)
+    names = [name for name, one in zip(joints, loose, strict=True) if one]
+    return [
+        f"left out, floats and has no joints, so is not the robot: {listed([repr(name) for name in names])}"
+    ]
+
+
+def _joints(body: mujoco.MjsBody) -> Iterator[mujoco.mjtJoint]:
+    """Kinds of the joints of a body and of those below it."""
+    for joint in body.joints:
+        yield joint.type
+    for child in body.bodies:
+        yield from _joints(child)
 
 
 def compile_spec(spec: MjSpec, where: str | Path = "model") -> MjModel:
@@ -105,7 +162,7 @@ def _compiled(spec: MjSpec, where: str | Path, said: list[str]) -> MjModel | Non
     except _REFUSALS as error:
         if "balanceinertia" in str(error) and not spec.compiler.balanceinertia:
             return None
-        raise ModelError(f"{where}: {error}") from None
+        raise ModelError(f"{where}: {named(spec, str(error))}") from None
 
 
 def _worth(said: Sequence[str]) -> list[str]:
@@ -118,6 +175,15 @@ def set_inertials(spec: MjSpec, pi: Mapping[str, Float[Array, "10"] | np.ndarray
 
     Raises ModelError for an unknown body, for parameters that no body can have, and where the
     compiler would change what is written.
+
+    >>> import jax.numpy as jnp, mujoco
+    >>> from jax_inertia.maths.inertial_parameters import from_com
+    >>> from jax_inertia.model.spec import set_inertials
+    >>> body = '<body name="ball"><freejoint/><geom size="0.1" mass="2"/></body>'
+    >>> spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    >>> set_inertials(spec, {"ball": from_com(jnp.array(3.0), jnp.zeros(3), 0.02 * jnp.eye(3))})
+    >>> float(spec.compile().body("ball").mass[0])
+    3.0
     """
     known = {b.name: b for b in spec.bodies if b.name != "world"}
     if spec.compiler.settotalmass > 0:
@@ -196,40 +262,6 @@ def _inertial(
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
     return m, c, moments, quat
-
-
-def _drop_missing_meshes(spec: MjSpec, path: Path) -> None:
-    """Remove geoms whose mesh file is absent, unless a body's inertia would have come from it."""
-    folder = Path(spec.modelfiledir or path.parent)
-    missing = {m.name for m in spec.meshes if m.file and not _mesh_file(folder, spec, m).is_file()}
-    if not missing:
-        return
-    for geom in list(spec.geoms):
-        if geom.meshname not in missing:
-            continue
-        if not geom.parent.explicitinertial and _moves(geom.parent):
-            raise ModelError(
-                f"{path}: mesh {geom.meshname!r} is absent and body {geom.parent.name!r} has no inertial; "
-                "give the mesh file or an explicit inertial"
-            )
-        spec.delete(geom)
-    for mesh in list(spec.meshes):
-        if mesh.name in missing:
-            spec.delete(mesh)
-
-
-def _moves(body: mujoco.MjsBody) -> bool:
-    """Whether a joint stands between the body and the world; what is fixed there needs no inertia."""
-    while body.name != "world":
-        if body.joints:
-            return True
-        body = body.parent
-    return False
-
-
-def _mesh_file(folder: Path, spec: MjSpec, mesh) -> Path:
-    name = mesh.file.split("://", 1)[-1]
-    return folder / (spec.meshdir or "") / (Path(name).name if spec.strippath else name)
 
 
 def _triangle(body) -> bool:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from jax_inertia.model.file_safety import ModelError, Tag, tags
+from jax_inertia.model.urdf_text import WORLD
 from jax_inertia.text.closest_names import listed
 
 # Far below what any robot weighs, far above what MuJoCo takes for nothing (1e-15).
@@ -34,13 +35,14 @@ def repair(spec: mujoco.MjSpec) -> list[str]:
             raised.append(body.name)
         if body.name == "world" or not body.joints:
             continue
-        if not body.explicitinertial and not any(_has_mass(geom) for geom in body.geoms):
+        if not body.explicitinertial and not any(has_mass(geom) for geom in body.geoms):
             body.explicitinertial, body.ipos = True, np.zeros(3)
             body.mass = 0.0
-        if body.explicitinertial and np.isnan(body.fullinertia[0]):
+        if body.explicitinertial:
             if body.mass < _MASS:
                 weightless.append(body.name)
             body.mass = max(body.mass, _MASS)
+        if body.explicitinertial and np.isnan(body.fullinertia[0]):
             body.inertia = np.maximum(body.inertia, _MOMENT)
     told = {
         "moments of inertia that no body has were raised": raised,
@@ -70,13 +72,11 @@ def _without_negative(body: mujoco.MjsBody) -> bool:
     return negative
 
 
-def _has_mass(geom) -> bool:
+def has_mass(geom: mujoco.MjsGeom) -> bool:
     """Whether MuJoCo takes mass from a shape."""
-    return geom.mass > 0 or (np.isnan(geom.mass) and geom.density > 0)
+    return bool(geom.mass > 0 or (np.isnan(geom.mass) and geom.density > 0))
 
 
-# A root link of this name is the world itself: a robot that says so is fixed to it.
-WORLD = "world"
 JOINT = "root_joint"
 
 

@@ -108,7 +108,7 @@ def require_rate(rate: float) -> None:
     """LogError for a log of too few samples a second [Hz]."""
     if rate < (1.0 - _CLOCK) * SLOWEST:
         raise LogError(
-            f"the log has {rate:.3g} samples a second, and at least {SLOWEST:g} are needed to tell of motion up to "
+            f"the log has {rate:.3g} samples a second, and at least {SLOWEST:g} are needed to observe motion up to "
             f"{MOTION:g} Hz; log at {SLOWEST:g} Hz or faster"
         )
 

@@ -31,7 +31,7 @@ from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.filtering import Masked
 from jax_inertia.signals.generalised_motion import Motion, body_rates, generalised
-from jax_inertia.signals.ground_support import Foot, feet_of, supported
+from jax_inertia.signals.ground.support import Foot, reported_contact, supported
 
 CROSSOVER = 0.5
 """Below this [Hz] the feet say how fast the base is, above it the accelerometer: slower than any step."""
@@ -39,8 +39,6 @@ TOUCHES = 0.15
 """Share of the weight that no foot bears of a robot in the air."""
 STANDS = 0.4, 0.8
 """Share of the load of the foot that bears most from which another one may stand, and from which it does."""
-USUAL = 95.0
-"""Percentile of a foot's own force that counts as its largest: such sensors have no unit, and ring."""
 UNSURE = 0.25
 """By how much forces are off by which a base moves while no foot stands, and how deep feet sink, in parts of them."""
 SETTLES = 0.03
@@ -53,7 +51,7 @@ def motion_of(source: Masked, robot: Robot, rng: np.random.Generator | None = No
     """Generalised coordinates of a log on a uniform grid, of a base that logs an IMU too.
 
     With `rng` the feet's velocity is off once more, by as much as they contradict each other. Raises LogError as
-    `generalised`, and where nothing tells how the base accelerates.
+    `generalised`, and where nothing shows how the base accelerates.
     """
     return generalised(with_base(source, robot, rng), robot)
 
@@ -92,7 +90,7 @@ def with_base(source: Masked, robot: Robot, rng: np.random.Generator | None = No
         if walked is None or legs is None:
             raise LogError(
                 "the log has neither base_pos nor base_linacc (an accelerometer), and no foot of the model stands on "
-                "the ground: nothing tells how the base accelerates; log one of them"
+                "the ground: nothing shows how the base accelerates; log one of them"
             )
         velocity = _bridged(time, walked, legs.carried, known > 0, rng)
     else:
@@ -135,16 +133,16 @@ def standing(
     if acceleration is not None:
         a[:, :3] = acceleration
     missing = _needed(robot, (q, v, a)) - np.asarray(motion.tau)
-    rate = 1.0 / float(np.median(np.diff(motion.time)))
-    support = supported(robot, q, np.asarray(motion.tau), missing, rate, log.contact_bodies)
+    support = supported(robot, motion, missing, log, 0.0)
     if support is None:
         return None
-    feet = feet_of(robot, rotation, position, log.contact_bodies)
+    rate, feet = 1.0 / float(np.median(np.diff(motion.time))), support.feet
     mass, gravity = float(jnp.sum(robot.pi[:, 0])), np.asarray(robot.gravity)
-    load = _told(log)
-    if load is None:
-        weight = -mass * gravity
-        load = support.wrench[:, :, :3] @ weight / (weight @ weight)
+    weight = -mass * gravity
+    load = support.wrench[:, :, :3] @ weight / (weight @ weight)
+    reported = reported_contact(log, support.bodies, np.asarray(motion.time))
+    if reported is not None:
+        load = np.where(np.isnan(reported), load, reported)
     # Of the foot that bears most, where the robot is not in the air.
     share = load / np.maximum(load.max(axis=1, keepdims=True), TOUCHES)
     firm = np.clip((share - STANDS[0]) / (STANDS[1] - STANDS[0]), 0.0, 1.0)
@@ -170,16 +168,6 @@ def _settled(
         future = ndimage.minimum_filter1d(own, after + 1, mode="nearest", origin=ahead)
         out[:, k] = np.minimum(past, future)
     return out
-
-
-def _told(log: Log) -> Float[np.ndarray, "T C"] | None:
-    """Loads of the feet by their own sensors, each of its own largest; None where there are none."""
-    if log.contact_flag is not None:
-        return np.asarray(log.contact_flag)
-    if log.contact_force is None:
-        return None
-    force = np.asarray(log.contact_force)
-    return force / np.maximum(np.percentile(force, USUAL, axis=0), 1e-9)
 
 
 def _odometry(

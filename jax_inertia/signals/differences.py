@@ -34,6 +34,10 @@ from jax_inertia.maths.finite_difference import continuous_signs, derivative
 from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.signals.generalised_motion import Motion
 
+RIGID_BODY_ERROR = 0.003
+"""Relative error of a rigid body's torque along a log, one standard deviation [1]: its equation is exact, filters and
+differences of the motion are not."""
+
 
 class Observation(eqx.Module):
     """A motion and the acceleration v̇ (…, nv) that belongs to the same moments."""

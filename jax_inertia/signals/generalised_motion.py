@@ -45,7 +45,9 @@ class Motion(eqx.Module):
     order.
 
     `valid` marks the rows of the equations of motion that stand on measurements. `quaternions` are
-    the addresses in q of unit quaternions (wxyz). `wrench` and `contact_bodies` are the log's.
+    the addresses in q of unit quaternions (wxyz). `wrench` and `contact_bodies` are the log's, or
+    of forces that were not measured; then `unsure` is the torque of one standard deviation of each
+    number that those take for exact.
     """
 
     time: Float[AnyArray, "*T"]
@@ -54,6 +56,7 @@ class Motion(eqx.Module):
     tau: Float[AnyArray, "*T nv"]
     valid: Bool[AnyArray, "*T nv"]
     wrench: Float[AnyArray, "*T C 6"] | None = None
+    unsure: Float[AnyArray, "*T nv k"] | None = None
     contact_bodies: tuple[str, ...] = eqx.field(static=True, default=())
     quaternions: tuple[int, ...] = eqx.field(static=True, default=())
     notes: tuple[str, ...] = eqx.field(static=True, default=())

@@ -122,7 +122,7 @@ def with_loop_torque(
         for name, gains in (("kp", np.asarray(kp, float)), ("kd", damping))
     ]
     note = (
-        "no torque in the log: it is taken for what the position loop gives, kp (q* − q) − kd q̇, with "
+        "no torque in the log: it is computed from the position loop, kp (q* − q) − kd q̇, with "
         f"{said[0]} N m/rad and {said[1]} N m s/rad of the {source}; where kp is off by 1 %, so is "
         "all that legs are found to carry"
     )

@@ -61,8 +61,8 @@ def misfit_notes(found: Sequence[Misfit], names: Sequence[str]) -> list[str]:
     if rest := [one for one in found if not one.exceeds][:_TOLD]:
         told = (f"{names[one.row]} {one.residual:.2g} N m, noise {one.noise:.2g}" for one in rest)
         notes.append(
-            f"the residual is no noise ({'; '.join(told)}, rms): the model lacks something there; a diagnosis of "
-            "the same log and model says what (jax-inertia diagnose)"
+            f"the residual is larger than noise ({'; '.join(told)}, rms): the model lacks something there; jax-inertia "
+            "diagnose of the same log and model says what"
         )
     return notes
 

@@ -14,7 +14,6 @@ with corners (sign, clip, |τ|) are formed on the fast grid and no side is ever 
 
 import dataclasses
 import functools
-from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -34,7 +33,8 @@ from jax_inertia.signals.differences import Observation, central_differences
 from jax_inertia.signals.dry_friction import at_rest, direction
 from jax_inertia.signals.filtering import Masked, bridged_smoothly, low_pass, mask, resample
 from jax_inertia.signals.generalised_motion import Motion, generalised
-from jax_inertia.signals.ground_support import BASE, Support, supported
+from jax_inertia.signals.ground.errors import unsure
+from jax_inertia.signals.ground.support import BASE, Support, supported
 from jax_inertia.signals.held import PositionLoop, later, of_loop, position_loop, timing_of
 from jax_inertia.signals.outliers import without_outliers
 from jax_inertia.signals.spikes import torque_spikes
@@ -106,7 +106,7 @@ class Prepared(eqx.Module):
 
     def spreads(self, row: int) -> bool:
         """Whether a torque on a row is seen on others: of a leg that stands on forces that are not measured."""
-        return self.support is not None and bool(row < BASE or self.support.used_up[row])
+        return self.support is not None and bool(row < BASE or self.support.used_up[:, row].any())
 
     @property
     def kept(self) -> np.ndarray:
@@ -135,22 +135,23 @@ def observed(
     return central_differences(motion_of(low_pass(source, bands.before), robot, rng))
 
 
-def on_the_ground(robot: Robot, observation: Observation, bodies: Sequence[str]) -> Observation:
-    """Observations of a floating base with the wrenches of the ground that its legs' torques show (`ground_support`).
+def on_the_ground(robot: Robot, observation: Observation, log: Log, reach: float) -> Observation:
+    """Observations of a floating base with the wrenches of the ground that its legs' torques show (`signals.ground`).
 
-    The rows of those legs are then not measured. As they are where nothing carries the robot; torques in N m.
+    The rows of those legs are then not measured: between two steps a low-pass of 10 Hz leaves next to nothing of a
+    swing. As they are where nothing carries the robot; torques in N m. `reach` [s]: of the log's low-pass.
     """
     motion = observation.motion
-    tau = np.asarray(motion.tau)
-    residual = _needed_torques(robot, observation) - tau
-    rate = 1.0 / float(np.median(np.diff(motion.time)))
-    found = supported(robot, np.asarray(motion.q), tau, residual, rate, bodies)
+    residual = _needed_torques(robot, observation) - np.asarray(motion.tau)
+    found = supported(robot, motion, residual, log, reach)
     if found is None:
         return observation
-    valid = np.asarray(motion.valid) & ~found.used_up
-    if found.turned is not None:
-        valid[:, found.turned] = False
-    return eqx.tree_at(lambda o: o.motion.valid, _carried(observation, found), valid)
+    measured = _standing(np.asarray(motion.valid) * 1.0, found) > 0
+    measured[:, found.used_up.any(axis=0)] = False
+    out = _carried(observation, found)
+    errors = unsure(robot, motion, found, FRICTION_VELOCITY)
+    motion = dataclasses.replace(out.motion, valid=measured, unsure=errors)
+    return dataclasses.replace(out, motion=motion)
 
 
 def prepare(
@@ -161,7 +162,7 @@ def prepare(
     Velocities are taken from positions: a driver's own velocity may be late or smoothed, and the two sides of the
     equation must agree. When torques act after their stamps is as `timing_of` has it. Single samples of torque that no
     motor makes (`preflight` names them) are taken for missing, those of an encoder for what they should be. `rng` draws
-    errors of what is taken from feet: the base's velocity (`base_motion`) and moments at a ball (`ground_support`).
+    errors of what is taken from feet: the base's velocity (`base_motion`) and moments at a ball (`signals.ground`).
     Raises LogError for what `generalised` refuses.
     """
     if bands is None:
@@ -185,13 +186,13 @@ def prepare(
     measured = ndimage.minimum_filter1d(ok * 1.0, reach, axis=0, mode="nearest")
     support = None
     if robot.has_free_base and log.contact_wrench is None:
-        q = np.asarray(observation.motion.q)
-        support = supported(robot, q, tau, inverse - tau, rate, log.contact_bodies)
+        support = supported(robot, observation.motion, inverse - tau, log, 1.0 / bands.before)
         if support is not None:
             observation = _carried(observation, support)
             inverse = inverse - support.torque
             measured = _standing(measured, support)
             if rng is not None:
+                q = np.asarray(observation.motion.q)
                 inverse = inverse - support.pivoting(robot, q, rate, rng)
     return Prepared(
         robot,
@@ -258,9 +259,10 @@ def _rows_of(robot: Robot, log: Log) -> list[int]:
 
 
 def _standing(measured: Float[np.ndarray, "T nv"], support: Support) -> Float[np.ndarray, "T nv"]:
-    """The base's rows stand on the legs' measurements too, once the legs carry it."""
+    """Rows that stand on measurements: a leg's own while it swings, the base's with all legs that carry it."""
     out = np.where(support.used_up, 0.0, measured)
-    out[:, :BASE] *= measured[:, support.used_up].min(axis=1, initial=1.0)[:, None]
+    out[:, :BASE] *= np.where(support.used_up, measured, 1.0).min(axis=1, keepdims=True)
+    out[support.hidden, :BASE] = 0.0
     if support.turned is not None:
         out[:, support.turned] = 0.0
     return out

@@ -6,6 +6,7 @@ is no harm. Run as a script, this file is that child, and so it imports nothing 
 """
 
 import contextlib
+import os
 import subprocess
 import sys
 import tempfile
@@ -16,8 +17,21 @@ from typing import Any
 import numpy as np
 
 _LONGEST_TEXT = 1000
+# No robot has so many joints: a list of more is something else, or made to fill memory.
+_WIDEST = 10_000
+# What decoding may take on top of the interpreter and Arrow themselves, and for each byte of numbers that is kept.
+_ROOM, _COPIES = 512 << 20, 3
+_MOST_ROOM = 1 << 30
 _OVERHEAD = 2 << 30
+# Pools and threads map far more than they use, and what is bounded is what is mapped.
+_FRUGAL = {
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "MALLOC_ARENA_MAX": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+}
 _PAGES = 1 << 20
+_BATCH = 32 << 20
 
 
 def read(
@@ -39,7 +53,10 @@ def read(
         out = Path(folder) / "columns.npz"
         arguments = [path, out, "" if episode is None else episode, limit, *wanted]
         child = subprocess.run(
-            [sys.executable, "-P", __file__, *map(str, arguments)], capture_output=True, check=False
+            [sys.executable, "-P", __file__, *map(str, arguments)],
+            capture_output=True,
+            check=False,
+            env=os.environ | _FRUGAL,
         )
         if child.returncode:
             last = child.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
@@ -109,7 +126,7 @@ def _here(
     out: dict[str, list[np.ndarray]] = {}
     total = 0
     with opened(parquet, path) as file:
-        for batch in file.iter_batches(batch_size=1 << 16, columns=list(wanted)):
+        for batch in file.iter_batches(batch_size=_rows(file, wanted), columns=list(wanted)):
             part = {n: _values(n, batch.column(n)) for n in batch.schema.names if n in wanted}
             if episode is not None:
                 keep = part["episode_index"] == episode
@@ -120,6 +137,22 @@ def _here(
             if total > limit:
                 raise ValueError(f"holds more than the limit of {limit} bytes; cut the log")
     return {name: joined(name, parts) for name, parts in out.items()}
+
+
+def _rows(file: Any, wanted: Sequence[str]) -> int:
+    """How many rows to take at a time, by what the first one holds."""
+    plain = all(
+        _is_plain(str(file.schema_arrow.field(n).type))
+        for n in wanted
+        if n in file.schema_arrow.names
+    )
+    if plain:
+        return 1 << 16
+    first = next(file.iter_batches(batch_size=1, columns=list(wanted)), None)
+    if first is None:
+        return 1
+    size = sum(_values(n, first.column(n)).nbytes for n in first.schema.names if n in wanted)
+    return int(min(max(_BATCH // max(size, 1), 1), 1 << 16))
 
 
 def _values(name: str, column: Any) -> np.ndarray:
@@ -134,10 +167,15 @@ def _values(name: str, column: Any) -> np.ndarray:
     if kind.startswith(("list", "large_list", "fixed_size_list")):
         if column.null_count:
             raise ValueError(f"column {name!r} has rows without a list")
-        flat, rows = column.flatten(), len(column)
+        rows = len(column)
         lengths = column.value_lengths().to_numpy(zero_copy_only=False) if rows else np.zeros(0)
         if rows and (lengths != lengths[0]).any():
             raise ValueError(f"column {name!r} holds lists of different lengths")
+        if rows and lengths[0] > _WIDEST:
+            raise ValueError(
+                f"column {name!r} holds lists of {lengths[0]} numbers; at most {_WIDEST} make sense"
+            )
+        flat = column.flatten()
         if not _is_number(str(flat.type)):
             raise ValueError(f"column {name!r} holds lists of {flat.type}; expected numbers")
         width = int(lengths[0]) if rows else 0
@@ -151,12 +189,26 @@ def _is_number(kind: str) -> bool:
     return kind.startswith(("int", "uint", "float", "double", "halffloat", "bool"))
 
 
+def _address_space() -> int:
+    """Bytes that this process has mapped by now; what Arrow takes at most where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError):
+        return _OVERHEAD
+
+
 def _child(path: str, out: str, episode: str, limit: str, *wanted: str) -> int:
     # Not every system knows such a limit; there the child may be ended by the system instead.
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
-        room = 4 * int(limit) + _OVERHEAD
+        import pyarrow.parquet
+
+        pyarrow.set_cpu_count(1)
+        pyarrow.set_io_thread_count(1)
+        more = min(_ROOM + _COPIES * int(limit), _MOST_ROOM)
+        room = _address_space() + more
         resource.setrlimit(resource.RLIMIT_AS, (room, room))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:

@@ -12,6 +12,8 @@ import numpy as np
 
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.bag_collect import (
+    CONTROLLER,
+    DYNAMIC,
     FIELDS,
     IMU,
     JOINTS,
@@ -20,17 +22,18 @@ from jax_inertia.logs.readers.bag_collect import (
     Collected,
     Publisher,
 )
-from jax_inertia.logs.readers.bag_messages import messages
+from jax_inertia.logs.readers.bag_messages import kind_of, messages
 from jax_inertia.logs.readers.options import Contents, Options, WrenchAxes
 from jax_inertia.logs.readers.streams import Stream, onto
 from jax_inertia.text.closest_names import listed, suggestion
 
+_KINDS = (".mcap", ".db3")
 _ARRAYS = dict(zip(FIELDS, ("qpos", "qvel", "tau"), strict=True))
 
 
 def bag_parts(folder: Path) -> list[Path]:
     """The files of a ROS 2 bag, in the order they were written."""
-    found = [p for p in folder.iterdir() if p.suffix.lower() in (".mcap", ".db3") and p.is_file()]
+    found = [p for p in folder.iterdir() if kind_of(p) in _KINDS and p.is_file()]
     return sorted(found, key=lambda p: [int(k) for k in re.findall(r"\d{1,18}", p.name)])
 
 
@@ -42,6 +45,8 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     """
     topics = (
         "topic_joints",
+        "topic_targets",
+        "joints",
         "topic_base",
         "topic_imu",
         "topic_wrenches",
@@ -55,6 +60,7 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
             collected.take(message)
     _check_topics(collected, options)
     out, stream, notes = _joints(collected, options)
+    notes += _add_targets(out, collected, options, stream)
     start = int(stream.time_ns[0])
     out["time"] = (stream.time_ns - start) * 1e-9
     notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
@@ -83,7 +89,7 @@ def _check_topics(collected: Collected, options: Options) -> None:
         if topic is not None and topic not in (own := topics(kind)):
             hint = suggestion(topic, own) if own else "the bag has none"
             raise LogError(f"no {kind} on topic {topic!r}; {hint}")
-    found = topics(JOINTS)
+    found = topics(JOINTS) + topics(CONTROLLER) + topics(DYNAMIC)
     if not found:
         there = listed([f"{topic} ({kind})" for topic, kind in collected.seen], 20) or "no messages"
         raise LogError(f"no {JOINTS}; the bag has {there}")
@@ -135,21 +141,47 @@ def _joints(
         moved, note = onto(stream.time_ns, _stream(one), f"joint states of {listed(one.names)}")
         notes.append(note)
         streams.append(moved)
-    out = {"joint_names": np.array(names, dtype=np.str_), "tau_unit": np.array("N m")}
+    out = {"joint_names": np.array(names, dtype=np.str_)}
     for k, field in enumerate(FIELDS):
         parts = [s.values[:, k :: len(FIELDS)] for s in streams]
         lacking = [one for one, p in zip(publishers, parts, strict=True) if np.isnan(p).all()]
         if not lacking:
             out[_ARRAYS[field]] = np.concatenate(parts, axis=1)
-        elif field == "velocity" or (field == "effort" and options.topic_wrenches):
+        elif field == "velocity" or (
+            field == "effort" and (options.topic_wrenches or collected.targets.rows)
+        ):
             array = _ARRAYS[field]
             notes.append(f"{array} is left out: no {field} of {listed(lacking[0].names)}")
         else:
             raise LogError(
                 f"the joint states on {lacking[0].topic} of {listed(lacking[0].names, 6)} hold no {field}; "
-                "a log needs position and effort of every joint"
+                "a log needs position, and effort or position targets (--topic-targets), of every joint"
             )
+    if "tau" in out:
+        out["tau_unit"] = np.array("N m")
     return out, stream, notes
+
+
+def _add_targets(
+    out: dict[str, np.ndarray], collected: Collected, options: Options, joints: Stream
+) -> list[str]:
+    """Targets as asked, or as the one topic has them that is of the joints."""
+    names = list(options.joints or out["joint_names"].tolist())
+    topic = collected.targets.chosen(names)
+    if topic is None:
+        if "tau" not in out and not options.topic_wrenches:
+            raise LogError(
+                f"the joint states of {listed(names, 6)} hold no effort, and no topic holds position targets of these "
+                "joints; a log needs one of both (--topic-targets names a topic of targets)"
+            )
+        others = listed(list(collected.targets.rows))
+        return [f"{others} is left out: no targets of all joints"] * bool(others)
+    values, note = collected.targets.at(topic, names, joints.time_ns)
+    own = out["joint_names"].tolist()
+    if lacking := [name for name in own if name not in names]:
+        raise LogError(f"--joints does not name {listed(lacking)} of the joint states")
+    out["qpos_target"] = values[:, [names.index(name) for name in own]]
+    return [note]
 
 
 def _with_torque(publishers: list[Publisher]) -> tuple[list[Publisher], list[str]]:

@@ -10,6 +10,14 @@ import numpy as np
 
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.bag_messages import Message
+from jax_inertia.logs.readers.bag_targets import Targets, is_named_command
+from jax_inertia.logs.readers.control_messages import (
+    ARRAY,
+    CONTROLLER,
+    DYNAMIC,
+    TRAJECTORY,
+    decoded,
+)
 from jax_inertia.logs.readers.options import Options, WrenchAxes, required
 from jax_inertia.logs.readers.plain_messages import PLAIN, as_object, header, joint_state, plain
 from jax_inertia.logs.readers.streams import Rows
@@ -19,6 +27,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
+_CONTROL = (ARRAY, CONTROLLER, DYNAMIC, TRAJECTORY)
 FIELDS = ("position", "velocity", "effort")
 """Of a joint state, in the order in which every joint's three columns lie in a row."""
 
@@ -76,6 +85,7 @@ class Collected:
         self.imu = Rows()
         self.imu_frames: set[str] = set()
         self.wrenches: dict[str, Rows] = {body: Rows() for body in options.topic_wrenches}
+        self.targets = Targets(options.topic_targets)
         self.unstamped = 0
 
     def take(self, message: Message) -> None:
@@ -84,7 +94,12 @@ class Collected:
         self.seen[topic, kind] += 1
         if len(self.seen) > _MOST_TOPICS:
             raise LogError(f"holds more than {_MOST_TOPICS} topics")
-        if kind == JOINTS and (not self._topics or topic in self._topics):
+        if kind in _CONTROL and message.encoding == "cdr":
+            self._control(message, kind)
+            return
+        if kind == JOINTS and self._is_command(topic):
+            read = self._target
+        elif kind == JOINTS and (not self._topics or topic in self._topics):
             read = self._joint_state
         elif kind == ODOMETRY and topic == self._options.topic_base:
             read = self._odometry
@@ -102,6 +117,38 @@ class Collected:
                 f"a message on {topic} is not like {kind}: {' '.join(str(error).split())[:100]}"
             ) from None
 
+    def _is_command(self, topic: str) -> bool:
+        """Whether joint states on a topic are targets: asked for, or by the topic's name."""
+        asked = topic == self._options.topic_targets
+        return asked or (topic not in self._topics and is_named_command(topic))
+
+    def _control(self, message: Message, kind: str) -> None:
+        """What a message of ros2_control says of the state, and what of the targets."""
+        topic = message.topic
+        if kind == ARRAY and topic != self._options.topic_targets and not is_named_command(topic):
+            return
+        if self._topics and topic not in self._topics and kind == DYNAMIC:
+            return
+        try:
+            state, target = decoded(kind, message.data)
+        except LogError as error:
+            raise LogError(f"a message on {topic} is not like {kind}: {error}") from None
+        if state is not None and (not self._topics or topic in self._topics):
+            self._joint_state(message, state)
+        if target is not None:
+            self._target(message, target)
+
+    def _target(self, message: Message, target: Any) -> None:
+        names = tuple(target.name)
+        if len(target.position) > _MOST_JOINTS:
+            raise LogError(f"targets on {message.topic} are of {len(target.position)} joints")
+        rows = self.targets.place(message.topic, names, len(target.position))
+        if rows.width not in (0, len(target.position)):
+            raise LogError(
+                f"targets on {message.topic} change their number from message to message"
+            )
+        self._add(rows, message, target.header, target.position)
+
     def _kind(self, message: Message) -> str:
         """The ROS type of a message; what is not ROS's and is asked for by topic may have any name."""
         topic = message.topic
@@ -115,7 +162,7 @@ class Collected:
         """Whether anything of this topic was wanted."""
         joints = any(one.topic == topic for one in self.publishers.values())
         based = topic in (self._options.topic_base, self._options.topic_imu)
-        return joints or topic in self._bodies or based
+        return joints or topic in self._bodies or based or topic in self.targets.rows
 
     def _decoded(self, message: Message, kind: str) -> Any:
         try:

@@ -5,11 +5,13 @@ without end, and a file that was not closed properly has none. Compressed chunks
 """
 
 import bz2
+import contextlib
 import dataclasses
 import io
 import re
 import sqlite3
 import struct
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +20,8 @@ from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.options import required
 from jax_inertia.logs.readers.plain_messages import PLAIN, ros_kind
 
+# `ros2 bag record --compression-mode file`.
+_PACKED = ".zstd"
 _MOST_RECORD = 1 << 28
 _MOST_RATIO, _ALWAYS_ALLOWED = 100, 1 << 30
 _MOST_STEPS = 1_000_000
@@ -74,11 +78,38 @@ def ros2_name(kind: str) -> str:
     return f"{package}/msg/{name}" if name and "/" not in name else kind
 
 
+def kind_of(path: Path) -> str:
+    """The ending of a bag's file, less that of a compression of the file as a whole."""
+    name = path.name.lower()
+    return Path(name.removesuffix(_PACKED)).suffix
+
+
+@contextlib.contextmanager
+def _unpacked(path: Path) -> Iterator[Path]:
+    """The file; one that was compressed as a whole, unfolded to a temporary one, within bounds."""
+    if not path.name.lower().endswith(_PACKED):
+        yield path
+        return
+    zstd = required("zstandard", "zstd bags")
+    left = _Unfolding(path).left
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / path.name[: -len(_PACKED)]
+        unfold = zstd.ZstdDecompressor().stream_reader
+        with open(path, "rb") as packed, open(whole, "xb") as out, unfold(packed) as stream:
+            while block := stream.read(1 << 20):
+                left -= len(block)
+                if left < 0:
+                    raise LogError("unfolds to more than makes sense")
+                out.write(block)
+        yield whole
+
+
 def messages(path: Path) -> Iterator[Message]:
     """All messages of one file; `LogError` for one that is damaged."""
-    read = {".bag": _bag, ".mcap": _mcap, ".db3": _db3}[path.suffix.lower()]
+    read = {".bag": _bag, ".mcap": _mcap, ".db3": _db3}[kind_of(path)]
     try:
-        yield from read(path)
+        with _unpacked(path) as whole:
+            yield from read(whole)
     except LogError:
         raise
     except MemoryError:

@@ -25,10 +25,16 @@ _MOST_COLUMNS = 10_000
 
 # What others call the arrays, to guess what a column may be when the contract's name is missing.
 _ALIASES = {
-    "time": ("t", "stamp", "timestamp", "time_s", "times", "sec", "seconds"),
+    "time": (
+        *("t", "stamp", "timestamp", "time_s", "times", "sec", "seconds"),
+        *("__time", "datetime", "date", "stamp_ns", "timestamp_ns", "time_ns"),
+    ),
     "qpos": ("q", "pos", "position", "positions", "angle", "joint_pos", "jointpos", "actual_q"),
     "qvel": ("dq", "qd", "vel", "velocity", "velocities", "joint_vel", "actual_qd"),
-    "tau": ("torque", "torques", "effort", "efforts", "trq", "current", "joint_torque", "tau_j"),
+    "tau": (
+        *("torque", "torques", "effort", "efforts", "trq", "current", "joint_torque", "tau_j"),
+        *("target_moment", "actual_current", "moment", "i"),
+    ),
 }
 
 
@@ -160,16 +166,22 @@ def spelled(column: Column) -> str:
     return ".".join(part for part in (column.array, column.of, column.part) if part)
 
 
-def missing(array: str, headings: Sequence[str]) -> str:
-    """What to do about an array that no column is named after."""
+def missing(lacking: Sequence[str], headings: Sequence[str]) -> str:
+    """What to do about arrays that no columns are named after: one command that names them all."""
+    wanted = [_wanted(array, headings) for array in lacking]
+    ways = " ".join(f"--column '{hint}'" for _, hint in wanted)
+    names = ", ".join(name for name, _ in wanted)
+    return f"no column {names}; name the file's (jax-inertia convert {ways}); it has {listed(headings, 12)}"
+
+
+def _wanted(array: str, headings: Sequence[str]) -> tuple[str, str]:
+    """What a column of an array is called, and what of the file's it may be."""
     bare = [_unit_apart(heading)[0] for heading in headings[:200]]
     whole = next((name for name in bare if name.lower() in _ALIASES[array]), "")
     if array == "time":
-        name, hint = "time", f"time={whole or 'NAME'}"
-    elif whole:
-        name, hint = array, f"{array}={whole}"
-    else:
-        starts = (alias + mark for alias in _ALIASES[array] for mark in "._/ -")
-        found = (name[: len(s)] for s in starts for name in bare if name.lower().startswith(s))
-        name, hint = f"{array}.<joint>", f"{array}.*={next(found, 'PREFIX')}*"
-    return f"no column {name}; name the file's (jax-inertia convert --column '{hint}'); it has {listed(headings, 12)}"
+        return "time", f"time={whole or 'NAME'}"
+    if whole:
+        return array, f"{array}={whole}"
+    starts = (alias + mark for alias in _ALIASES[array] for mark in "._/ -")
+    found = (name[: len(s)] for s in starts for name in bare if name.lower().startswith(s))
+    return f"{array}.<joint>", f"{array}.*={next(found, 'PREFIX')}*"

@@ -41,6 +41,7 @@ from jax_inertia.text.closest_names import listed, suggestion
 
 _CONSTANT = tuple(name for name, shape in SHAPES.items() if shape[0] != "T")
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "°": np.pi / 180, "m": 1.0, "mm": 1e-3}
+_ANGLE |= dict.fromkeys(("rev", "turn", "turns"), 2 * np.pi)
 _RATE = {f"{unit}/s": factor for unit, factor in _ANGLE.items()} | {"rpm": np.pi / 30}
 _LENGTH = {"m": 1.0, "mm": 1e-3}
 _UNITS: Mapping[str, Mapping[str, float]] = {
@@ -175,11 +176,11 @@ def _found(plan: Plan, values: Mapping[str, np.ndarray]) -> dict[str, dict[tuple
             raise LogError(
                 f"columns {before!r} and {heading!r} both are {spelled(column)}, and nothing names their joints"
             )
-    for array in ("time", "qpos", "tau"):
-        # A position-controlled robot may have no torque, nor one with a force sensor at its wrist.
-        spared = array == "tau" and ("qpos_target" in found or "contact_wrench" in found)
-        if array not in found and not spared:
-            raise LogError(missing(array, [*plan.others, *plan.columns]))
+    # A position-controlled robot may have no torque, nor one with a force sensor at its wrist.
+    driven = {"tau", "qpos_target", "contact_wrench"} & found.keys()
+    needed = ("time", "qpos", *(() if driven else ("tau",)))
+    if lacking := [array for array in needed if array not in found]:
+        raise LogError(missing(lacking, [*plan.others, *plan.columns]))
     if not any(len(x) for x in values.values() if x.ndim):
         raise LogError("has headings and no rows; expected at least two samples")
     return found

@@ -1,6 +1,7 @@
 """CSV and TSV, block by block: a heading row, then numbers."""
 
 import csv
+import datetime
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -16,13 +17,16 @@ from jax_inertia.logs.schema import TEXTS
 
 _BLOCK = 1 << 22
 _LONGEST_LINE = 1 << 20
+_BLANKS = " "
+_TIMES = ("s", "sec", "ms", "us", "µs", "ns")
 _NOTHING = ("", "na", "n/a", "null", "none")
 
 
 def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
-    """Read comma, semicolon or tab separated columns named as in `readers.columns`.
+    """Read columns parted by commas, semicolons, tabs or spaces, named as in `readers.columns`.
 
-    Between semicolons, tabs or quotation marks a comma in a number is its decimal mark. Empty fields are NaN. Raises
+    Between semicolons, tabs or quotation marks a comma in a number is its decimal mark. Empty fields are NaN. A second
+    row of units is read as such, stamps may be dates (ISO 8601). Raises
     `LogError` with the line for what is no number, for rows of another length, and for a file whose numbers would need
     more than `max_bytes`.
     """
@@ -32,15 +36,21 @@ def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
         _check_budget(table, size / max(taken, 1), max_bytes)
     contents = columns.arrays(table.plan, table.values())
     contents.notes = [*contents.notes, *table.notes]
+    contents.in_seconds |= table.dated
     return contents
 
 
+More = Callable[[TextIO], TextIO | None]
+"""Given a file at its end, the one to go on with: the same once it has grown, its successor, or None: no more comes."""
+
+
 def csv_parts(
-    path: Path, options: Options, more: Callable[[], bool] = lambda: False
+    path: Path, options: Options, more: More | None = None
 ) -> Iterator[tuple[column_plan.Plan, dict[str, np.ndarray]]]:
     """The columns of `read_csv` by heading, some thousand rows at a time and in bounded memory; raises the same.
 
-    At the file's end `more` is asked whether to look again, for a file that is still being written.
+    At the file's end `more` is asked what to go on with, for a file that is still being written: its last line counts
+    once it is whole, and a heading that comes again is left out.
     """
     for table, _ in _growing(path, options, more):
         yield table.plan, table.values()
@@ -48,7 +58,7 @@ def csv_parts(
 
 
 def _growing(
-    path: Path, options: Options, more: Callable[[], bool] = lambda: False
+    path: Path, options: Options, more: More | None = None
 ) -> Iterator[tuple["_Table", int]]:
     """One table, before its first block and after each, and how many characters went into it."""
     options.check("a CSV file", ("columns",))
@@ -56,12 +66,21 @@ def _growing(
         encoding, notes = _encoding(path)
         with open(path, encoding=encoding) as file:
             headings, delimiter, first_line = _header(file)
+            headings, rest, first_line, more_notes = _with_units(
+                file, headings, delimiter, first_line
+            )
+            notes = [*notes, *more_notes]
             plan = column_plan.plan(headings, options)
             if not plan.columns:
                 columns.arrays(plan, {})
-            table, taken = _Table(headings, plan, delimiter, first_line, notes), 0
+            apart = "\t" if delimiter == _BLANKS else delimiter
+            table, taken = _Table(headings, plan, apart, first_line, notes), 0
             yield table, taken
-            for lines in _blocks(file, more):
+            for lines in _blocks(file, more, rest):
+                if delimiter == _BLANKS:
+                    lines = _tabbed(lines)
+                if more is not None:
+                    lines = [line for line in lines if not table.is_heading(line)]
                 table.add(lines)
                 taken += sum(map(len, lines)) + len(lines)
                 yield table, taken
@@ -86,6 +105,9 @@ class _Table:
         wanted = [headings.index(heading) for heading in plan.columns]
         self.words = [k for k in wanted if plan.columns[headings[k]].array in TEXTS]
         self.numbers = [k for k in wanted if k not in self.words]
+        self.stamps = {k for k in wanted if plan.columns[headings[k]].array == "time"}
+        self.start: datetime.datetime | None = None
+        """The first stamp, where stamps are dates."""
         self.said: dict[int, str] = {}
         self.blocks: list[np.ndarray] = []
         self.rows = 0
@@ -97,7 +119,17 @@ class _Table:
     def notes(self) -> list[str]:
         """What was assumed of the file's text."""
         commas = ["numbers have decimal commas"] * (self.decimal == ",")
-        return [*self._notes, *commas]
+        dates = [f"stamps are dates; time counts from {self.start}"] if self.dated else []
+        return [*self._notes, *commas, *dates]
+
+    @property
+    def dated(self) -> bool:
+        """Whether stamps are dates, and time is in seconds from the first."""
+        return self.start is not None
+
+    def is_heading(self, line: str) -> bool:
+        """Whether it is the heading once more, as a writer that starts anew begins with."""
+        return [x.strip().strip('"') for x in line.split(self.delimiter)] == list(self.headings)
 
     def add(self, lines: list[str]) -> None:
         if not any(line.strip() for line in lines):
@@ -153,6 +185,10 @@ class _Table:
             for column in self.numbers:
                 text = row[column].strip()
                 where = f"line {self.line + k}, column {self.headings[column]!r}"
+                if column in self.stamps and (date := _date(text)) is not None:
+                    self.start = self.start or date
+                    values.append(_seconds(date, self.start, where))
+                    continue
                 mark = next((c for c in ",." if c in text), None)
                 if mark is not None and self.decimal not in (None, mark):
                     raise LogError(
@@ -176,6 +212,61 @@ class _Table:
         whole = np.concatenate(self.blocks) if self.blocks else np.zeros((0, len(self.numbers)))
         out = {self.headings[k]: whole[:, i] for i, k in enumerate(self.numbers)}
         return out | {self.headings[k]: np.array(text) for k, text in self.said.items()}
+
+
+def _date(text: str) -> datetime.datetime | None:
+    """A date with a time of day (ISO 8601); None for what is none, a number above all."""
+    if not (len(text) > 10 and text[4:5] == "-" and text[7:8] == "-"):
+        return None
+    try:
+        return datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+def _seconds(date: datetime.datetime, start: datetime.datetime, where: str) -> float:
+    try:
+        return (date - start).total_seconds()
+    except TypeError:
+        raise LogError(f"{where}: some dates have a time zone and others have none") from None
+
+
+def _tabbed(lines: list[str]) -> list[str]:
+    """Lines whose fields are parted by any number of blanks, parted by one tab each."""
+    return ["\t".join(line.split()) for line in lines]
+
+
+def _with_units(
+    file: TextIO, headings: list[str], delimiter: str, line: int
+) -> tuple[list[str], str, int, list[str]]:
+    """Headings with the units of a second row; the text read ahead, the number of its line, and a note.
+
+    Units are words where the first row of numbers has none: the time's, and no number in any column.
+    """
+    start = file.readline(_LONGEST_LINE)
+    bare = start.strip()
+    if not bare or '"' in bare:
+        return headings, start, line, []
+    fields = [x.strip() for x in (bare.split() if delimiter == _BLANKS else bare.split(delimiter))]
+    units = [x.strip("[]()") for x in fields]
+    words = [x for x in units if x]
+    if len(fields) != len(headings) or not words or not set(units) & set(_TIMES):
+        return headings, start, line, []
+    if any(_is_number(x) or _date(x) for x in words):
+        return headings, start, line, []
+    told = [
+        heading if not unit or "[" in heading else f"{heading} [{unit}]"
+        for heading, unit in zip(headings, units, strict=True)
+    ]
+    return told, "", line + 1, [f"line {line} holds the columns' units"]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return text.lower() in _NOTHING
+    return True
 
 
 def _encoding(path: Path) -> tuple[str, list[str]]:
@@ -209,23 +300,32 @@ def _header(file: TextIO) -> tuple[list[str], str, int]:
         # NumPy writes its heading as a comment.
         number, text = number + 1, line.strip().lstrip("#").strip()
     delimiter = max(",;\t", key=text.count)
-    headings = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+    if delimiter not in text and len(text.split()) > 1:
+        # NumPy's savetxt and UR's recorder part columns by blanks.
+        delimiter, headings = _BLANKS, text.split()
+    else:
+        headings = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
     if repeated := [name for name, count in Counter(headings).items() if name and count > 1]:
         raise LogError(f"two columns are named {repeated[0][:60]!r}; keep one")
     return headings, delimiter, number + 1
 
 
-def _blocks(file: TextIO, more: Callable[[], bool]) -> Iterator[list[str]]:
-    """The lines that follow, many at a time, and no line without bound."""
-    rest = ""
-    while (block := file.read(_BLOCK)) or more():
+def _blocks(file: TextIO, more: More | None, rest: str = "") -> Iterator[list[str]]:
+    """The lines that follow `rest`, many at a time, and no line without bound."""
+    while True:
+        if not (block := file.read(_BLOCK)):
+            if more is None or (after := more(file)) is None:
+                break
+            # A line that a file was cut off in is none.
+            file, rest = after, rest if after is file else ""
+            continue
         *lines, rest = (rest + block).split("\n")
         if len(rest) > _LONGEST_LINE:
             raise LogError(f"a line is longer than {_LONGEST_LINE} characters; is it a CSV file?")
         if lines:
             yield lines
-    if rest:
-        yield [rest]
+    if rest and more is None:
+        yield [rest.rstrip("\n")]
 
 
 def _check_budget(table: _Table, left: float, max_bytes: int) -> None:

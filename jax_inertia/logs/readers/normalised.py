@@ -8,11 +8,13 @@ range, of a gripper its lower end, is taken as the joint's zero.
 import json
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.plain_file import read_plain
 from jax_inertia.logs.readers.options import Contents, Options
 from jax_inertia.text.closest_names import suggestion
 
@@ -74,8 +76,7 @@ def _read(path: str | os.PathLike[str]) -> dict[str, tuple[float, float]]:
     """Half of each motor's range [rad], the whole of a gripper's, and its sign, by name."""
     name = os.path.basename(os.fspath(path))
     try:
-        with open(path, "rb") as file:
-            found: Any = json.loads(file.read(_MOST))
+        found: Any = json.loads(read_plain(Path(path), _MOST))
         if not isinstance(found, dict):
             raise ValueError("no JSON object")
         out = {}
@@ -90,8 +91,11 @@ def _read(path: str | os.PathLike[str]) -> dict[str, tuple[float, float]]:
                 -1.0 if entry.get("drive_mode") else 1.0,
             )
     except OSError as error:
-        raise LogError(f"calibration {name}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise LogError(f"calibration {name}: {error.strerror or error}") from None
+    except (
+        *(ValueError, KeyError, TypeError, AttributeError),
+        *(RecursionError, OverflowError),
+    ) as error:
         reason = " ".join(str(error).split())[:150]
         raise LogError(
             f"calibration {name}: {reason}; expected an object for each motor with range_min and range_max"

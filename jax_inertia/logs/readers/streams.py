@@ -30,6 +30,12 @@ class Rows:
     def __len__(self) -> int:
         return len(self._stamps)
 
+    @property
+    def width(self) -> int:
+        """Numbers in a row; 0 while there is none."""
+        last = self._rows or self._done
+        return int(last[-1].shape[-1]) if last else 0
+
     def add(self, stamp_ns: int, row: np.ndarray) -> None:
         """One row; all are of one length."""
         self._stamps.append(stamp_ns)

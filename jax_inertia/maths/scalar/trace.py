@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from jax_inertia.maths.scalar_program import OPERATIONS, Node, Program, numbers
+from jax_inertia.maths.scalar.program import OPERATIONS, Node, Program, numbers
 
 one_thread = contextvars.ContextVar("one_thread", default=False)
 """Whether what is traced is for one thread: then what takes fewer operations is better, even where all wait for all."""
@@ -20,7 +20,8 @@ def traced(jaxpr: Jaxpr, args: Sequence[Any]) -> Program:
     """The program of a traced function of its constants and arguments.
 
     A `jax.ShapeDtypeStruct` stands for an input, a boolean being a number that is not zero; everything else is known.
-    Raises NotImplementedError for a primitive that is not known here: loops, factorisations.
+    Loops of a known length are unrolled. Raises NotImplementedError for a primitive that is not known here: loops until
+    a condition holds, QR factorisations, sorting.
     """
     program = Program()
     values = []
@@ -69,7 +70,9 @@ def _inner(program: Program, closed: ClosedJaxpr, args: list[np.ndarray]) -> lis
 
 
 def _both(program: Program, branches: Sequence[ClosedJaxpr], which: np.ndarray, *args: np.ndarray):
-    """Of two branches: each thread may take another one, so both are computed."""
+    """Of two branches, where it is not known which: each thread may take another one, so both are computed."""
+    if not isinstance(which[()], Node):
+        return _inner(program, branches[int(which[()])], list(args))
     no, yes = (_inner(program, branch, list(args)) for branch in branches)
     return [program.map("select_n", which, x, y) for x, y in zip(no, yes, strict=True)]
 
@@ -167,6 +170,87 @@ def _sums(program, which: np.ndarray, x: np.ndarray) -> np.ndarray:
     return out
 
 
+def _unrolled(program, *args, jaxpr, length, reverse, num_consts, num_carry, **_):
+    """A loop of a known length (`lax.scan`, and `fori_loop` between known bounds), one step after the other."""
+    constants, carry = args[:num_consts], list(args[num_consts : num_consts + num_carry])
+    steps: list[list[np.ndarray]] = []
+    for k in reversed(range(length)) if reverse else range(length):
+        sliced = [x[k] for x in args[num_consts + num_carry :]]
+        out = _inner(program, jaxpr, [*constants, *carry, *sliced])
+        carry = out[:num_carry]
+        steps.append(out[num_carry:])
+    if reverse:
+        steps.reverse()
+    return [*carry, *(np.stack(each) for each in zip(*steps, strict=True))]
+
+
+def _cholesky(program, a, **_):
+    """L of A = L Lᵀ from the lower triangle of A, column by column; NaN where A is not positive."""
+    out = np.full(a.shape, np.float32(0.0), object)
+    for at in np.ndindex(a.shape[:-2]):
+        own, given = out[at], a[at]
+        for j in range(len(own)):
+            for i in range(j, len(own)):
+                products = program.map("mul", own[i, :j], own[j, :j]) if j else ()
+                left = program.node("sub", given[i, j], program.total(products))
+                own[i, j] = (
+                    program.node("sqrt", left) if i == j else program.node("div", left, own[j, j])
+                )
+    return out
+
+
+def _triangular_solve(program, a, b, *, left_side, lower, transpose_a, unit_diagonal, **_):
+    """X of A X = B (or X A = B) by substitution."""
+    if transpose_a:
+        a, lower = np.swapaxes(a, -1, -2), not lower
+    if not left_side:  # X A = B is Aᵀ Xᵀ = Bᵀ
+        turned = np.swapaxes(a, -1, -2), np.swapaxes(b, -1, -2)
+        way = {"left_side": True, "lower": not lower, "transpose_a": False}
+        return np.swapaxes(
+            _triangular_solve(program, *turned, **way, unit_diagonal=unit_diagonal), -1, -2
+        )
+    out = b.copy()
+    n = a.shape[-1]
+    for at in np.ndindex(b.shape[:-2]):
+        own, given = out[at], a[at]
+        for i in range(n) if lower else reversed(range(n)):
+            before = slice(0, i) if lower else slice(i + 1, n)
+            for k in range(own.shape[1]):
+                left = own[i, k]
+                if before.stop > before.start:
+                    products = program.map("mul", given[i, before], own[before, k])
+                    left = program.node("sub", left, program.total(products))
+                own[i, k] = left if unit_diagonal else program.node("div", left, given[i, i])
+    return out
+
+
+def _dynamic_slice(program, x, *starts, slice_sizes):
+    """Where a start is not known, of all that it may be the one that it is."""
+    for axis, (start, size) in enumerate(zip(starts, slice_sizes, strict=True)):
+        at, last = start[()], x.shape[axis] - size
+        parts = [np.take(x, range(k, k + size), axis) for k in range(last + 1)]
+        if not isinstance(at, Node):
+            x = parts[int(np.clip(at, 0, last))]
+            continue
+        x = parts[-1]
+        for k in reversed(range(last)):
+            x = program.map("select_n", np.asarray(program.node("le", at, k)), x, parts[k])
+    return x
+
+
+def _platform(_, *, platforms, **__):
+    """The branch of a CPU, and where none is for it, of every platform."""
+    fits = [k for k, names in enumerate(platforms) if names is None or "cpu" in names]
+    return numbers(fits[0])
+
+
+def _padded(_, x, value, *, padding_config):
+    if any(inner or low < 0 or high < 0 for low, high, inner in padding_config):
+        raise NotImplementedError("no scalar form of padding between entries, or of less than none")
+    widths = [(low, high) for low, high, _ in padding_config]
+    return np.pad(x, widths, constant_values=value[()])
+
+
 _CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
@@ -178,10 +262,12 @@ _CALLS = {
 """What calls another function, and the parameter that is its trace."""
 _RULES: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast,
+    "cholesky": _cholesky,
     "concatenate": lambda _, *x, dimension, **__: np.concatenate(x, dimension),
     "convert_element_type": _converted,
     "copy": lambda _, x, **__: x,
     "dot_general": _product,
+    "dynamic_slice": _dynamic_slice,
     "gather": _gathered,
     "integer_pow": _power,
     "iota": lambda _, *, dtype, shape, dimension, **__: numbers(
@@ -192,6 +278,8 @@ _RULES: dict[str, Callable] = {
             shape,
         )
     ),
+    "pad": _padded,
+    "platform_index": _platform,
     "optimization_barrier": lambda _, *x: list(x),
     "reduce_and": _reduced("and", np.True_),
     "reduce_max": _reduced("max", np.float32(-np.inf)),
@@ -200,12 +288,14 @@ _RULES: dict[str, Callable] = {
     "reduce_sum": _reduced("add", np.float32(0.0)),
     "reshape": lambda _, x, *, new_sizes, **__: x.reshape(new_sizes),
     "rev": lambda _, x, *, dimensions: np.flip(x, dimensions),
+    "scan": _unrolled,
     "slice": _sliced,
     "split": lambda _, x, *, sizes, axis: np.split(x, list(itertools.accumulate(sizes))[:-1], axis),
     "square": lambda program, x, **__: program.map("mul", x, x),
     "squeeze": lambda _, x, *, dimensions: np.squeeze(x, dimensions),
     "stack": lambda _, *x, axis=0, **__: np.stack(x, axis),
     "stop_gradient": lambda _, x: x,
+    "triangular_solve": _triangular_solve,
     "transpose": lambda _, x, *, permutation: np.transpose(x, permutation),
 }
 """What moves entries about or puts several together."""

@@ -65,7 +65,7 @@ OPERATIONS: dict[str, Callable] = {
 
 @dataclass
 class Program:
-    """The scalar operations of a function: `scalar_trace.traced` makes one, `run` evaluates it."""
+    """The scalar operations of a function: `trace.traced` makes one, `run` evaluates it."""
 
     outputs: list[np.ndarray] = field(default_factory=list)
     """Nodes and known numbers, in the shapes of the function's results."""

@@ -6,7 +6,8 @@ of the model. With Jacobians J of all feet and weights W that trust the legs' to
     λ = (J W Jᵀ)⁻¹ J W r,    r − Jᵀ λ = (1 − Jᵀ (J W Jᵀ)⁻¹ J W) r
 
 λ is the ground's force as the legs' motors show it, and on the rows of the base stays what it does not account for. The
-legs' own rows are used up. A foot is free to press all the time: nobody says when it swings.
+own rows of a leg that may stand are used up. While a foot swings (`stance`) its λ is zero, and the rows of its
+leg say as much of the leg as those of a robot in the air.
 """
 
 import dataclasses
@@ -16,12 +17,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from jax_inertia.dynamics import rigid_body
-from jax_inertia.logs.log import LogError
+from jax_inertia.logs.log import Log, LogError
+from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.maths.over_samples import OverSamples
 from jax_inertia.model.robot import Robot
-from jax_inertia.signals.sinking import sunk
+from jax_inertia.signals.generalised_motion import Motion
+from jax_inertia.signals.ground.sinking import sunk
+from jax_inertia.signals.ground.stance import swinging
 
 BASE = 6
 """Rows of a free joint."""
@@ -33,6 +38,10 @@ NEAR, OFTEN = 0.02, 0.05
 CARRIED = 0.3
 # A sole that is smaller than this [m] presses at one point.
 SOLE = 0.04
+LIES = 5
+"""Joints of a leg that can lay a sole flat on the ground: three for its place, two for its tilt."""
+USUAL = 95.0
+"""Percentile of a foot's own force that counts as its largest: such sensors have no unit, and ring."""
 PIVOTS = 0.1
 """Moments of feet that turn on the ground change within this time [s], as a step does."""
 # Trust in what the base needs against what the legs' motors give, each in units of its own size.
@@ -65,11 +74,15 @@ class Support:
     """Of these on all rows, Σ Jᵀλ [N m]."""
     seen: Float[np.ndarray, "T nv nv"]
     """The part of a torque on all rows that no force at the feet explains."""
-    used_up: Bool[np.ndarray, " nv"]
-    """Rows of the legs."""
+    used_up: Bool[np.ndarray, "T nv"]
+    """Rows of the legs whose feet may stand."""
     feet: tuple[Foot, ...]
     sinks: Float[np.ndarray, "T C"]
     """How fast each foot goes into the ground under it [m/s]."""
+    hidden: Bool[np.ndarray, " T"]
+    """Where forces at the feet could explain every torque."""
+    depth: float
+    """To which feet sink on average, by the model's law [m]."""
     turned: int | None
     """The row of the base about whose axis balls turn on the spot, and bear who knows what moment; None for none."""
 
@@ -94,17 +107,33 @@ class Support:
         bodies = tuple(f.body for f in self.feet)
         return _torques((robot, bodies), (q, moment[:, None]))[:, 0]
 
+    def of_height(
+        self, robot: Robot, q: Float[np.ndarray, "T nq"], height: float
+    ) -> Float[np.ndarray, "T nv"]:
+        """The remainder of the torque by which feet that touch the ground higher than is thought [m] differ [N m]."""
+        moment = np.zeros_like(self.wrench)
+        moment[:, :, 3:] = np.cross([0.0, 0.0, height], self.wrench[:, :, :3])
+        bodies = tuple(f.body for f in self.feet)
+        return self.left_of(_torques((robot, bodies), (q, moment[:, None]))[:, 0], None)
+
     def left_of(self, x: Float[np.ndarray, "T *c"], row: int | None) -> Float[np.ndarray, "T *d"]:
         """What no force at the feet explains of torques on all rows (T, nv, ...), or of those on one row (T, ...)."""
-        alive = np.flatnonzero(~self.used_up)
+        alive = np.flatnonzero(self.seen.any(axis=(0, 2)))
+        if row is not None:
+            # Of a leg's row, the remainder of it while the foot swings, and what the base's rows see of it.
+            alive = np.flatnonzero(self.seen[:, :, row].any(axis=0))
         seen = self.seen[:, alive]
         if row is not None:
             part = seen[:, :, row].reshape(*seen.shape[:2], *(1 for _ in x.shape[1:])) * x[:, None]
         else:
             part = (seen @ x.reshape(*x.shape[:2], -1)).reshape(len(x), len(alive), *x.shape[2:])
-        out = np.zeros((len(x), len(self.used_up), *part.shape[2:]))
+        out = np.zeros((len(x), self.used_up.shape[1], *part.shape[2:]))
         out[:, alive] = part
         return out
+
+    def bears(self, row: int) -> bool:
+        """Whether a row is a leg's whose foot stands most of the time."""
+        return bool(self.used_up[:, row].mean() > 0.5)
 
 
 def feet_of(
@@ -143,26 +172,58 @@ def feet_of(
             extent = np.ptp(points[at], axis=0).max()
             centre = tuple(points[at].mean(axis=0).tolist())
             pivot = tuple(np.asarray(surface.pivot)[at].mean(axis=0).tolist())
-            flat = bool(extent > SOLE)
+            joints = int((robot.topology.body_dof[body][BASE:] > 0).sum())
+            flat = bool(extent > SOLE) and joints >= LIES
             soft = RIGID if flat else tuple(np.asarray(surface.soft)[at].mean(axis=0).tolist())
             feet.append(Foot(body, centre, float(radius[at].mean()), flat, pivot, soft))
-    return feet
+    return feet if named else _at_ends(robot, feet)
+
+
+def _at_ends(robot: Robot, feet: list[Foot]) -> list[Foot]:
+    """The feet that carry no other foot: of a leg its end, and of a robot that also lies on its trunk its legs."""
+    moves = robot.topology.body_dof > 0
+    ends = []
+    for f in feet:
+        further = [g for g in feet if g is not f and np.all(moves[g.body] >= moves[f.body])]
+        if not any(moves[g.body].sum() > moves[f.body].sum() or g.body > f.body for g in further):
+            ends.append(f)
+    return ends
+
+
+def reported_contact(
+    log: Log, names: Sequence[str], time: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T C"] | None:
+    """Loads of the feet by their own sensors at `time` [s], each over its own largest; None where there are none.
+
+    A foot that the log does not name has NaN.
+    """
+    logged = log.contact_flag
+    if logged is None:
+        if log.contact_force is None:
+            return None
+        force = np.asarray(log.contact_force)
+        logged = force / np.maximum(np.nanpercentile(force, USUAL, axis=0), 1e-9)
+    out = np.full((len(time), len(names)), np.nan)
+    for k, name in enumerate(names):
+        if name in log.contact_bodies:
+            column = np.asarray(logged)[:, log.contact_bodies.index(name)]
+            out[:, k] = np.interp(time, np.asarray(log.time), column)
+    return out
 
 
 def supported(
-    robot: Robot,
-    q: Float[np.ndarray, "T nq"],
-    tau: Float[np.ndarray, "T nv"],
-    residual: Float[np.ndarray, "T nv"],
-    rate: float,
-    bodies: Sequence[str] = (),
+    robot: Robot, motion: Motion, residual: Float[np.ndarray, "T nv"], log: Log, reach: float
 ) -> Support | None:
     """What holds a floating base up, where the torque residual lacks all forces of the ground; None where nothing does.
 
-    `rate` [Hz] is the grid's. Feet sink under their loads, which then act nearer to their centres: at half the depth.
-    `bodies`: those that may touch; without them, all that come near the lowest points of the motion of a robot that
-    does not fly. Raises LogError where forces at the feet could explain every torque.
+    Feet sink under their loads, which then act nearer to their centres: at half the depth. `contact_bodies` of the log
+    may touch; without them, all that come near the lowest points of the motion of a robot that does not fly, one at the
+    end of each leg. `contact_flag` or `contact_force` sharpen when they stand. `reach` [s]: how far a low-pass carries
+    a foot's load into the swing before and after.
     """
+    q, tau, bodies = np.asarray(motion.q), np.asarray(motion.tau), log.contact_bodies
+    time = np.asarray(motion.time)
+    rate = 1.0 / float(np.median(np.diff(time)))
     gravity = np.asarray(robot.gravity)
     weight = float(jnp.sum(robot.pi[:, 0])) * float(np.linalg.norm(gravity))
     # The linear rows of a free joint are forces in world axes.
@@ -175,39 +236,60 @@ def supported(
     feet = feet_of(robot, rotation[some], position[some], bodies)
     if not feet:
         return None
-    names = tuple(robot.body_names[f.body] for f in feet)
-    depth = np.zeros((len(q), len(feet)))
-    rows = _torques((robot, tuple(f.body for f in feet)), (q, _ways(rotation, feet, depth)))
-    used_up = np.abs(rows).max(axis=(0, 1)) > 1e-9
-    used_up[:BASE] = False
-    if rows.shape[1] >= BASE + used_up.sum():
-        raise LogError(
-            f"no contact_wrench: forces and moments at {', '.join(names)} could explain every torque of their legs and "
-            "of the base; log the wrenches, or give contact_bodies that touch"
-        )
+    names, index = tuple(robot.body_names[f.body] for f in feet), tuple(f.body for f in feet)
     size = np.maximum(np.percentile(np.abs(tau), 99.5, axis=0), 1e-3)
     size[:BASE] = np.array([1, 1, 1, 0.3, 0.3, 0.3]) * weight / TRUST
-    solved = _solved(rows, size)
-    soft = np.array([f.soft for f in feet])
-    load = np.einsum(
-        "tm,tmc->tc",
-        np.einsum("tmj,tj->tm", solved, residual),
-        _ways(rotation, feet, depth)[..., 2],
-    )
-    depth, sinks = sunk(soft, load, rate)
-    ways = _ways(rotation, feet, 0.5 * depth)
+    ways = _ways(rotation, feet, np.zeros((len(q), len(feet))))
+    rows = _torques((robot, index), (q, ways))
+    force = np.einsum("tmj,tj->tm", _solved(rows, size), residual)
+    load = np.einsum("tm,tmc->tc", force, ways[..., 2])
+    told = reported_contact(log, names, time)
+    share = load * len(feet) / weight
+    swings = swinging(share, _speeds(rotation, position, feet, share, rate), rate, told)
+    around = 2 * round(reach * rate) + 1
+    stands = np.asarray(ndimage.maximum_filter1d(~swings, around, axis=0, mode="nearest"), bool)
+    of_foot = np.repeat(np.arange(len(feet)), [6 if f.flat else 3 for f in feet])
+    depth, sinks = sunk(np.array([f.soft for f in feet]), np.where(stands, load, 0.0), rate)
     if depth.any():
-        rows = _torques((robot, tuple(f.body for f in feet)), (q, ways))
-        solved = _solved(rows, size)
+        ways = _ways(rotation, feet, 0.5 * depth)
+        rows = _torques((robot, index), (q, ways))
+    rows = rows * stands[:, of_foot, None]
+    used_up = np.abs(rows).max(axis=1) > 1e-9
+    used_up[:, :BASE] = False
+    solved = _solved(rows, size)
     seen = np.eye(robot.nv) - rows.transpose(0, 2, 1) @ solved
-    seen[:, used_up] = 0.0
+    seen[used_up] = 0.0
+    # Trust in the base is finite, and so is what one leg hears of another: nothing.
+    seen[np.abs(seen) < 1e3 * TRUST**4] = 0.0
+    hidden = np.trace(seen[:, :BASE, :BASE], axis1=1, axis2=2) < 0.5
+    if hidden.all():
+        raise LogError(
+            f"no contact_wrench: forces and moments at {', '.join(names)} could explain every torque of their legs and "
+            "of the base at all times; log the wrenches, or give contact_bodies of those that touch"
+        )
     force = np.einsum("tmj,tj->tm", solved, residual)
     wrench = np.einsum("tm,tmcw->tcw", force, ways)
     torque = np.einsum("tmj,tm->tj", rows, force)
     turns = any(f.pivot[0] > 0 and not f.flat for f in feet)
     upright = int(np.argmax(np.abs(rotation[:, 0, 2]).mean(axis=0)))
     turned = BASE - 3 + upright if turns else None
-    return Support(names, wrench, torque, seen, used_up, tuple(feet), sinks, turned)
+    stood = float(np.mean(depth, where=stands)) if stands.any() else 0.0
+    return Support(names, wrench, torque, seen, used_up, tuple(feet), sinks, hidden, stood, turned)
+
+
+def _speeds(
+    rotation: Float[np.ndarray, "T nb 3 3"],
+    position: Float[np.ndarray, "T nb 3"],
+    feet: Sequence[Foot],
+    share: Float[np.ndarray, "T C"],
+    rate: float,
+) -> Float[np.ndarray, "T C"]:
+    """How fast each foot moves [m/s] as seen from those that bear most: the base's own velocity plays no part."""
+    at = np.stack([position[:, f.body] + rotation[:, f.body] @ np.array(f.point) for f in feet], 1)
+    velocity = derivative(np.arange(len(at)) / rate, at)
+    firm = np.maximum(share, 1e-3) ** 2
+    ground = np.einsum("tk,tkc->tc", firm, velocity) / firm.sum(axis=1, keepdims=True)
+    return np.linalg.norm(velocity - ground[:, None], axis=2)
 
 
 def _solved(

@@ -1,0 +1,1 @@
+"""The ground under a floating base: when feet stand, how deep they sink, and with what forces it holds the robot."""
