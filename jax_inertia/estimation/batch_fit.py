@@ -26,11 +26,13 @@ from jax_inertia.dynamics.rigid_body import resolve_bodies
 from jax_inertia.estimation import batch_solve
 from jax_inertia.estimation.batch_rows import TERMS, Rows, correlation_inflation, rows_of
 from jax_inertia.estimation.inertial_filter import make_estimator
+from jax_inertia.estimation.joint_terms import JointTerms
 from jax_inertia.estimation.physical_estimate import Estimate, physical_units
 from jax_inertia.estimation.priors import Load, Uncertainty
 from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, require
 from jax_inertia.maths.inertial_parameters import is_physical
+from jax_inertia.model.model_errors import ModelErrors
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.text.notebook_page import line, table
@@ -67,6 +69,8 @@ class BatchFit(eqx.Module):
     """The robot with the fitted bodies, damping, friction and armature; a carried load is no part of it."""
     estimate: Estimate
     """The fitted bodies in physical units."""
+    added: Estimate
+    """What the fitted bodies have beyond the model's own, whose errors are in σ: a load that they carry."""
     load: Estimate | None
     """The carried load, one body, where one was asked for."""
     joint_terms: dict[str, Float[np.ndarray, " nv"]]
@@ -130,6 +134,8 @@ def fit(
     *,
     prior: Uncertainty,
     joint_terms: Sequence[str] = (),
+    joints: JointTerms | None = None,
+    errors: ModelErrors | None = None,
     gains: Float[np.ndarray, " nv"] | None = None,
     gain_sigma: float = 0.0,
     bias: Float[np.ndarray, " nv"] | None = None,
@@ -139,7 +145,10 @@ def fit(
     """Fit bodies (default: all with mass) and joint terms to one or several logs of the same robot.
 
     `prior` says how far bodies may be from the model; `joint_terms` any of
-    "damping", "frictionloss", "armature", "offset" (one of each per joint; never below zero in total, offset apart).
+    "damping", "frictionloss", "armature", "offset" (one of each per joint; never below zero in total, offset apart),
+    each as large as the joint's whole torque may make it; `joints` gives sizes of its own to friction and offset
+    instead. By its `errors` the rest of the model may be off: they are fitted in the same problem, and the intervals
+    contain what they leave open. Those of the bodies that are fitted count for what these have `added` alone.
     Where the logged torque is a current, `gains` are the torques per unit to start from and `gain_sigma` their
     relative uncertainty (0: they are exact); the log's torque must then still be in its own unit. Raises ValueError
     for unknown names or terms, where there is no list of observations, and for a prior that is no positive number.
@@ -160,30 +169,35 @@ def fit(
     # The factor whose t is the centre of mass needs the fewest steps: mass and inertia about it decouple.
     chart = charts.LogCholeskyUUt() if chart is None else chart
     rows, problem = _pose(
-        robot, observations, chosen, prior, joint_terms, gains, gain_sigma, bias, carried, chart
-    )
+        robot, observations, chosen, prior, joint_terms, gains, gain_sigma, bias, carried, errors,
+        chart,
+    )  # fmt: skip
+    if joints is not None:
+        own = _sizes(joints)
+        problem = eqx.tree_at(lambda p: p.terms_sigma, problem, own)
     before = _before(robot, rows, problem, chosen)
     problem, solution, steps = _alternate(robot, rows, problem)
 
     unknowns = batch_solve.unpack(problem, solution.z.mean)
     gain = np.asarray(unknowns.gains)
-    n, load, terms, _ = problem.sizes
+    n, linear, terms, _ = problem.sizes
     spread = np.sqrt(np.diagonal(np.asarray(solution.z.covariance)))
-    z_terms, z_gain = np.split(spread[n + load :], [terms])
+    z_terms, z_gain = np.split(spread[n + linear :], [terms])
     covariance = problem.bodies_root @ solution.z.covariance[:n, :n] @ problem.bodies_root.T
     sigma = np.asarray(problem.terms_sigma) * z_terms.reshape(-1, TERMS)
     after = rows.residual(np.asarray(unknowns.weights(chart)), gain)
     return BatchFit(
         robot=_calibrated(robot, chosen, problem, solution.z.mean).robot,
         estimate=physical_units(chart, unknowns.x, covariance),
-        load=_load(problem, solution) if load else None,
+        added=_added(robot, chosen, problem, solution, errors, _spread(rows, problem, solution)),
+        load=None if carried is None else _load(problem, solution),
         joint_terms=dict(zip(JOINT_TERMS, np.asarray(unknowns.terms).T, strict=True)),
         joint_sigma=dict(zip(JOINT_TERMS, sigma.T, strict=True)),
         gains=gain,
-        gains_sigma=gain * np.asarray(problem.gain_sigma) * z_gain,
+        gains_sigma=np.abs(gain) * np.asarray(problem.gain_sigma) * z_gain,
         rms_before=rows.rms(before * np.asarray(problem.gain_start)),
         rms_after=rows.rms(after * gain),
-        noise=np.asarray(problem.noise) * gain,
+        noise=np.asarray(problem.noise) * np.abs(gain),
         steps=steps,
         cost=float(solution.cost),
         converged=bool(solution.successful),
@@ -217,6 +231,29 @@ def _fittable(robot: Robot) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(np.asarray(is_physical(robot.pi))))
 
 
+def carried_with(robot: Robot, asked: tuple[int, ...]) -> tuple[int, ...]:
+    """Other bodies carried by the same joints as those in `asked`: their errors enter the same torque rows.
+
+    Of the six rows of a floating base, which carries all, nothing is made.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation.batch_fit import carried_with
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> carried_with(load_model(double_pendulum()), (1,))
+    (0,)
+    """
+    moved = np.asarray(robot.topology.body_dof) > 0
+    rows = np.any(moved[list(asked)], axis=0) & robot.topology.dof_scalar
+    seen = np.any(moved[:, rows], axis=1)
+    return tuple(i for i in _fittable(robot) if seen[i] and i not in asked)
+
+
+def _sizes(joints: JointTerms) -> jax.Array:
+    """Prior σ of the four joint terms in the order of `JOINT_TERMS`: no armature."""
+    damping, friction, offset = joints.sigma.T
+    return jnp.stack([damping, friction, jnp.zeros_like(offset), offset], axis=1)
+
+
 def _pose(
     robot: Robot,
     observations: Sequence[Observation],
@@ -227,6 +264,7 @@ def _pose(
     gain_sigma: float,
     bias: Float[np.ndarray, " nv"] | None,
     carried: Carried | None,
+    errors: ModelErrors | None,
     chart: charts.Chart,
 ) -> tuple[Rows, batch_solve.Problem]:
     """The rows, and the problem with noise still to be found."""
@@ -247,14 +285,15 @@ def _pose(
             raise ValueError(
                 f"logs {list(carrying)} carry the load; expected some of 0 to {len(observations) - 1}"
             )
-    rows = rows_of(robot, observations, chosen, fixed_bias, carrier, carrying)
+    rows = rows_of(robot, observations, chosen, fixed_bias, carrier, carrying, errors)
+    count = 0 if errors is None else errors.pi.shape[-1]
     scale = np.abs(gain_start) * rows.rms(rows.raw)
     problem = batch_solve.Problem(
         triangles=jnp.asarray(rows.triangles()),
         chart=chart,
         bodies=start.mean,
         bodies_root=root,
-        load_sigma=jnp.asarray(load_sigma),
+        linear_sigma=jnp.asarray(np.append(load_sigma, np.ones(count))),
         terms_start=jnp.zeros((robot.nv, TERMS)),
         terms_sigma=jnp.asarray(_terms_sigma(robot, rows, scale, joint_terms)),
         gain_start=jnp.asarray(gain_start),
@@ -368,7 +407,64 @@ def _calibrated(
 
 def _load(problem: batch_solve.Problem, solution: batch_solve.Solution) -> Estimate:
     n = len(problem.bodies)
-    sigma = problem.load_sigma
+    sigma = problem.linear_sigma[:10]
     covariance = solution.z.covariance[n : n + 10, n : n + 10] * sigma[:, None] * sigma
-    pi = batch_solve.unpack(problem, solution.z.mean).load
+    pi = batch_solve.unpack(problem, solution.z.mean).linear[:10]
     return physical_units(charts.Linear(), pi, covariance)
+
+
+def _added(
+    robot: Robot,
+    chosen: tuple[int, ...],
+    problem: batch_solve.Problem,
+    solution: batch_solve.Solution,
+    errors: ModelErrors | None,
+    spread: Float[np.ndarray, "z z"],
+) -> Estimate:
+    """π of the bodies less the model's own: l = π(x) − π₀ − E z, E: what one σ of each error is of π₀.
+
+    x and z are believed jointly, so what both are off by together is not in l. What remains is small enough for errors
+    of the equations to count: the `spread` of tenths of the log is in its σ.
+    """
+    unknowns = batch_solve.unpack(problem, solution.z.mean)
+    x = unknowns.x.reshape(-1, 10)
+    count = 0 if errors is None else errors.pi.shape[-1]
+    n, last = len(unknowns.x), len(unknowns.x) + len(unknowns.linear)
+    own = np.zeros((n, 0)) if errors is None else errors.pi[np.array(chosen)].reshape(n, count)
+    slope = jnp.zeros((n, len(solution.z.mean)))
+    g = jax.scipy.linalg.block_diag(*problem.chart.jacobian(x))
+    slope = slope.at[:, :n].set(g @ problem.bodies_root).at[:, last - count : last].set(-own)
+    z = unknowns.linear[len(unknowns.linear) - count :]
+    added = problem.chart.to_pi(x).ravel() - robot.pi[np.array(chosen)].ravel() - own @ z
+    covariance = slope @ (solution.z.covariance + spread) @ slope.T
+    return physical_units(charts.Linear(), added, covariance)
+
+
+_GROUPS = 10
+"""Parts of a log that are taken for independent of each other, as in a diagnosis (`Selection.spread_with`)."""
+
+
+def _spread(
+    rows: Rows, problem: batch_solve.Problem, solution: batch_solve.Solution
+) -> Float[np.ndarray, "z z"]:
+    """Covariance of z by what tenths of the log say of it: C Σ_g s_g s_gᵀ C · G / (G − 1), s_g their centred scores.
+
+    Rows may err together within a tenth (White, Econometrica 48(4), 1980; Liang and Zeger, Biometrika 73(1), 1986).
+    """
+    z = solution.z.mean
+    slopes = np.asarray(
+        jax.jacfwd(lambda z: batch_solve.unpack(problem, z).weights(problem.chart))(z)
+    )
+    unknowns, noise = batch_solve.unpack(problem, z), np.asarray(problem.noise)
+    gain = np.asarray(unknowns.gains)
+    e = rows.residual(np.asarray(unknowns.weights(problem.chart)), gain)
+    e = np.where(rows.valid, e, 0.0) / noise**2 / gain
+    groups = np.array_split(np.arange(len(e)), _GROUPS)
+    scores = np.array(
+        [
+            np.einsum("jc,jcz->z", np.einsum("tjc,tj->jc", rows.columns[g], e[g]), slopes)
+            for g in groups
+        ]
+    )
+    moved = (scores - scores.mean(axis=0)) @ np.asarray(solution.z.covariance)
+    return moved.T @ moved * (_GROUPS / (_GROUPS - 1))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics import rigid_body
+from jax_inertia.model.model_errors import ModelErrors
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.torque_residual import FRICTION_VELOCITY, torque_residuals
@@ -22,7 +23,7 @@ class Rows(eqx.Module):
     """columns @ w + base − gain · raw = noise, row by row: the torque residual; all zero where not valid."""
 
     columns: Float[np.ndarray, "T nv c"]
-    """Regressors of the bodies that are fitted, of the load carried, then the joint terms."""
+    """Regressors of the bodies that are fitted, of the load carried, of the model's errors, then the joint terms."""
     base: Float[np.ndarray, "T nv"]
     """What the model needs without the chosen bodies [N m]."""
     raw: Float[np.ndarray, "T nv"]
@@ -82,16 +83,25 @@ def rows_of(
     bias: Float[np.ndarray, " nv"],
     carrier: int | None,
     carrying: Sequence[int],
+    errors: ModelErrors | None = None,
 ) -> Rows:
-    """The rows of all the logs; those of the logs `carrying` also see a load on the body `carrier`."""
+    """The rows of all the logs; those of the logs `carrying` also see a load on the body `carrier`.
+
+    The model's `errors` are columns of unit variance; those of the chosen bodies are in their own.
+    """
     parts = []
     for k, one in enumerate(observations):
         motion = one.motion
-        regressor, base, load = _in_blocks(robot, one, chosen, jnp.asarray(bias), carrier)
-        v, a = np.asarray(motion.v), np.asarray(one.a)
-        terms = np.stack([v, np.tanh(v / FRICTION_VELOCITY), a, np.ones_like(v)], axis=-1)
-        load = load if k in carrying else np.zeros_like(load)
-        columns = np.concatenate([regressor.reshape(*v.shape, -1), load, terms], axis=-1)
+        others = () if errors is None else uncertain_bodies(errors, chosen)
+        every, base, load = _in_blocks(robot, one, (*chosen, *others), jnp.asarray(bias), carrier)
+        regressor, of_others = np.split(every, [len(chosen)], axis=2)
+        base = base + np.einsum("tjbi,bi->tj", of_others, np.asarray(robot.pi)[list(others)])
+        terms = joint_columns(one)
+        load, v = load if k in carrying else np.zeros_like(load), np.asarray(motion.v)
+        off = np.zeros((*v.shape, 0))
+        if errors is not None:
+            off = error_columns(errors, others, of_others, terms)
+        columns = np.concatenate([regressor.reshape(*v.shape, -1), load, off, terms], axis=-1)
         finite = np.isfinite(columns).all(axis=-1) & np.isfinite(base) & np.isfinite(motion.tau)
         parts.append((columns, base, np.asarray(motion.tau), motion.valid & finite))
     columns, base, raw, valid = (np.concatenate(x) for x in zip(*parts, strict=True))
@@ -101,6 +111,30 @@ def rows_of(
         np.where(valid, raw, 0.0),
         valid,
     )
+
+
+def joint_columns(observation: Observation) -> Float[np.ndarray, "T nv 4"]:
+    """∂τ of each row by its joint's damping, dry friction, armature and offset."""
+    v = np.asarray(observation.motion.v)
+    one = np.ones_like(v)
+    return np.stack([v, np.tanh(v / FRICTION_VELOCITY), np.asarray(observation.a), one], axis=-1)
+
+
+def error_columns(
+    errors: ModelErrors,
+    bodies: tuple[int, ...],
+    regressor: Float[np.ndarray, "T nv bodies 10"],
+    terms: Float[np.ndarray, "T nv 4"],
+) -> Float[np.ndarray, "T nv k"]:
+    """∂τ by each unknown of a model's errors, of the joints and of these bodies [N m, N]."""
+    of_bodies = np.einsum("tjbi,bik->tjk", regressor, np.asarray(errors.pi)[list(bodies)])
+    return of_bodies + np.einsum("tjm,jmk->tjk", terms, np.asarray(errors.joints))
+
+
+def uncertain_bodies(errors: ModelErrors, chosen: tuple[int, ...]) -> tuple[int, ...]:
+    """Bodies other than the chosen that a model's errors are of."""
+    off = np.flatnonzero(np.any(np.asarray(errors.pi) != 0, axis=(1, 2)))
+    return tuple(int(b) for b in off if b not in chosen)
 
 
 _BLOCK = 512

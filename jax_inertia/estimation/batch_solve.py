@@ -1,8 +1,9 @@
 """The batch fit as one small nonlinear least-squares problem, and its Gaussian posterior.
 
-Unknowns are z, standard normal a priori: the bodies' chart coordinates x = x₀ + L z, the load's π, the joint terms
-and the log gains, each in units of their prior. Levenberg–Marquardt damps by a multiple of the identity, so this
-scaling is what makes its steps few: in the chart's own units, the directions that the data do not see crawl.
+Unknowns are z, standard normal a priori: the bodies' chart coordinates x = x₀ + L z, the load's π, the model's errors,
+the joint terms and the log gains, each in units of their prior. Levenberg–Marquardt damps by a multiple of the
+identity, so this scaling is what makes its steps few: in the chart's own units, the directions that the data do not see
+crawl.
 """
 
 import equinox as eqx
@@ -31,8 +32,8 @@ class Problem(eqx.Module):
     bodies: Float[Array, " n"]
     """Chart coordinates of the nominal bodies, and the Cholesky factor of their prior covariance."""
     bodies_root: Float[Array, "n n"]
-    load_sigma: Float[Array, " l"]
-    """Prior σ of the carried load's π about zero; empty where no log carries any."""
+    linear_sigma: Float[Array, " l"]
+    """Prior σ about zero of the carried load's π, where a log carries one, then of the model's errors."""
     terms_start: Float[Array, "nv terms"]
     """What is added to the model's joint terms, prior mean and σ; σ = 0 for what is not fitted."""
     terms_sigma: Float[Array, "nv terms"]
@@ -43,22 +44,23 @@ class Problem(eqx.Module):
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Numbers of unknowns: bodies, load, joint terms, gains."""
+        """Numbers of unknowns: bodies, load and errors, joint terms, gains."""
         nv = len(self.noise)
-        return len(self.bodies), len(self.load_sigma), TERMS * nv, nv
+        return len(self.bodies), len(self.linear_sigma), TERMS * nv, nv
 
 
 class Unknowns(eqx.Module):
     """One z in physical units; `x` are the bodies' chart coordinates."""
 
     x: Float[Array, " n"]
-    load: Float[Array, " l"]
+    linear: Float[Array, " l"]
+    """The carried load's π, then the model's errors."""
     terms: Float[Array, "nv terms"]
     gains: Float[Array, " nv"]
 
     def weights(self, chart: Chart) -> Float[Array, "nv c"]:
         """w of every row: what the columns are multiplied by."""
-        pi = jnp.concatenate([chart.to_pi(self.x.reshape(-1, 10)).ravel(), self.load])
+        pi = jnp.concatenate([chart.to_pi(self.x.reshape(-1, 10)).ravel(), self.linear])
         return jnp.concatenate(
             [jnp.broadcast_to(pi, (len(self.gains), len(pi))), self.terms], axis=1
         )
@@ -66,11 +68,11 @@ class Unknowns(eqx.Module):
 
 def unpack(problem: Problem, z: Float[Array, " z"]) -> Unknowns:
     """What z stands for."""
-    n, load, terms, _ = problem.sizes
-    z_body, z_load, z_terms, z_gain = jnp.split(z, [n, n + load, n + load + terms])
+    n, linear, terms, _ = problem.sizes
+    z_body, z_linear, z_terms, z_gain = jnp.split(z, [n, n + linear, n + linear + terms])
     return Unknowns(
         x=problem.bodies + problem.bodies_root @ z_body,
-        load=problem.load_sigma * z_load,
+        linear=problem.linear_sigma * z_linear,
         terms=problem.terms_start + problem.terms_sigma * z_terms.reshape(-1, TERMS),
         gains=problem.gain_start * jnp.exp(problem.gain_sigma * z_gain),
     )

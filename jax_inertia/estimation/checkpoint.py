@@ -35,6 +35,8 @@ _FILTER = ("mean", "covariance", "bias", "rejected_for")
 _DIGESTS = "digests"
 # Covariances of a filter in single precision are symmetric and positive to some hundred roundings.
 _ROUNDINGS = 1000.0
+# Nothing that a robot moves is so many times as heavy as it is.
+_HEAVIEST = 1e4
 
 
 class StateError(ValueError):
@@ -268,6 +270,18 @@ def _require_same(path: Path, said: str, estimator: Estimator) -> None:
         )
 
 
+def _require_bodies(path: Path, mean: jax.Array, estimator: Estimator) -> None:
+    """StateError for numbers that overflow as inertial parameters, or are those of no body that a robot could carry."""
+    pi = np.asarray(estimator.chart.to_pi(mean.reshape(len(estimator.bodies), -1)), float)
+    whole = max(float(np.asarray(estimator.robot.pi)[:, 0].sum()), 1e-9)
+    for index, one in zip(estimator.bodies, pi, strict=True):
+        if not np.all(np.isfinite(one)) or abs(one[0]) > _HEAVIEST * whole:
+            raise StateError(
+                f"{path}: the mass of {estimator.robot.body_names[index]!r} is {one[0]:.3g} kg, of a robot of "
+                f"{whole:.3g} kg; start anew, or from an earlier state"
+            )
+
+
 def _require_covariance(path: Path, p: np.ndarray, eps: float) -> None:
     """StateError for a matrix that is not symmetric and positive semidefinite, to rounding."""
     variance = np.diagonal(p)
@@ -292,4 +306,5 @@ def _state(path: Path, arrays: dict[str, np.ndarray], estimator: Estimator) -> S
     _require_covariance(path, arrays["covariance"], eps)
     # Read as float64, which holds every float32 exactly.
     mean, covariance, bias, waited = (jnp.asarray(arrays[n], like[n].dtype) for n in _FILTER)
+    _require_bodies(path, mean, estimator)
     return State(kalman.Belief(mean, covariance), bias, waited)

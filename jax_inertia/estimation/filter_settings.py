@@ -8,11 +8,11 @@ import numpy as np
 from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Float
 
-from jax_inertia.estimation.priors import Uncertainty
+from jax_inertia.estimation.priors import Each, Uncertainty
 from jax_inertia.maths import charts
 from jax_inertia.maths.argument_checks import is_positive, known, require
 from jax_inertia.maths.gates import ChiSquaredGate, FixedGate, Gate
-from jax_inertia.maths.noise import Noise
+from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.model.robot import Robot
 
 
@@ -27,14 +27,20 @@ class Preset(NamedTuple):
     """[s]"""
     weighs_outliers: bool
     """Whether samples that no gate refuses are made consistent by more noise (`kalman.update`)."""
+    loads_are_bodies: bool
+    """Whether a load of the prior that says nothing of its shape gets one (`Load.of_a_body`)."""
 
 
 GATE, REOPEN_AFTER = 0.9999, 0.5
 """Real residuals have bursts (gears at reversal) of a few tenths of a second; a load stays."""
 # In U Uᵀ mass and centre of mass are coordinates of their own, in UᵀU the mass depends on four: there the UR10e's
 # payload comes out at 6 kg or 0, whatever the iterations.
-SAFE = Preset(charts.LogCholeskyUUt, 5, GATE, REOPEN_AFTER, weighs_outliers=True)
-PAPER = Preset(charts.LogCholesky, 1, 1.0, float("inf"), weighs_outliers=False)
+SAFE = Preset(
+    charts.LogCholeskyUUt, 5, GATE, REOPEN_AFTER, weighs_outliers=True, loads_are_bodies=True
+)
+PAPER = Preset(
+    charts.LogCholesky, 1, 1.0, float("inf"), weighs_outliers=False, loads_are_bodies=False
+)
 # Sudden changes are the affair of a gate that reopens; drift is for the slow rest. Without one, drift is for both.
 _SLOW, _QUICK = 3600.0, 3.0
 
@@ -88,6 +94,18 @@ def require_physical(
     )
 
 
+def noise_of(
+    noise: Noise | None,
+    sigma_tau: Float[Array, "#nv"] | Float[Array, ""] | Sequence[float] | float,
+    robot: Robot,
+) -> Noise:
+    """The noise given, or independent noise of `sigma_tau` [N m, N]; ValueError for one that no filter can have."""
+    if noise is None:
+        noise = IndependentNoise(of_rows("sigma_tau", sigma_tau, robot) ** 2)
+    require_noise(noise, robot)
+    return noise
+
+
 def require_noise(noise: Noise, robot: Robot) -> None:
     """ValueError for noise of other rows than the robot's, or of none."""
     if not isinstance(noise, Noise) or noise.variances().shape != (robot.nv,):
@@ -100,10 +118,24 @@ def covariance(
     name: str, uncertainty: Uncertainty, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
 ) -> Float[Array, "bodies 10 10"]:
     """Of each body; ValueError for sizes that are none."""
-    for what, size in vars(uncertainty).items():
-        if size is not None:
+    for part in _parts(uncertainty):
+        for what, size in vars(part).items():
+            if size is None:
+                continue
             require(f"{what} of {name}", size, _is_size, "finite and not negative")
     return uncertainty.covariance(chart, nominal)
+
+
+# Of the load expected: half a decade apart, an iteration that starts at one of them ends at any load in between.
+_TIMES = (1.0, 4.0, 16.0)
+
+
+def loaded(
+    prior: Uncertainty, nominal: Float[Array, "bodies 10"]
+) -> list[Float[Array, "bodies 10"]]:
+    """The bodies with the prior's load on them, and with several times as much."""
+    load = prior.anchor(nominal) - nominal
+    return [nominal + times * load for times in _TIMES]
 
 
 def growth(
@@ -132,6 +164,12 @@ def of_rows(
         )
     require(name, array, _is_size, "finite and not negative")
     return jnp.broadcast_to(array, (robot.nv,))
+
+
+def _parts(uncertainty: Uncertainty) -> tuple[Uncertainty, ...]:
+    if isinstance(uncertainty, Each):
+        return *_parts(uncertainty.first), *_parts(uncertainty.others)
+    return (uncertainty,)
 
 
 def _is_size(x: np.ndarray) -> bool:

@@ -22,17 +22,19 @@ from jaxtyping import Array, Bool, Float
 from jax_inertia.dynamics.rigid_body import resolve_bodies
 from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.estimation import filter_settings as settings
+from jax_inertia.estimation.joint_terms import FoundTerms, JointTerms, with_terms
 from jax_inertia.estimation.physical_estimate import Estimate, own_blocks, physical_units
 from jax_inertia.estimation.priors import Load, Uncertainty
 from jax_inertia.maths import charts, kalman
 from jax_inertia.maths.argument_checks import floats_as
-from jax_inertia.maths.gates import ChiSquaredGate, Gate
+from jax_inertia.maths.gates import ChiSquaredGate, Gate, Reopening
 from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.row_runs import spread_rows, take_rows
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.errors_in_variables import agreed_residual
+from jax_inertia.signals.generalised_motion import Motion
 from jax_inertia.signals.torque_residual import torque_residual, torque_residuals
 
 
@@ -63,6 +65,8 @@ class Trace(eqx.Module):
     innovation: kalman.Innovation
     threshold: Float[Array, " T"]
     reopened: Bool[Array, " T"]
+    joints: FoundTerms | None = None
+    """Friction and offsets, where they are estimated."""
 
 
 class Estimator(eqx.Module):
@@ -80,8 +84,14 @@ class Estimator(eqx.Module):
     outliers: Gate | None
     """Beyond it a sample that the gate lets pass counts as noisier: `kalman.update`."""
     form: kalman.Form
-    reopen_after: Float[Array, ""]
-    """A gate that has rejected everything for so long [s] is facing a new load, not an impact: see `step`."""
+    reopening: Reopening
+    """A gate that has rejected everything for so long is facing a new load, not an impact."""
+    loaded: Float[Array, "k b"]
+    """Coordinates of the bodies with the prior's load, and with several times as much: where else iterations may start.
+    The prior's covariance is stated at the first of them (`Uncertainty.anchor`), and there its slope is the load's.
+    """
+    joints: JointTerms | None
+    """Friction and offsets of the rows that the bodies move, estimated with them: the last states, three a row."""
     bodies: tuple[int, ...] = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
     analytic_jacobian: bool = eqx.field(static=True)
@@ -103,15 +113,17 @@ class Estimator(eqx.Module):
         known = self.robot, observation, self.bodies, state.bias
         valid = jnp.asarray(observation.motion.valid)
         if self.sigma_a is None:
+            speed = jnp.asarray(observation.motion.v)
             return self._updated(
-                state, lambda: self._measurement(*torque_residual(*known), valid), dt
+                state, lambda: self._measurement(*torque_residual(*known), valid, speed), dt, speed
             )
         belief, _ = self._predicted(state, _elapsed(dt, state))
-        own = belief.mean.reshape(-1, 10)
+        own, p = self._own(belief.mean).reshape(-1, 10), self._own(belief.covariance)
         g = jax.scipy.linalg.block_diag(*self.chart.jacobian(own))
-        of_pi = self.chart.to_pi(own), g @ belief.covariance @ g.T
+        of_pi = self.chart.to_pi(own), g @ p @ g.T
         *rows, noise = agreed_residual(*known, *of_pi, self.noise, self.sigma_a)
-        return eqx.tree_at(lambda e: e.noise, self, noise).update(state, *rows, valid, dt)
+        own = eqx.tree_at(lambda e: e.noise, self, noise)
+        return own.update(state, *rows, valid, dt, speed=jnp.asarray(observation.motion.v))
 
     @in_full_precision
     def update(
@@ -121,60 +133,92 @@ class Estimator(eqx.Module):
         residual: Float[Array, " nv"],
         valid: Bool[Array, " nv"],
         dt: Float[Array, ""] | float,
+        *,
+        speed: Float[Array, " nv"] | None = None,
     ) -> tuple[State, Step]:
         """`step` for a regressor Y^est and a torque residual y computed before (`signals.torque_residual`).
 
         The measurement is Δτ = −y = Y π + noise (Foster et al., eq. measurement), so an innovation is measured minus
         predicted torque.
 
-        A χ² gate alone would reject a genuine pick-up for ever. Impacts pass in some 50 ms; where everything is
-        rejected for `reopen_after`, the model is what is wrong, so the prior's covariance is added to the belief's:
-        the gate opens, and the filter looks anew.
+        A χ² gate alone would reject a genuine pick-up for ever. Impacts pass in some 50 ms; where everything that could
+        be tested is rejected for `reopen_after` (`gates.Reopening`), the model is what is wrong, so the prior's
+        covariance is added to the belief's: the gate opens, and the filter looks anew. `speed` are the joints'
+        velocities, which friction hangs on. Raises ValueError where that is estimated and they are left out.
         """
-        return self._updated(state, lambda: self._measurement(regressor, residual, valid), dt)
+        if self.joints is not None and speed is None:
+            raise ValueError("friction is estimated, and update has no speed; give the velocities")
+        measure = lambda: self._measurement(regressor, residual, valid, speed)  # noqa: E731
+        return self._updated(state, measure, dt, speed)
+
+    def _known(
+        self, state: State, regressor: Array, residual: Array, motion: Motion, dt: Float[Array, ""]
+    ) -> tuple[State, Step]:
+        """`update` by what was computed before, for a moment's motion."""
+        valid, speed = jnp.asarray(motion.valid), jnp.asarray(motion.v)
+        return self.update(state, regressor, residual, valid, dt, speed=speed)
 
     def _measurement(
-        self, regressor: Float[Array, "nv bodies 10"], residual: Float[Array, " nv"], valid: Array
+        self,
+        regressor: Float[Array, "nv bodies 10"],
+        residual: Float[Array, " nv"],
+        valid: Array,
+        speed: Float[Array, " nv"] | None,
     ) -> kalman.Measurement:
         """Of the rows that the bodies move the regressor must be finite; of the others it is zero."""
         moved = moved_rows(self.robot, self.bodies)
         own = take_rows(regressor, moved)
         broken = ~jnp.all(jnp.isfinite(own), axis=(1, 2))
+        terms = jnp.zeros((len(moved), 0), own.dtype)
+        if self.joints is not None and speed is not None:
+            columns = take_rows(self.joints.columns(speed), moved)
+            broken = broken | ~jnp.all(jnp.isfinite(columns), axis=1)
+            each = jnp.eye(len(moved), dtype=own.dtype)[:, :, None] * columns[:, None, :]
+            terms = each.reshape(len(moved), -1)
 
         def predicted(x: Float[Array, " n"]) -> Float[Array, " nv"]:
-            rows = jnp.einsum("vbp,bp->v", own, self._pi(x))
+            rows = jnp.einsum("vbp,bp->v", own, self._pi(x)) + terms @ x[self._size :]
             return spread_rows(rows, moved, len(residual))
 
         def jacobian(x: Float[Array, " n"]) -> Float[Array, "nv n"]:
-            at = x.reshape(-1, 10)
+            at = self._own(x).reshape(-1, 10)
             g = self.chart.jacobian(at) if self.analytic_jacobian else _slopes(self.chart, at)
-            rows = jnp.einsum("vbp,bpj->vbj", own, g)
-            return spread_rows(rows.reshape(len(moved), -1), moved, len(residual))
+            rows = jnp.einsum("vbp,bpj->vbj", own, g).reshape(len(moved), -1)
+            return spread_rows(jnp.concatenate([rows, terms], axis=1), moved, len(residual))
 
         usable = valid & ~spread_rows(broken, moved, len(residual))
         return kalman.Measurement(-residual, predicted, jacobian, usable)
 
     def _updated(
-        self, state: State, measure: Callable[[], kalman.Measurement], dt: Float[Array, ""] | float
+        self,
+        state: State,
+        measure: Callable[[], kalman.Measurement],
+        dt: Float[Array, ""] | float,
+        speed: Float[Array, " nv"] | None,
     ) -> tuple[State, Step]:
         """Predict, and update by what is measured."""
         dt = _elapsed(dt, state)
         belief, reopened = self._predicted(state, dt)
-        independent = isinstance(self.noise, IndependentNoise)
+        noise = self._noise(belief, speed)
+        independent = isinstance(noise, IndependentNoise)
+        terms = belief.mean[self._size :]
+        places = [jnp.concatenate([place, terms]) for place in self.loaded]
         belief, innovation = kalman.update_by(
             belief,
             measure,
-            self.noise,
+            noise,
             # Noise that mixes rows ties those that no body moves to the others.
             rows=moved_rows(self.robot, self.bodies) if independent else None,
             gate=self.gate,
             outliers=self.outliers,
             iterations=self.iterations,
+            elsewhere=jnp.stack(places),
             form=self.form,
-            project=lambda x: self.chart.project(x.reshape(-1, 10)).ravel(),
+            project=self._projected,
         )
-        waited = jnp.where(reopened, 0.0, state.rejected_for) + dt
-        waited = jnp.where(innovation.accepted, 0.0, waited)
+        waited = self.reopening.doubted_for(
+            state.rejected_for, dt, tested=innovation.tested, believed=innovation.accepted
+        )
         threshold = self.gate.threshold(innovation.rows)
         out = State(belief, state.bias, waited)
         return out, Step(belief, innovation, threshold, reopened)
@@ -205,20 +249,27 @@ class Estimator(eqx.Module):
         samples: tuple = (observations,)
         if self.sigma_a is None:  # else regressors hang on the belief
             rows = torque_residuals(self.robot, observations, self.bodies, state.bias)
-            follow, samples = self.update, (*rows, observations.motion.valid)
+            follow, samples = self._known, (*rows, observations.motion)
 
         def one(carry, x):
             sample, since, use = x
             after, step = follow(carry, *sample, since)
             if use is not None:
                 after = jax.tree.map(lambda new, old: jnp.where(use, new, old), after, carry)
-            own = (step.belief.mean, own_blocks(step.belief.covariance))
-            return after, (own, step.innovation, step.threshold, step.reopened)
+            mean, p = step.belief.mean, step.belief.covariance
+            own = (self._own(mean), own_blocks(self._own(p)))
+            return after, (
+                own,
+                self._terms(mean, p),
+                step.innovation,
+                step.threshold,
+                step.reopened,
+            )
 
         steps = (samples, dt, used)
-        state, (own, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
+        state, (own, terms, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
         estimate = jax.lax.map(lambda x: physical_units(self.chart, *x), own, batch_size=64)
-        return state, Trace(estimate, innovation, threshold, reopened)
+        return state, Trace(estimate, innovation, threshold, reopened, terms)
 
     @in_full_precision
     def calibrate_bias(self, state: State, observations: Observation) -> State:
@@ -235,17 +286,63 @@ class Estimator(eqx.Module):
 
     def estimate(self, belief: kalman.Belief) -> Estimate:
         """A belief in physical units: π, centre of mass, and their standard deviations to first order."""
-        return physical_units(self.chart, belief.mean, belief.covariance)
+        return physical_units(self.chart, self._own(belief.mean), self._own(belief.covariance))
+
+    def joint_terms(self, belief: kalman.Belief) -> FoundTerms | None:
+        """Friction and offsets of the rows that the bodies move, beyond the model's own; None where not estimated."""
+        return self._terms(belief.mean, belief.covariance)
 
     def _predicted(
         self, state: State, dt: Float[Array, ""]
     ) -> tuple[kalman.Belief, Bool[Array, ""]]:
-        reopened = state.rejected_for >= self.reopen_after
-        extra = jnp.where(reopened, 1.0, 0.0) * self.prior.covariance
+        reopened = self.reopening.due(state.rejected_for)
+        # A load is new, friction is not.
+        own = jnp.arange(len(state.belief.mean)) < self._size
+        extra = jnp.where(reopened & own[:, None] & own, self.prior.covariance, 0.0)
         return kalman.predict(state.belief, self.process_noise * dt + extra), reopened
 
+    @property
+    def _size(self) -> int:
+        """Number of the states that are bodies' coordinates, the first ones."""
+        return 10 * len(self.bodies)
+
+    def _own(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The bodies' part of a mean or a covariance."""
+        return x[(slice(self._size),) * x.ndim]
+
     def _pi(self, x: Float[Array, " n"]) -> Float[Array, "bodies 10"]:
-        return self.chart.to_pi(x.reshape(-1, 10))
+        return self.chart.to_pi(self._own(x).reshape(-1, 10))
+
+    def _terms(self, mean: Float[Array, " n"], p: Float[Array, "n n"]) -> FoundTerms | None:
+        if self.joints is None:
+            return None
+        sigma = jnp.sqrt(jnp.diagonal(p))[self._size :]
+        return FoundTerms(mean[self._size :].reshape(-1, 3), sigma.reshape(-1, 3))
+
+    def _projected(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Bodies as the chart has them, and no friction below zero in all."""
+        own = self.chart.project(self._own(x).reshape(-1, 10)).ravel()
+        if self.joints is None:
+            return own
+        moved = np.array(moved_rows(self.robot, self.bodies))
+        least = jnp.stack([-self.robot.damping, -self.robot.frictionloss], axis=1)[moved]
+        free = jnp.full((len(moved), 1), -jnp.inf, x.dtype)
+        least = jnp.concatenate([least.astype(x.dtype), free], axis=1)
+        return jnp.concatenate([own, jnp.maximum(x[self._size :], least.ravel())])
+
+    def _noise(self, belief: kalman.Belief, speed: Float[Array, " nv"] | None) -> Noise:
+        """With the dry friction of rows that hardly move, which is anything up to its level."""
+        if self.joints is None or speed is None:
+            return self.noise
+        moved, found = moved_rows(self.robot, self.bodies), self.joint_terms(belief)
+        assert found is not None
+        level = found.value[:, 1] + self.robot.frictionloss[np.array(moved)]
+        square = spread_rows(level**2 + found.sigma[:, 1] ** 2, moved, self.robot.nv)
+        still = 1.0 - self.joints.columns(speed)[:, 1] ** 2
+        extra = jnp.where(jnp.isfinite(still), square * still, 0.0)
+        if isinstance(self.noise, IndependentNoise):
+            return IndependentNoise(self.noise.variance + extra)
+        return self.noise.plus(jnp.diag(extra))
 
 
 @in_full_precision
@@ -263,6 +360,7 @@ def make_estimator(
     reopen_after: Float[Array, ""] | float | None = None,
     iterations: int | None = None,
     form: kalman.Form | None = None,
+    joints: JointTerms | None = None,
     analytic_jacobian: bool = True,
     paper: bool = False,
 ) -> Estimator:
@@ -274,7 +372,9 @@ def make_estimator(
     else 3 s). Both are stated in physical units, so that every chart gets the same statement. `sigma_a` is the noise of
     accelerations [m/s², rad/s²], which is in the regressor too: modelled apart, it draws inertias far less towards zero
     (`errors_in_variables`); left out (the paper), it belongs into `sigma_tau`. `gate` is a gate, or the
-    probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`.
+    probability of keeping a good sample, 1 for none; `reopen_after` [s] see `Estimator.update`. With `joints` friction
+    and offsets of the rows that the bodies move are estimated with them (`joint_terms`): what the motion does not tell
+    apart is in the intervals.
 
     Defaults are safe: chart `LogCholeskyUUt`, five iterations, gate 0.9999, reopened after 0.5 s; without a gate
     an outlier counts as noisier (`kalman.update`, `outliers`). With `paper` it is the paper's: `LogCholesky`, one
@@ -301,25 +401,23 @@ def make_estimator(
     reopen_after = preset.reopen_after if reopen_after is None else reopen_after
     gate = settings.gate_of(preset.gate if gate is None else gate, robot)
     settings.require_filter(iterations, gate, reopen_after, robot)
-    total = jnp.sum(robot.pi[:, 0])
-    prior = Load(0.1 * total) if prior is None else prior
+    prior = Load(0.1 * jnp.sum(robot.pi[:, 0])) if prior is None else prior
+    prior = prior.of_bodies() if preset.loads_are_bodies else prior
     chart = preset.chart() if chart is None else chart
     nominal = robot.pi[np.array(chosen)]
     mean = chart.from_pi(nominal)
     settings.require_physical(robot, chosen, chart, mean)
-    if noise is None:
-        noise = IndependentNoise(settings.of_rows("sigma_tau", sigma_tau, robot) ** 2)
+    noise = settings.noise_of(noise, sigma_tau, robot)
     if sigma_a is not None:
         sigma_a = settings.of_rows("sigma_a", sigma_a, robot)
-    settings.require_noise(noise, robot)
     covariance = block_diag(*settings.covariance("prior", prior, chart, nominal))
     start = kalman.Belief(mean.ravel(), covariance)
-    if drift is None:
-        drift = settings.drift_seconds(gate, reopen_after, robot)
-    growth = settings.growth(drift, chart, nominal, covariance)
-    outliers = None
-    if preset.weighs_outliers and not isinstance(gate, ChiSquaredGate):
-        outliers = settings.gate_of(settings.GATE, robot)
+    loaded = jnp.stack([chart.from_pi(x).ravel() for x in settings.loaded(prior, nominal)])
+    usual = settings.drift_seconds(gate, reopen_after, robot)
+    growth = settings.growth(usual if drift is None else drift, chart, nominal, covariance)
+    if joints is not None:
+        start, growth = with_terms(start, growth, joints, moved_rows(robot, chosen))
+    weighs = preset.weighs_outliers and not isinstance(gate, ChiSquaredGate)
     return Estimator(
         robot=robot,
         chart=chart,
@@ -328,9 +426,11 @@ def make_estimator(
         noise=noise,
         sigma_a=sigma_a,
         gate=gate,
-        outliers=outliers,
+        outliers=settings.gate_of(settings.GATE, robot) if weighs else None,
         form=kalman.default_form(robot.pi.dtype) if form is None else form,
-        reopen_after=jnp.asarray(reopen_after, robot.pi.dtype),
+        reopening=Reopening(jnp.asarray(reopen_after, robot.pi.dtype)),
+        loaded=loaded,
+        joints=joints,
         bodies=chosen,
         iterations=iterations,
         analytic_jacobian=analytic_jacobian,

@@ -10,19 +10,23 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics.rigid_body import resolve_bodies
+from jax_inertia.dynamics.sparse_rows import moved_rows
+from jax_inertia.estimation import joint_terms
 from jax_inertia.estimation.batch_fit import BatchFit
+from jax_inertia.estimation.held_load import Considered
 from jax_inertia.estimation.identifiability import Knowledge, Source
 from jax_inertia.estimation.inertial_filter import Trace
-from jax_inertia.estimation.innovation_tests import consistency
 from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.maths.inertial_parameters import PI_NAMES, is_physical
+from jax_inertia.maths.innovation_tests import consistency, rejected_share
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.robot import HINGE, SLIDE, Robot
 from jax_inertia.model.write import JointNumbers
-from jax_inertia.signals.differences import Observation
+from jax_inertia.signals.differences import RIGID_BODY_ERROR, Observation
 from jax_inertia.text.notebook_page import line, table
+from jax_inertia.text.words import plus_minus
 
 _SCHEMA = 1
 Z95 = 1.959964
@@ -55,6 +59,12 @@ class LogEstimate:
     """Whether the bodies changed during the log."""
     held: bool
     """Whether the robot rests in one pose after another: then the batch fit is the answer."""
+    friction: bool
+    """Whether friction and offsets of the joints were estimated with the bodies."""
+    considered: Considered
+    """Covariance of π at the end by what the filter takes for exact: other links, gains."""
+    held_p: Float[np.ndarray, " bodies"]
+    """Of each body at the end of the log: chance of what is seen if it held nothing beyond the model."""
     known: Knowledge
     """Whose word each parameter is: the log's, the prior's, or nobody's."""
     row_names: tuple[str, ...]
@@ -104,12 +114,86 @@ class LogEstimate:
         return np.asarray(robot.pi)[list(resolve_bodies(robot, self.bodies)), 0]
 
     @property
+    def loads(self) -> Float[np.ndarray, "2 bodies"]:
+        """What each body has beyond its unloaded mass, by the filter at the end and by the batch fit [kg]."""
+        online = np.asarray(self.trace.estimate.pi)[-1, :, 0] - self.unloaded_mass
+        if self.calibration is None:
+            return np.stack([online, np.asarray(self.fit.added.pi)[:, 0]])
+        return np.stack([online, np.asarray(self.fit.estimate.pi)[:, 0] - self.unloaded_mass])
+
+    @property
     def calibration_sigma(self) -> float:
         """What the calibration leaves open of the load's mass [kg]; zero where it was not asked for."""
         if self.load is None:
             return 0.0
         whole, given = float(self.load.sigma_pi[0, 0]), float(self.fit.estimate.sigma_pi[0, 0])
         return float(np.sqrt(max(whole**2 - given**2, 0.0)))
+
+    @property
+    def rejected_share(self) -> float:
+        """Of the filter's samples that could be tested."""
+        return rejected_share(self.trace.innovation)
+
+    def filter_sigma(self, i: int) -> tuple[Float[np.ndarray, "10"], Float[np.ndarray, "3"]]:
+        """σ of π and of the centre of mass of the i-th body at the end, with what the filter takes for exact."""
+        e, p = self.trace.estimate, self.considered.bodies[i]
+        pi, com = np.asarray(e.pi)[-1, i], np.asarray(e.com)[-1, i]
+        slope = np.concatenate([-com[:, None], np.eye(3)], axis=1) / pi[0]
+        more = np.diagonal(slope @ p[:4, :4] @ slope.T)
+        own = np.asarray(e.sigma_pi)[-1, i], np.asarray(e.sigma_com)[-1, i]
+        return np.hypot(own[0], np.sqrt(np.diagonal(p))), np.sqrt(own[1] ** 2 + more)
+
+    def mass_half_widths(self, i: int) -> tuple[float, float]:
+        """Half of the 95 % intervals of the i-th mass by the filter at the end and by the batch fit [kg].
+
+        Of a constant body both are right about the same number: where they differ by more than chance makes them, both
+        intervals are as wide as the difference. In a log of poses at rest the filter's alone.
+        """
+        halves = self._mass_halves(i)
+        apart = self._apart(i, *halves)
+        return max(halves[0], apart), halves[1] if self.held else max(halves[1], apart)
+
+    def load_half_widths(self, i: int) -> tuple[float, float]:
+        """The same of what the i-th body has beyond the model's own mass [kg].
+
+        Not those of its mass: what the model is off by about the bare body is in one and not in the other. A load is so
+        well known that by how much filters and differences distort its own torque counts (`RIGID_BODY_ERROR`).
+        """
+        if self.calibration is not None:
+            return self.mass_half_widths(i)
+        own = float(np.asarray(self.trace.estimate.sigma_pi)[-1, i, 0])
+        form = RIGID_BODY_ERROR * np.abs(self.loads[:, i])
+        online = Z95 * float(
+            np.hypot(np.hypot(own, form[0]), np.sqrt(self.considered.loads[i, 0, 0]))
+        )
+        whole = Z95 * float(np.hypot(self.fit.added.sigma_pi[i, 0], form[1]))
+        apart = self._apart(i, *self._mass_halves(i))
+        return max(online, apart), whole if self.held else max(whole, apart)
+
+    def _mass_halves(self, i: int) -> tuple[float, float]:
+        """Half of each 95 % interval of the i-th mass, filter and batch fit apart [kg]."""
+        sigmas = self.filter_sigma(i)[0][0], float(self.fit.estimate.sigma_pi[i, 0])
+        online, whole = (Z95 * float(np.hypot(s, self.calibration_sigma)) for s in sigmas)
+        return online, whole
+
+    def _apart(self, i: int, online: float, whole: float) -> float:
+        """By how much filter and batch fit differ beyond chance; zero where they do not, or the bodies changed."""
+        pi = np.asarray(self.trace.estimate.pi)[-1, i, 0], np.asarray(self.fit.estimate.pi)[i, 0]
+        apart = float(abs(pi[0] - pi[1]))
+        return apart if not self.changed and apart > np.hypot(online, whole) else 0.0
+
+    @property
+    def disagreements(self) -> list[str]:
+        """Where filter and batch fit contradict each other, in words."""
+        out = []
+        for i, name in enumerate(self.bodies):
+            halves = self._mass_halves(i)
+            if (apart := self._apart(i, *halves)) > 0:
+                out.append(
+                    f"{name}: filter and batch fit differ by {apart:.3g} kg, beyond their intervals (± {halves[0]:.2g} "
+                    f"and {halves[1]:.2g}): something changes that neither knows of; intervals are widened to hold both"
+                )
+        return out
 
     @property
     def online_rms(self) -> Float[np.ndarray, " nv"]:
@@ -162,7 +246,10 @@ def _or(text: str) -> str:
 
 def interval_text(value: Mapping[str, Any]) -> str:
     """A number of the report as text, with half the width of its interval."""
-    return f"{value['value']:.3f} ± {0.5 * (value['ci95'][1] - value['ci95'][0]):.3f}"
+    low, high = value["ci95"]
+    if high - low < 0.001:  # which three decimals would call none
+        return plus_minus(value["value"], low, high)
+    return f"{value['value']:.3f} ± {0.5 * (high - low):.3f}"
 
 
 @in_double_precision
@@ -191,12 +278,13 @@ def to_report(
         "rests_in_poses": found.held,
         "bodies": {name: body_report(found, i) for i, name in enumerate(found.bodies)},
         "calibration": _calibration(found),
+        "joint_terms": _joint_terms(found),
         "filter": {
             "samples": len(found.time),
             "nis_per_row": None if checks is None else checks.nis_per_row,
             "nis_per_row_expected": None if checks is None else checks.nis_interval,
             "nis_within_95": None if checks is None else checks.within_95,
-            "rejected_share": float(np.mean(~np.asarray(innovation.accepted))),
+            "rejected_share": found.rejected_share,
             "reopened_at_s": found.time[np.asarray(trace.reopened)],
         },
         "residual_rms": {
@@ -239,18 +327,23 @@ def body_report(found: LogEstimate, i: int) -> dict[str, Any]:
     """The i-th body in the model, by the filter at the end, and by the batch fit."""
     index = found.robot.body_index(found.bodies[i])
     model = np.asarray(found.robot.pi)[index]
-    unloaded = found.unloaded_mass[i]
     physical = found.physical[:, i]
+    loads = found.loads[:, i]
+    ways = zip(found.mass_half_widths(i), loads, found.load_half_widths(i), strict=True)
+    of_online, of_batch = ways
 
-    def entry(e: Estimate, row: tuple[int, ...]) -> dict[str, Any]:
-        pi, sigma_pi, com, sigma_com = (
-            np.asarray(x)[row] for x in (e.pi, e.sigma_pi, e.com, e.sigma_com)
-        )
-        half = Z95 * np.hypot(sigma_pi[0], found.calibration_sigma)
-        load = pi[0] - unloaded
+    def entry(
+        e: Estimate,
+        row: tuple[int, ...],
+        masses: tuple[float, float, float],
+        sigmas: tuple[np.ndarray, np.ndarray],
+    ) -> dict[str, Any]:
+        pi, com = (np.asarray(x)[row] for x in (e.pi, e.com))
+        sigma_pi, sigma_com = sigmas
+        half, load, of_load = masses
         return {
             "mass_kg": {"value": pi[0], "ci95": [pi[0] - half, pi[0] + half]},
-            "load_kg": {"value": load, "ci95": [load - half, load + half]},
+            "load_kg": {"value": load, "ci95": [load - of_load, load + of_load]},
             "com_m": com,
             "com_ci95_half_width_m": Z95 * sigma_com,
             "pi": dict(zip(PI_NAMES, pi, strict=True)),
@@ -260,13 +353,23 @@ def body_report(found: LogEstimate, i: int) -> dict[str, Any]:
 
     return {
         "model": {"mass_kg": model[0], "com_m": model[1:4] / model[0]},
-        "online": entry(found.trace.estimate, (-1, i))
+        "holds_nothing_p": float(found.held_p[i]),
+        "online": entry(found.trace.estimate, (-1, i), of_online, found.filter_sigma(i))
         | {
             "at_s": found.time[-1],
             "physical_samples": int(physical.sum()),
             "unphysical_samples": int((~physical).sum()),
         },
-        "batch": entry(found.fit.estimate, (i,)) | {"converged": found.fit.converged},
+        "batch": entry(
+            found.fit.estimate,
+            (i,),
+            of_batch,
+            (
+                np.asarray(found.fit.estimate.sigma_pi)[i],
+                np.asarray(found.fit.estimate.sigma_com)[i],
+            ),
+        )
+        | {"converged": found.fit.converged},
     }
 
 
@@ -301,6 +404,26 @@ def _calibration(found: LogEstimate) -> dict[str, Any] | None:
         "load_sigma_kg": found.calibration_sigma,
         "load_fitted_with_calibration": load_report(found),
     }
+
+
+def _joint_terms(found: LogEstimate) -> dict[str, Any] | None:
+    """Friction and offsets beyond the model's own, at the end of the log where bodies changed; None where not asked."""
+    terms = found.trace.joints
+    if terms is None:
+        return None
+    fit, rows = found.fit, moved_rows(found.robot, resolve_bodies(found.robot, found.bodies))
+    out = {}
+    for j, name in enumerate(found.row_names):
+        if found.changed and j not in rows:
+            continue
+        k = rows.index(j) if found.changed else 0
+        online = np.asarray(terms.value)[-1, k], np.asarray(terms.sigma)[-1, k]
+        whole = [[x[t][j] for t in joint_terms.NAMES] for x in (fit.joint_terms, fit.joint_sigma)]
+        value, sigma = online if found.changed else whole
+        out[name] = {
+            t: {"value": value[m], "sigma": sigma[m]} for m, t in enumerate(joint_terms.NAMES)
+        }
+    return out
 
 
 def load_report(found: LogEstimate) -> dict[str, Any] | None:

@@ -21,9 +21,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.dynamics.rigid_body import resolve_bodies
+from jax_inertia.estimation import pieces
 from jax_inertia.estimation.batch_fit import BatchFit
-from jax_inertia.estimation.batch_rows import correlation_inflation
 from jax_inertia.estimation.inertial_filter import Estimator, State, Trace, make_estimator
+from jax_inertia.estimation.joint_terms import JointTerms
 from jax_inertia.estimation.priors import Load
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths import charts
@@ -31,12 +32,8 @@ from jax_inertia.model.robot import HINGE, Robot
 from jax_inertia.preflight.preflight import require_usable
 from jax_inertia.signals.bands import ESTIMATE, of_estimate
 from jax_inertia.signals.differences import Observation
-from jax_inertia.signals.holds import Holds, holds_of, without_friction
+from jax_inertia.signals.holds import holds_of
 from jax_inertia.signals.torque_residual import observed, on_the_ground, torque_residuals
-
-_PIECE_SECONDS = 2.0
-# A constant body leaves up to some three times more of a whole real log than of its pieces; a load picked up, fifty.
-_CHANGED = 5.0
 
 
 def observe(
@@ -75,7 +72,7 @@ def observe(
         )
     observation = jax.tree.map(lambda x: x[edge:-edge], whole)
     if robot.has_free_base and log.contact_wrench is None and not any_unit:
-        observation = on_the_ground(robot, observation, log.contact_bodies)
+        observation = on_the_ground(robot, observation, log, 1.0 / bands.before)
     if not np.any(observation.motion.valid):
         raise LogError(
             "no sample is complete (position, velocity and torque all finite); nothing to fit"
@@ -83,7 +80,11 @@ def observe(
     return observation
 
 
-def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0.1) -> Observation:
+SLOW = 0.1
+"""Speed [rad/s] below which dry friction is not at its kinetic level, its reversal low-passed to 10 Hz; not swept."""
+
+
+def without_slow_rows(observation: Observation, robot: Robot, slowest: float = SLOW) -> Observation:
     """The same with rows of hinges slower than `slowest` [rad/s] masked: dry friction is below its kinetic level there.
 
     For robots whose friction was fitted; sensors on the link side do not see it.
@@ -102,6 +103,27 @@ def without_slow_rows(observation: Observation, robot: Robot, slowest: float = 0
     slow = hinge & (np.abs(np.asarray(observation.motion.v)) < slowest)
     valid = np.asarray(observation.motion.valid) & ~slow
     return eqx.tree_at(lambda o: o.motion.valid, observation, valid)
+
+
+def without_reversals(observation: Observation, robot: Robot) -> Observation:
+    """The same without the slow rows of hinges that have dry friction by the model and are faster most of the time.
+
+    Where a joint turns round, its friction depends on what drives it and not on its speed alone: an error that goes
+    with the load, since it is at the ends of each motion that it comes.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())  # without dry friction
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> bool(log_filter.without_reversals(log, robot).motion.valid.all())
+    True
+    """
+    fast = np.median(np.abs(np.asarray(observation.motion.v)), axis=0) > SLOW
+    rubs = fast & (np.asarray(robot.frictionloss) > 0)
+    valid = without_slow_rows(observation, robot).motion.valid
+    kept = np.where(rubs, valid, observation.motion.valid)
+    return eqx.tree_at(lambda o: o.motion.valid, observation, kept)
 
 
 def stride(observation: Observation, cutoff: float | None = None) -> int:
@@ -219,13 +241,15 @@ def residual_noise(
     prior: Load,
     whole: BatchFit,
     bias: Float[np.ndarray, " nv"] | None = None,
+    joints: JointTerms | None = None,
 ) -> tuple[Float[np.ndarray, " nv"], bool]:
     """Noise of one observation [N m, N], its correlation time taken in, and whether the bodies changed meanwhile.
 
-    `whole` is the fit of constant bodies to this log; its `noise` is the answer unless bodies changed, when its
-    residual holds the change itself. So bodies are fitted to pieces of two seconds too (ridge regression, which is
-    enough to see its residual); where the median piece has far less than the whole, its noise is taken instead. In a
-    log that rests in one pose after another, dry friction is left out of that comparison (`holds`), and is noise.
+    `whole` is the fit of constant bodies to this log (with `joints`, where it has those); its `noise` is the answer
+    unless bodies changed, when its residual holds the change itself. So bodies are fitted to pieces of two seconds too
+    (ridge regression, which is enough to see its residual); where the median piece has far less than the whole, its
+    noise is taken instead. In a log that rests in one pose after another, dry friction is left out of that comparison
+    (`holds`), and is noise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimation import batch_fit, log_filter
@@ -238,82 +262,81 @@ def residual_noise(
     >>> bool((noise < 0.05).all()), changed
     (True, False)
     """
-    y, others, valid = regressors(robot, observation, bodies, bias)
-    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
-    length = int(_PIECE_SECONDS / period)
-    nominal = np.asarray(robot.pi)[list(resolve_bodies(robot, bodies))].ravel()
-    residual = others + y @ nominal
-    sigma = np.broadcast_to(np.asarray(prior.sigma_pi()), (len(nominal) // 10, 10)).ravel()
-    starts = range(0, len(others) - length + 1, length)
-    if len(starts) < 3:
+    rows, parts = in_pieces(robot, observation, bodies, prior, bias)
+    if len(parts) < 3:
         return whole.noise, False
-    parts = [slice(k, k + length) for k in starts]
     if (holds := holds_of(observation)) is not None:
-        return whole.noise, _changed_between_holds(y, residual, valid, sigma, whole, holds, parts)
-    fits = [_fit_piece(y[p], residual[p], valid[p], sigma, whole.rms_after) for p in parts]
-    rms, noise = (np.nanmedian(x, axis=0) for x in zip(*fits, strict=True))
-    changed = bool(np.any(whole.rms_after > _CHANGED * np.where(rms > 0, rms, np.inf)))
+        after = whole.rms_after
+        return whole.noise, pieces.changed_between_holds(rows, after, holds, parts)
+    if joints is not None:
+        rows = rows.with_joints(joints, np.asarray(observation.motion.v))
+    rms, noise = pieces.of_each(rows, parts, whole.rms_after)
+    changed = bool(np.any(whole.rms_after > pieces.CHANGED * np.where(rms > 0, rms, np.inf)))
     use = changed & np.isfinite(noise)
     return np.where(use, np.minimum(noise, whole.noise), whole.noise), changed
 
 
-def _changed_between_holds(
-    y: np.ndarray,
-    residual: np.ndarray,
-    valid: np.ndarray,
-    sigma: np.ndarray,
-    whole: BatchFit,
-    holds: Holds,
-    parts: Sequence[slice],
+def shows_friction(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    joints: JointTerms,
+    *,
+    prior: Load,
+    bias: Float[np.ndarray, " nv"] | None = None,
 ) -> bool:
-    """Whether bodies changed in a log that rests in one pose after another, dry friction aside.
+    """Whether a log's own residual shows friction or offsets that the model lacks: by the evidence of most pieces.
 
-    Each hold has a friction of its own, which one piece takes for a load and the whole log cannot: without it in both
-    fits every such log would seem to change. Its level is that of the moving rows, or at most all of the residual.
+    Pieces of two seconds, each with bodies of its own, so that a load taken up meanwhile is no friction. False for a
+    log that rests in one pose after another, whose friction is a constant of each pose (`signals.holds`).
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import joint_terms, log_filter
+    >>> from jax_inertia.estimation.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> joints = joint_terms.of_log(robot, log.motion.tau, log.motion.v)
+    >>> log_filter.shows_friction(robot, log, ["lower"], joints, prior=Load(1.0))
+    False
     """
-    rows, joints, columns = y.shape
-    wide = np.zeros((rows, joints, columns + joints))
-    wide[..., :columns] = y
-    index = np.arange(joints)
-    wide[:, index, columns + index] = holds.direction * valid
-    reach = np.concatenate([sigma, whole.rms_after])
-    moving = valid & ~holds.at_rest[:, None]
-    x = _ridge(
-        wide * moving[..., None], residual * moving, reach, np.maximum(whole.rms_after, 1e-9)
-    )
-    level = np.where(moving.any(axis=0), np.abs(x[columns:]), whole.rms_after)
-    noise = np.maximum(1e-9, 0.1 * level)
-
-    def rms(part: slice) -> np.ndarray:
-        own, ok = holds[part], valid[part]
-        a = without_friction(wide[part], ok, own, noise, level)
-        b = without_friction(residual[part], ok, own, noise, level)
-        return _fit_piece(a, b, ok, reach, whole.rms_after)[0]
-
-    pieces = np.nanmedian([rms(part) for part in parts], axis=0)
-    return bool(np.any(rms(slice(None)) > _CHANGED * np.where(pieces > 0, pieces, np.inf)))
+    if holds_of(observation) is not None:
+        return False
+    rows, parts = in_pieces(robot, observation, bodies, prior, bias)
+    parts = parts or [slice(None)]
+    wide = rows.with_joints(joints, np.asarray(observation.motion.v))
+    count = np.maximum(rows.valid.sum(axis=0), 1)
+    size = np.sqrt(np.sum(rows.residual**2, axis=0, where=rows.valid) / count)
+    noise = pieces.of_each(wide, parts, size)[1]
+    noise = np.where(np.isfinite(noise), noise, np.inf)
+    gain = [wide.evidence(part, noise) - rows.evidence(part, noise) for part in parts]
+    return float(np.median(gain)) > 0.0
 
 
-def _ridge(
-    y: np.ndarray, residual: np.ndarray, sigma: np.ndarray, noise: np.ndarray
-) -> Float[np.ndarray, " n"]:
-    """What of size `sigma` explains the rows best, given their noise."""
-    rows = (y / noise[:, None]).reshape(-1, y.shape[2]) * sigma
-    normal = rows.T @ rows + np.eye(len(sigma))
-    return sigma * np.linalg.solve(normal, rows.T @ (residual / noise).ravel())
+def in_pieces(
+    robot: Robot,
+    observation: Observation,
+    bodies: Sequence[int | str],
+    prior: Load,
+    bias: Float[np.ndarray, " nv"] | None,
+) -> tuple[pieces.LinearRows, list[slice]]:
+    """What the bodies' deviation from the model has to explain, and the log's pieces.
 
-
-def _fit_piece(
-    y: np.ndarray, residual: np.ndarray, valid: np.ndarray, sigma: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(rms, noise) of each row after a ridge regression of one piece, NaN for rows hardly measured."""
-    noise, after = np.maximum(noise, 1e-9), residual
-    count = valid.sum(axis=0)
-    for _ in range(3):
-        after = np.where(valid, residual - y @ _ridge(y, residual, sigma, noise), 0.0)
-        noise = np.sqrt(np.sum(after**2, axis=0) / np.maximum(count, 1)).clip(1e-9)
-    rms = np.where(count > len(valid) // 2, noise, np.nan)
-    return rms, rms * correlation_inflation(after, valid)
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation import log_filter
+    >>> from jax_inertia.estimation.priors import Load
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot = load_model(double_pendulum())
+    >>> log = log_filter.observe(swing(load=0.5), robot)
+    >>> rows, parts = log_filter.in_pieces(robot, log, ["lower"], Load(1.0), None)
+    >>> rows.columns.shape, len(parts)
+    ((378, 2, 10), 1)
+    """
+    y, others, valid = regressors(robot, observation, bodies, bias)
+    nominal = np.asarray(robot.pi)[list(resolve_bodies(robot, bodies))].ravel()
+    sigma = np.broadcast_to(np.asarray(prior.sigma_pi()), (len(nominal) // 10, 10)).ravel()
+    period = float(np.median(np.diff(np.asarray(observation.motion.time))))
+    return pieces.LinearRows(y, others + y @ nominal, valid, sigma), pieces.cut(len(y), period)
 
 
 def online(
@@ -327,6 +350,7 @@ def online(
     reopen_after: float | None = None,
     iterations: int | None = None,
     drift_seconds: float | None = None,
+    joints: JointTerms | None = None,
 ) -> Estimator:
     """The filter of a log: `make_estimator` with its defaults.
 
@@ -354,6 +378,7 @@ def online(
         gate=gate,
         reopen_after=reopen_after,
         iterations=iterations,
+        joints=joints,
     )
 
 

@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.estimation import batch_fit, log_filter
+from jax_inertia.estimation import batch_fit, joint_terms, log_filter
 from jax_inertia.estimation.batch_fit import BatchFit
-from jax_inertia.estimation.estimate_inputs import CHARTS, Inputs, Settings, checked
+from jax_inertia.estimation.estimate_inputs import CHARTS, TOLERANCE, Inputs, Settings, checked
 from jax_inertia.estimation.filter_settings import GATE
+from jax_inertia.estimation.held_load import Held, Unknown, errors_of
 from jax_inertia.estimation.identifiability import knowledge
 from jax_inertia.estimation.inertial_filter import Trace
+from jax_inertia.estimation.joint_terms import JointTerms
 from jax_inertia.estimation.log_estimate import LogEstimate
 from jax_inertia.estimation.physical_estimate import Estimate
 from jax_inertia.estimation.priors import Load, Tolerance
@@ -28,6 +30,7 @@ from jax_inertia.signals.differences import Observation
 from jax_inertia.signals.holds import holds_note, holds_of
 from jax_inertia.signals.misfit import misfit_notes, misfits
 from jax_inertia.text.closest_names import listed
+from jax_inertia.text.progress import shared
 
 
 @in_double_precision
@@ -51,6 +54,9 @@ def estimate(
     cutoff: float | None = None,
     rate: float | None = None,
     bias_window: float | None = None,
+    ignore: Sequence[str] = (),
+    friction: bool | None = None,
+    tolerance: Sequence[float] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> LogEstimate:
     """Inertial parameters of bodies from a log, over time and over the whole log: what `jax-inertia estimate` does.
@@ -68,10 +74,17 @@ def estimate(
 
     Signals: low-pass at `cutoff` (default 10 Hz, at most a fifth of the log's rate) on a grid of `rate` (default: ten
     times the cutoff, or the log's); the mean residual of the first `bias_window` seconds, when nothing is carried, is
-    the torques' offset.
+    the torques' offset. Velocities that contradict positions are left out; `ignore=["qvel"]` leaves them out anyway.
 
-    Computed in double precision, whatever JAX is set to. Raises ValueError for a body or a setting that cannot be, and
-    LogError for a log that cannot be used.
+    What the model may lack or be off by: `friction` of every joint, viscous and dry, and its torque's offset are fitted
+    with the bodies (default: where the log's own residual shows them; a log with `calibrate` has them from there), and
+    `tolerance` is how well links are known: masses in parts, centres of mass in m, radii of gyration in parts (all
+    zero: exactly). By default a model that `diagnose` corrected says so itself (`Robot.errors`), and of any other it is
+    (0.02, 0.001, 0.05). Intervals contain what these leave open.
+
+    `progress` is called with the text of each stage as it begins; its `share` is the part of the work that is usually
+    done by then. Computed in double precision, whatever JAX is set to. Raises ValueError for a body or a setting that
+    cannot be, and LogError for a log that cannot be used.
 
     >>> import jax_inertia as ji
     >>> from jax_inertia.robots.pendulum import double_pendulum, swing
@@ -94,9 +107,14 @@ def estimate(
         cutoff=cutoff,
         rate=rate,
         bias_window=bias_window,
+        ignore=ignore,
+        friction=friction,
+        tolerance=tolerance,
     )
     references = [calibrate] if isinstance(calibrate, Log) else calibrate
-    return run(checked(robot.astype("float64"), log, bodies, references, settings), progress)
+    return run(
+        checked(robot.astype("float64"), log, bodies, references, settings), shared(progress)
+    )
 
 
 def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
@@ -111,40 +129,27 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     if settings.bias_window is not None:
         progress("start-up bias")
         bias = bias + _start_up_bias(inputs, robot, observation, bias, prior)
+    unknown = _unknown(inputs, robot, observation, prior, bias)
     progress("batch fit")
-    fit = batch_fit.fit(robot, [start.raw], bodies, prior=prior, gains=start.gains, bias=bias)
+    fit = _fit(inputs, start, prior, bias, unknown)
     if not fit.converged:
         notes.append("the batch fit did not settle; its values are the last round's")
     progress("noise")
-    noise, changed = _noise(inputs, robot, observation, prior, fit, bias)
-    if changed:
-        notes.append(_CHANGED)
+    noise, changed = _noise(inputs, robot, observation, prior, fit, bias, unknown.joints)
     progress("filter")
     thinned = log_filter.thinned(observation, settings.cutoff)
-    trace = _filter(inputs, robot, thinned, noise, prior, bias)
-    time = np.asarray(thinned.motion.time)
-    row_names = _row_names(robot)
-    residual = _residual_of(
-        robot, observation, bodies, fit, bias, settings.cutoff, trace if changed else None
-    )
-    notes += misfit_notes(misfits(*residual), row_names)
-    if (holds := holds_of(observation)) is not None:
-        notes.append(holds_note(holds, fit.rms_after, row_names))
-    if (holds is None or changed) and (told := _between_reopenings(bodies, time, trace)):
-        notes.append(f"mass between the gate's reopenings: {told}")
+    trace = _filter(inputs, robot, thinned, noise, prior, bias, unknown.joints)
     load = _load_with_calibration(inputs, start, prior, progress)
-    if start.references and load is None:
-        notes.append("intervals take the calibration for exact; with one body they do not")
     progress("what the log can tell")
-    floor = np.maximum(fit.noise, 1e-9)
-    return LogEstimate(
+    held = Held.of(robot, observation, bodies, prior, bias, unknown, settings.cutoff)
+    found = LogEstimate(
         bodies=bodies,
         robot=robot,
         findings=inputs.findings,
         notes=(*_tied(robot, bodies), *notes),
         observation=observation,
         trace=trace,
-        time=time,
+        time=np.asarray(thinned.motion.time),
         physical=np.asarray(is_physical(trace.estimate.pi)),
         fit=fit,
         calibration=start.calibration,
@@ -155,11 +160,32 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         prior=prior,
         gate=GATE if settings.gate is None else settings.gate,
         changed=changed,
-        known=knowledge(robot, observation, bodies, floor, prior=prior, bias=bias),
-        held=holds is not None,
-        row_names=row_names,
+        known=knowledge(
+            robot, observation, bodies, np.maximum(fit.noise, 1e-9), prior=prior, bias=bias
+        ),
+        held=holds_of(observation) is not None,
+        friction=unknown.joints is not None,
+        considered=held.considered(trace, noise),
+        held_p=held.p_values(trace, noise),
+        row_names=_row_names(robot),
         settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
     )
+    return dataclasses.replace(found, notes=(*found.notes, *_notes(inputs, start, found)))
+
+
+def _notes(inputs: Inputs, start: "_WithoutLoad", found: LogEstimate) -> list[str]:
+    """What is to be said of the estimate."""
+    notes, changed = [_CHANGED] if found.changed else [], found.changed
+    residual = _residual_of(found, inputs.settings.cutoff)
+    notes += misfit_notes(misfits(*residual), found.row_names)
+    if (holds := holds_of(found.observation)) is not None:
+        notes.append(holds_note(holds, found.fit.rms_after, found.row_names))
+    between = _between_reopenings(found.bodies, found.time, found.trace)
+    if (holds is None or changed) and between:
+        notes.append(f"mass between the gate's reopenings: {between}")
+    if start.references and found.load is None:
+        notes.append("intervals take the calibration for exact; with one body they do not")
+    return [*notes, *found.disagreements]
 
 
 # Frames of a URDF weigh next to nothing, and nobody puts a load on them.
@@ -203,6 +229,8 @@ def _without_load(inputs: Inputs, progress: Callable[[str], None]) -> _WithoutLo
     robot, raw, bias = inputs.robot, _observe(inputs, inputs.log), np.zeros(inputs.robot.nv)
     _require_rows(inputs, raw)
     if not inputs.references:
+        if holds_of(raw) is None:
+            raw = log_filter.without_reversals(raw, robot)
         return _WithoutLoad(robot, _first_gains(inputs), bias, None, raw, [])
     progress("calibrating on the logs without load")
     references = [_observe(inputs, one) for one in inputs.references]
@@ -286,6 +314,57 @@ def _start_up_bias(
     return np.asarray(estimator.calibrate_bias(state, unloaded).bias) - bias
 
 
+def _unknown(
+    inputs: Inputs, robot: Robot, observation: Observation, prior: Load, bias: np.ndarray
+) -> Unknown:
+    """What is estimated or considered with the bodies; nothing after a calibration, which has fitted it."""
+    settings = inputs.settings
+    joints = joint_terms.of_log(
+        robot, np.asarray(observation.motion.tau), np.asarray(observation.motion.v)
+    )
+    wanted = settings.friction
+    if wanted is None:
+        wanted = not inputs.references and log_filter.shows_friction(
+            robot, observation, inputs.bodies, joints, prior=prior, bias=bias
+        )
+    errors, tolerance = None, settings.tolerance
+    if tolerance is None and robot.errors is None:
+        tolerance = TOLERANCE
+    if not inputs.references and (tolerance is None or any(tolerance)):
+        # A number that is known exactly is known to a part in a million: factors need one.
+        stated = None if tolerance is None else Tolerance(*np.maximum(tolerance, 1e-6))
+        errors = errors_of(robot, inputs.bodies, stated)
+    sigma = 0.0 if inputs.references or settings.gains is None else settings.gain_sigma or 0.0
+    return Unknown(joints if wanted else None, errors, sigma)
+
+
+_ANY_SHAPE = 3.0
+"""How far a load may change the radii of gyration, log. A filter needs 1 (`Load.of_a_body`), lest its first samples
+leave a body of no size. A fit of the whole log does not, and where inertias are not determined, they would tilt the
+mass by it: by 0.3 % of a tool on a slender wrist."""
+
+
+def _fit(
+    inputs: Inputs,
+    start: _WithoutLoad,
+    prior: Load,
+    bias: np.ndarray,
+    unknown: Unknown,
+) -> BatchFit:
+    """Constant bodies, with what is unknown besides."""
+    return batch_fit.fit(
+        start.robot,
+        [start.raw],
+        inputs.bodies,
+        prior=Load(prior.mass, prior.reach, _ANY_SHAPE),
+        gains=start.gains,
+        gain_sigma=unknown.gain_sigma,
+        bias=bias,
+        joints=unknown.joints,
+        errors=unknown.errors,
+    )
+
+
 def _noise(
     inputs: Inputs,
     robot: Robot,
@@ -293,10 +372,11 @@ def _noise(
     prior: Load,
     fit: BatchFit,
     bias: np.ndarray,
+    joints: JointTerms | None,
 ) -> tuple[np.ndarray, bool]:
     """Noise of one sample as the filter gets it, and whether the bodies changed during the log."""
     noise, changed = log_filter.residual_noise(
-        robot, observation, inputs.bodies, prior=prior, whole=fit, bias=bias
+        robot, observation, inputs.bodies, prior=prior, whole=fit, bias=bias, joints=joints
     )
     if (given := inputs.settings.sigma_tau) is None:
         return noise / np.sqrt(log_filter.stride(observation, inputs.settings.cutoff)), changed
@@ -304,7 +384,13 @@ def _noise(
 
 
 def _filter(
-    inputs: Inputs, robot: Robot, thinned: Observation, noise: np.ndarray, prior: Load, bias
+    inputs: Inputs,
+    robot: Robot,
+    thinned: Observation,
+    noise: np.ndarray,
+    prior: Load,
+    bias: np.ndarray,
+    joints: JointTerms | None,
 ) -> Trace:
     settings = inputs.settings
     chart = settings.chart
@@ -320,6 +406,7 @@ def _filter(
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,
         drift_seconds=settings.drift_time,
+        joints=joints,
     )
     state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
     return log_filter.run(estimator, state, thinned)[1]
@@ -340,20 +427,21 @@ def _load_with_calibration(
 
 
 def _residual_of(
-    robot: Robot,
-    observation: Observation,
-    bodies: Sequence[str],
-    fit: BatchFit,
-    bias: Float[np.ndarray, " nv"],
-    cutoff: float | None,
-    trace: Trace | None = None,
+    found: LogEstimate, cutoff: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(residual, torque, which rows count) of independent samples: of the fit, or of the filter with its `trace`."""
+    """(residual, torque, which rows count) of independent samples: of the fit, or of the filter if bodies changed."""
+    observation, trace = found.observation, found.trace
     step = log_filter.stride(observation, cutoff)
-    y, others, valid = log_filter.regressors(robot, observation, bodies, bias)
-    residual, valid = (others + y @ np.asarray(fit.estimate.pi).ravel())[::step], valid[::step]
+    y, others, valid = log_filter.regressors(found.robot, observation, found.bodies, found.bias)
+    residual = others + y @ np.asarray(found.fit.estimate.pi).ravel()
+    if found.friction:
+        # The fit's own friction and offset act on the motor's side.
+        terms = [found.fit.joint_terms[name] for name in joint_terms.NAMES]
+        columns = joint_terms.columns(np.asarray(observation.motion.v))
+        residual = residual + np.where(valid, np.einsum("tjk,kj->tj", columns, terms), 0.0)
+    residual, valid = residual[::step], valid[::step]
     torque = np.nan_to_num(np.asarray(observation.motion.tau))[::step]
-    if trace is not None:
+    if found.changed:
         # An innovation is measured minus predicted torque.
         residual = -np.asarray(trace.innovation.residual)
         valid = valid & np.asarray(trace.innovation.accepted)[:, None] & (residual != 0)

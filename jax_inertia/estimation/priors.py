@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jax_inertia.maths import charts, inertial_parameters, spatial
 from jax_inertia.maths.precision import in_full_precision
@@ -20,6 +20,14 @@ class Uncertainty(eqx.Module):
     ) -> Float[Array, "bodies 10 10"]:
         """Covariance of each body's coordinates in the chart."""
 
+    def anchor(self, nominal: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10"]:
+        """π of the bodies at whose slope the statement is made: the bodies themselves, unless they carry more."""
+        return nominal
+
+    def of_bodies(self) -> "Uncertainty":
+        """The same where loads have the shape of one that a robot can carry (`Load.of_a_body`)."""
+        return self
+
 
 class Load(Uncertainty):
     """A load that a body may carry: `mass` [kg] anywhere within `reach` [m].
@@ -29,9 +37,16 @@ class Load(Uncertainty):
     that are e^5 times larger or smaller as likely as not).
     """
 
-    mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
-    shape: Float[Array, ""] | None = None
+    mass: Float[Array, ""]
+    reach: Float[Array, ""]
+    shape: Float[Array, ""] | None
+
+    # Not by field converters, which mypy does not know.
+    def __init__(
+        self, mass: ArrayLike, reach: ArrayLike = 0.2, shape: ArrayLike | None = None
+    ) -> None:
+        self.mass, self.reach = jnp.asarray(mass), jnp.asarray(reach)
+        self.shape = None if shape is None else jnp.asarray(shape)
 
     def sigma_pi(self) -> Float[Array, "10"]:
         """Standard deviation of each component of π."""
@@ -50,14 +65,7 @@ class Load(Uncertainty):
         to the loaded one, along which it is the chart's exact difference of the two: the load is one σ away. By the
         loaded body's tangent, one of the body's own weight would be 1.4 σ away, and one of twice that 2.2.
         """
-        ball = inertial_parameters.from_com(
-            jnp.broadcast_to(self.mass, nominal.shape[:-1]),
-            inertial_parameters.centre_of_mass(nominal),
-            jnp.broadcast_to(
-                0.1 * self.mass * self.reach**2 * jnp.eye(3), (*nominal.shape[:-1], 3, 3)
-            ),
-        )
-        loaded = nominal + ball.astype(nominal.dtype)
+        loaded = self.anchor(nominal)
         if self.shape is None:
             return _pulled_back(chart.jacobian(chart.from_pi(loaded)), jnp.diag(self.sigma_pi()))
         x = inertial_parameters.to_log_cholesky_uut(loaded)
@@ -72,6 +80,21 @@ class Load(Uncertainty):
         narrow = own - (own[:, :, six] * weight[:, None, :]) @ told
         narrow = 0.5 * (narrow + jnp.swapaxes(narrow, -1, -2))
         return _pulled_back(chart.jacobian(chart.from_pi(loaded)), g @ spatial.cholesky(narrow))
+
+    @in_full_precision
+    def anchor(self, nominal: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10"]:
+        """The bodies with the load as a ball around their centres of mass."""
+        ball = inertial_parameters.from_com(
+            jnp.broadcast_to(self.mass, nominal.shape[:-1]),
+            inertial_parameters.centre_of_mass(nominal),
+            jnp.broadcast_to(
+                0.1 * self.mass * self.reach**2 * jnp.eye(3), (*nominal.shape[:-1], 3, 3)
+            ),
+        )
+        return nominal + ball.astype(nominal.dtype)
+
+    def of_bodies(self) -> "Load":
+        return self.of_a_body()
 
     def of_a_body(self) -> "Load":
         """The same with a `shape`, one where none is given: loads that a robot can carry.
@@ -90,9 +113,12 @@ class Tolerance(Uncertainty):
     Independent of one another, unlike the moments about the frame origin, which a change of mass moves all.
     """
 
-    mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    com: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    spread: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.3)
+    mass: Float[Array, ""]
+    com: Float[Array, ""]
+    spread: Float[Array, ""]
+
+    def __init__(self, mass: ArrayLike, com: ArrayLike, spread: ArrayLike = 0.3) -> None:
+        self.mass, self.com, self.spread = (jnp.asarray(x) for x in (mass, com, spread))
 
     @in_full_precision
     def covariance(
@@ -107,6 +133,30 @@ class Tolerance(Uncertainty):
         sigma = jnp.concatenate([*sigma, self.com * one], axis=-1).astype(nominal.dtype)
         spread = inertial_parameters.log_cholesky_uut_jacobian(x) * sigma[:, None, :]
         return _pulled_back(chart.jacobian(chart.from_pi(nominal)), spread)
+
+
+class Each(Uncertainty):
+    """One statement for the first bodies, another for those that come after them."""
+
+    first: Uncertainty
+    others: Uncertainty
+    count: int = eqx.field(static=True)
+    """How many the first one is about."""
+
+    def covariance(
+        self, chart: charts.Chart, nominal: Float[Array, "bodies 10"]
+    ) -> Float[Array, "bodies 10 10"]:
+        """Of each body by its own statement."""
+        own, rest = nominal[: self.count], nominal[self.count :]
+        both = self.first.covariance(chart, own), self.others.covariance(chart, rest)
+        return jnp.concatenate(both)
+
+    def anchor(self, nominal: Float[Array, "bodies 10"]) -> Float[Array, "bodies 10"]:
+        own, rest = nominal[: self.count], nominal[self.count :]
+        return jnp.concatenate([self.first.anchor(own), self.others.anchor(rest)])
+
+    def of_bodies(self) -> "Each":
+        return Each(self.first.of_bodies(), self.others.of_bodies(), self.count)
 
 
 def _mean_inverse_slope(

@@ -13,7 +13,7 @@ not fill a block waits. So the numbers do not depend, to the last bit, on how th
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import equinox as eqx
 import jax
@@ -24,10 +24,21 @@ from jaxtyping import Bool, Float
 from jax_inertia.estimation.inertial_filter import Estimator, State, Trace
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.schema import CHANNELS
-from jax_inertia.preflight.preflight import require_usable
+from jax_inertia.model.robot import Robot
+from jax_inertia.preflight.mended import mended, unmeasured
+from jax_inertia.preflight.preflight import (
+    POSITIONS,
+    Preflight,
+    Severity,
+    preflight,
+    require_usable,
+)
 from jax_inertia.signals.differences import Observation, aligned_differences
 from jax_inertia.signals.generalised_motion import generalised
 from jax_inertia.text.closest_names import listed
+
+LONGEST_LOOK = 48.0
+"""Of a log that is watched so many seconds are looked at, at most [s]."""
 
 
 class StreamState(eqx.Module):
@@ -38,6 +49,10 @@ class StreamState(eqx.Module):
     """Time of the last observation that was filtered [s]; NaN before the first."""
     waiting: Log | None
     """Fewer samples than fill a block; None before the first chunk."""
+    first: Log | None = None
+    """The first seconds, kept until they have been looked at (`Stream.look`)."""
+    looked: bool = eqx.field(static=True, default=True)
+    """Whether they have been."""
 
 
 class Part(eqx.Module):
@@ -65,21 +80,27 @@ class Stream(eqx.Module):
     """Periods of the log that make one observation."""
     block: int = eqx.field(static=True, default=64)
     """Observations that are filtered in one call."""
+    look: float = eqx.field(static=True, default=3.0)
+    """The log's first seconds, on which all is checked that `estimate` checks on a whole log; zero: nothing is."""
 
     def __check_init__(self) -> None:
         if self.window < 1 or self.block < 1:
             raise ValueError(f"window {self.window}, block {self.block}; each is one at least")
+        if not 0 <= self.look < float("inf"):
+            raise ValueError(f"look is {self.look}; it is so many seconds, zero or more")
 
     def start(self, state: State | None = None) -> StreamState:
         """State before the first chunk, from the filter's own start where none is given."""
         state = self.estimator.initial() if state is None else state
-        return StreamState(state, np.asarray(np.nan), None)
+        return StreamState(state, np.asarray(np.nan), None, None, self.look == 0)
 
     def feed(self, state: StreamState, chunk: Log) -> tuple[StreamState, Part | None]:
         """Take the next chunk; None while it does not fill a block.
 
         Raises LogError for a chunk that does not fit the robot, holds torques in another unit than N m, lacks
-        velocities, has other channels than the one before, or begins no later than that one ended.
+        velocities, has other channels than the one before, or begins no later than that one ended; and once the first
+        seconds have come where they are not of this robot and in its units, as `estimate` does (`looked_at`). Torques
+        that nobody measured are masked (`preflight.mended`).
         """
         based = chunk.base_pos is not None
         if chunk.qvel is None or (based and None in (chunk.base_linvel, chunk.base_angvel)):
@@ -87,7 +108,18 @@ class Stream(eqx.Module):
                 "a stream needs measured velocities: qvel, and of a floating base base_linvel and base_angvel"
             )
         require_usable(chunk, self.estimator.robot, of_many=True)
+        chunk, _ = unmeasured(chunk)
+        if not state.looked:
+            state = self._look(state, chunk)
         return self._advance(state, joined(state.waiting, chunk), whole_blocks=True)
+
+    def _look(self, state: StreamState, chunk: Log) -> StreamState:
+        """With the chunk among the first seconds, which are looked at when there are enough."""
+        first = joined(state.first, chunk)
+        if first.duration < self.look:
+            return dataclasses.replace(state, first=first)
+        looked_at(first, self.estimator.robot)
+        return dataclasses.replace(state, first=None, looked=True)
 
     def finish(self, state: StreamState) -> tuple[StreamState, Part | None]:
         """Filter what waits; less than one window is left over. Raises LogError before the first chunk."""
@@ -141,12 +173,65 @@ class Stream(eqx.Module):
         # The last sample of a window is the first of the next.
         left = _rows(log, slice(count * self.window, None))
         part = jax.tree.map(lambda *x: np.concatenate(x), *parts) if parts else None
-        return StreamState(carried, np.asarray(last), left), part
+        return (
+            dataclasses.replace(state, filter=carried, last=np.asarray(last), waiting=left),
+            part,
+        )
 
     def observed(self, log: Log) -> Observation:
         """One observation for each window of a log, as the filter gets them."""
         motion = dataclasses.replace(generalised(log, self.estimator.robot), notes=())
         return jax.tree.map(lambda x: x[:: self.window], aligned_differences(motion, self.window))
+
+
+def looked_at(first: Log, robot: Robot, only: Sequence[str] = ()) -> Preflight:
+    """What there is to say of a stream's first seconds, the gravest first; LogError where they cannot be used.
+
+    `only` names the checks whose errors count; all do where it is empty.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation.stream import looked_at
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> found = looked_at(swing(), load_model(double_pendulum()))
+    >>> found.findings, found.confirmed
+    ((), True)
+    """
+    log, left_out = mended(first, kinds=robot.joint_kinds)
+    if log.qvel is None and first.qvel is not None:
+        raise LogError(
+            f"{left_out[-1].message.partition(';')[0]}; a stream needs velocities: correct them, or estimate from the "
+            "whole log, which can do without"
+        )
+    found = preflight(log, robot)
+    counted = (one for one in found.findings if not only or one.check in only)
+    Preflight(tuple(counted)).raise_for_errors()
+    kept = (one for one in found.findings if one.severity is not Severity.NOTE)
+    return Preflight((*left_out, *kept), found.confirmed)
+
+
+def looked_at_again(first: Log, chunks: Iterable[Log], robot: Robot) -> Iterator[Log]:
+    """The chunks that follow a stream's first seconds, looked at until the torque confirms the units of positions.
+
+    A slow motion does not show it at once: all that has come is looked at each time it is twice as long, up to
+    `LONGEST_LOOK`. Raises LogError as `looked_at` does, of units and order alone.
+
+    >>> from jax_inertia import load_model
+    >>> from jax_inertia.estimation.stream import looked_at_again
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> first, rest = swing().between(0.0, 1.0), swing().between(1.01, 3.9)
+    >>> [len(chunk.time) for chunk in looked_at_again(first, [rest], load_model(double_pendulum()))]
+    [290]
+    """
+    due = 2.0 * first.duration
+    seen: Log | None = first
+    for chunk in chunks:
+        if seen is not None:
+            seen = joined(seen, chunk)
+            if seen.duration >= due:
+                found = looked_at(seen, robot, POSITIONS)
+                due *= 2.0
+                seen = None if found.confirmed or due > LONGEST_LOOK else seen
+        yield chunk
 
 
 def _rows(log: Log, rows: slice) -> Log:

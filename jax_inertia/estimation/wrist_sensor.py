@@ -333,8 +333,8 @@ def _check_axes(fit: _Fit, other: _Fit, axes: str, body: str) -> None:
 def _notes(fit: _Fit, untold: bool) -> Iterator[str]:
     if untold:
         yield (
-            "the sensor was turned and moved too little to tell the load from its offset: hold it in poses that differ "
-            "by tens of degrees"
+            "the sensor was turned and moved too little to distinguish the load from its offset: hold it in poses that "
+            "differ by tens of degrees"
         )
     off = (fit.after > _TIMES * fit.noise) & (fit.after > _SHARE * fit.before)
     if off.any():
@@ -342,6 +342,7 @@ def _notes(fit: _Fit, untold: bool) -> Iterator[str]:
             f"{AXES[k]} {fit.after[k]:.2g}, noise {fit.noise[k]:.2g}" for k in np.flatnonzero(off)
         )
         yield (
-            f"the residual is no noise ({told}, rms in N and N m): something touched the tool, a cable pulls, or the "
+            f"the residual is larger than noise ({told}, rms in N and N m): something touched the tool, a cable pulls, "
+            "or the "
             "sensor is turned against the body"
         )

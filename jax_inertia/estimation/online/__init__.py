@@ -1,1 +1,1 @@
-"""Online beyond the paper: a filter with exact memory, and a bank that tells which link a load is on."""
+"""Online beyond the paper: a filter with exact memory, a bank that finds which link carries a load, a step in C."""

@@ -32,12 +32,14 @@ from jax.scipy.linalg import block_diag, solve_triangular
 from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics.rigid_body import mass_matrix, resolve_bodies
+from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.estimation import filter_settings as settings
 from jax_inertia.estimation.physical_estimate import Estimate, physical_units
 from jax_inertia.estimation.priors import Load, Uncertainty
 from jax_inertia.maths import inertial_parameters, kalman
 from jax_inertia.maths.argument_checks import floats_as, is_positive, require
 from jax_inertia.maths.charts import LogCholeskyUUt, Physical
+from jax_inertia.maths.gates import Reopening
 from jax_inertia.maths.noise import IndependentNoise, Noise
 from jax_inertia.maths.precision import in_full_precision
 from jax_inertia.maths.sample_weight import mixture
@@ -83,7 +85,7 @@ class ExactEstimator(eqx.Module):
     """Growth of π's covariance per second."""
     noise: Noise
     sigma_v: Float[Array, " nv"]
-    reopen_after: Float[Array, ""]
+    reopening: Reopening
     bodies: tuple[int, ...] = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
@@ -122,7 +124,7 @@ class ExactEstimator(eqx.Module):
         white = noise.whiten(jnp.concatenate([rows + lever @ state.ends, lever], axis=1), counted)
         h, z, lever = white[:, :n], white[:, n], white[:, n + 1 :]
 
-        reopened = state.doubted_for >= self.reopen_after
+        reopened = self.reopening.due(state.doubted_for)
         memory = self._aged(state, dt, reopened)
         before = self._believed(state.belief.mean, memory)[1]
         root = h @ self._slope(state.belief.mean) @ before
@@ -149,8 +151,10 @@ class ExactEstimator(eqx.Module):
         gain = lever * self.sigma_v**2
         ends = jnp.where(good, gain.T @ white, 0.0)
         known = jnp.where(good, fresh - gain.T @ gain, fresh)
-        waited = jnp.where(reopened, 0.0, state.doubted_for) + dt
-        waited = jnp.where(good | (count == 0), 0.0, waited)
+        own = jnp.asarray(moved_rows(self.robot, self.bodies))
+        waited = self.reopening.doubted_for(
+            state.doubted_for, dt, tested=jnp.any(used[own]), believed=good
+        )
         after = ExactState(belief, memory, ends, known, a, waited)
         return after, ExactStep(belief, nis, count, weight, reopened)
 
@@ -303,7 +307,7 @@ def make_exact_estimator(
         drift=g @ growth @ g.T,
         noise=noise,
         sigma_v=speed,
-        reopen_after=jnp.asarray(reopen_after, dtype),
+        reopening=Reopening(jnp.asarray(reopen_after, dtype)),
         bodies=chosen,
         iterations=iterations,
     )

@@ -39,6 +39,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jax_inertia.dynamics.rigid_body import mass_matrix, resolve_bodies
+from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.estimation.inertial_filter import Estimator, State, make_estimator
 from jax_inertia.estimation.priors import Load
 from jax_inertia.maths import inertial_parameters
@@ -181,9 +182,12 @@ class LoadBank(eqx.Module):
 
         rows = jnp.maximum(jnp.sum(counted), 1.0)
         left, h, z = (x * jax.lax.rsqrt(state.size) for x in (left, h, z))
-        weight = self._weight(state, h, left, rows)
-        lost = -0.5 * left @ left - mixture(left @ left, rows)[0]
-        state = self._remember(state, left, weight, rows, dt)
+        # As `gates.Reopening`: a sample none of whose rows the links move says nothing, for or against.
+        tested = jnp.any(used[jnp.asarray(moved_rows(own.robot, own.bodies))])
+        weight = jnp.where(tested, self._weight(state, h, left, rows), 0.0)
+        lost = jnp.where(tested, -0.5 * left @ left - mixture(left @ left, rows)[0], 0.0)
+        seen = self._remember(state, left, weight, rows, dt)
+        state = jax.tree.map(lambda new, old: jnp.where(tested, new, old), seen, state)
         state = self._gather(state, h, z, lost, dt)
         probability, best, since = self._posterior(state, pi)
         noticed = probability[0] < 1.0 - self.threshold

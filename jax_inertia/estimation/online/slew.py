@@ -7,7 +7,7 @@ Physical bodies form a convex cone, so a common step along the segment from one 
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jax_inertia.maths.argument_checks import is_positive, require
 
@@ -19,8 +19,11 @@ class Slew(eqx.Module):
     limited too. Raises ValueError for a rate or reach that is not positive and finite.
     """
 
-    rate: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=3.0)
-    reach: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.2)
+    rate: Float[Array, ""]
+    reach: Float[Array, ""]
+
+    def __init__(self, rate: ArrayLike = 3.0, reach: ArrayLike = 0.2) -> None:
+        self.rate, self.reach = jnp.asarray(rate), jnp.asarray(reach)
 
     def __check_init__(self) -> None:
         for name, value in vars(self).items():

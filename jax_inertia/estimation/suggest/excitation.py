@@ -22,8 +22,8 @@ from jaxtyping import Array, Bool, Float
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.dynamics.rigid_body import resolve_bodies
 from jax_inertia.estimation.identifiability import Knowledge, of_rows
-from jax_inertia.estimation.motion_limits import Limits
 from jax_inertia.estimation.priors import Load, Uncertainty
+from jax_inertia.estimation.suggest.motion_limits import Limits
 from jax_inertia.maths import charts
 from jax_inertia.model.robot import HINGE, SLIDE, Robot
 from jax_inertia.signals.torque_residual import FRICTION_VELOCITY
@@ -115,9 +115,9 @@ def suggest_motion(
     even the middle posture keeps the limits.
 
     >>> from jax_inertia import load_model
-    >>> from jax_inertia.estimation.motion_limits import Limits
+    >>> from jax_inertia.estimation.suggest.motion_limits import Limits
     >>> from jax_inertia.robots.pendulum import double_pendulum
-    >>> from jax_inertia.estimation.excitation import suggest_motion
+    >>> from jax_inertia.estimation.suggest.excitation import suggest_motion
     >>> robot, limits = load_model(double_pendulum()), Limits.of(double_pendulum(), velocity=2.0)
     >>> found = suggest_motion(robot, ["lower"], limits, period=4.0, starts=1, steps=10)
     >>> found.q.shape, bool(abs(found.v).max() <= 2.0)

@@ -1,0 +1,1 @@
+"""A motion that makes parameters identifiable, within the limits of a robot."""
