@@ -7,6 +7,7 @@ Friction, rotor inertia, offsets and a load at the robot's ends are free in all 
 for another reading; what else is wrong in a model is for a diagnosis.
 """
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,15 +15,21 @@ import numpy as np
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.logs.log import Log, TorqueUnit
 from jax_inertia.model.robot import Robot
-from jax_inertia.preflight import other_readings
+from jax_inertia.preflight import other_readings, position_readings
+from jax_inertia.preflight.column_order import order
 from jax_inertia.preflight.compared import Compared, norm
 from jax_inertia.preflight.other_readings import FITS, Reading, error
-from jax_inertia.preflight.torque_parts import LAG, parts, reach
+from jax_inertia.preflight.torque_parts import LAG, Parts, parts, reach
+from jax_inertia.signals.held import with_loop_torque
 
 # Of the energy that the plain model leaves, another reading leaves less than this.
 _LEAVES = 1.0 / 9.0
-# Where the plain model leaves less than this of the torque's energy, nothing is read otherwise.
-_SOUND = 0.05
+# Where the plain model leaves less than this of the torque's energy, nothing is read otherwise but the unit of all
+# positions, in which a rotor's inertia and a load may stand for what the motion is too small for; and below the latter
+# not even that.
+_SOUND, _TRUE = 0.05, 0.002
+# The first of a loop's torque: that is nearly proportional to the motion in any unit, and a plain model leaves less.
+_LEAVES_LOOP = 1.0 / 6.0
 # One of many readings that were tried leaves less than this share of what the plain model leaves; and any that does may
 # leave more than `FITS`.
 _FAR = 1.0 / 25.0
@@ -30,6 +37,8 @@ _FAR = 1.0 / 25.0
 _BETTER = 0.25
 # A diagnosis looks for delays itself, up to the latter; what is later would be read as forces and frictions [s].
 _LATE, _TOO_LATE = 0.03, 0.04
+# Targets from another zero are off by more than a wrong mass makes a loop sag [rad, m].
+_ELSEWHERE = 0.3
 # A body's radius of gyration beyond so many times the robot's reach is a unit's fault.
 _SIZES = 10.0
 # Friction and rotor inertia that a model lacks are reported from this share of a joint's torque on.
@@ -37,14 +46,16 @@ _DRY = 0.03
 
 # From the simplest to what explains most.
 _READINGS = (
+    other_readings.unlogged,
     other_readings.gains,
     other_readings.weightless,
-    other_readings.order,
+    order,
     other_readings.inertia_unit,
     other_readings.external,
     other_readings.pairs,
-    other_readings.motion,
+    *position_readings.READINGS,
     other_readings.mount,
+    other_readings.own_gains,
 )
 
 
@@ -52,7 +63,8 @@ def against_model(log: Log, robot: Robot) -> tuple[Finding, ...]:
     """Findings on a log in N m that `preflight` passes, against its model; none where all is as it should be.
 
     An error is for a log whose estimate would be senseless, a warning for who reads results. Of logs with a floating
-    base or contacts, and of those that hardly move, nothing is said.
+    base or contacts, and of those that hardly move, nothing is said. Of a log without torque the torque of its position
+    loop is compared, where the log holds targets and gains: by that only its positions are read otherwise.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.preflight.against_model import against_model
@@ -60,19 +72,55 @@ def against_model(log: Log, robot: Robot) -> tuple[Finding, ...]:
     >>> against_model(swing(), load_model(double_pendulum()))
     ()
     """
-    if told := tuple(bodies(robot)):
-        return told
-    if log.tau is None or log.tau_unit is not TorqueUnit.NEWTON_METRE:
-        return ()
-    if (split := parts(log, robot)) is None:
-        return ()
+    return judged(log, robot)[0]
+
+
+def judged(log: Log, robot: Robot) -> tuple[tuple[Finding, ...], bool]:
+    """`against_model`, and whether a torque shows that positions are what the model takes them for."""
+    if found := tuple(bodies(robot)):
+        return found, False
+    if (split := _split(log, robot)) is None:
+        return (), False
     compared = Compared.of(split)
     if not compared.judged.any():
-        return ()
-    late, compared = in_time(compared)
+        return (), False
+    late: tuple[Finding, ...] = ()
+    if split.kp is None:
+        late, compared = in_time(compared)
     other = otherwise(compared)
+    sound = not other and compared.left_beside_load(compared.tau - compared.needed) < _SOUND
+    if split.kp is not None:
+        return other or tuple(from_another_zero(split)), sound
     # What is late by part of a sample still looks like friction.
-    return (*other, *late) or tuple(without_friction(compared))
+    return (*other, *late) or tuple(without_friction(compared)), sound
+
+
+def _split(log: Log, robot: Robot) -> Parts | None:
+    """The parts of a log's torque, or of its position loop's; None where neither is known in N m."""
+    if log.tau is not None:
+        newton_metres = log.tau_unit is TorqueUnit.NEWTON_METRE
+        return parts(log, robot) if newton_metres else None
+    if log.qpos_target is None or log.kp is None:
+        return None
+    # Velocities may be in another unit than positions: those of the loop are differences of the latter.
+    bare = dataclasses.replace(log, qvel=None)
+    return parts(with_loop_torque(bare, log.kp, log.kd), robot, kp=np.asarray(log.kp, float))
+
+
+def from_another_zero(split: Parts) -> Iterator[Finding]:
+    """Targets off by more than the loop sags under the model's weight: its torque has that mean that nothing needs."""
+    missing = split.torque[split.index] - split.weight - split.inertia
+    rows = np.maximum(split.used.sum(axis=0), 1)
+    off = np.sum(np.where(split.used, missing, 0.0), axis=0) / rows / split.kp
+    far = np.flatnonzero(np.abs(off) > _ELSEWHERE)
+    if len(far):
+        text = ", ".join(f"{split.names[j]} {off[j]:+.2f}" for j in far)
+        message = (
+            f"targets are off what the loop's gains and the model's weight say ({text} rad, m in the mean): another "
+            "zero (a policy's default?), or other gains; for the former: jax-inertia convert --target-offset "
+            f"{' '.join(f'{split.names[j]}={-off[j]:.3g}' for j in far)}"
+        )
+        yield Finding(Severity.WARNING, "targets", message)
 
 
 def bodies(robot: Robot) -> Iterator[Finding]:
@@ -154,22 +202,29 @@ def _late(c: Compared, lags: dict[int, float], alike: bool) -> Iterator[Finding]
 
 def otherwise(c: Compared) -> tuple[Finding, ...]:
     """The reading of the log that leaves least, where the plain one leaves far more."""
-    whole = c.left_beside_load(c.tau - c.needed)
-    if whole < _SOUND:
+    loop, whole = c.parts.kp is not None, c.as_it_stands()
+    if whole < _TRUE:
         return ()
+    doubtful = loop or whole < _SOUND
+    if loop:
+        readings, sound, least = position_readings.READINGS, _TRUE, _LEAVES_LOOP
+    elif doubtful:
+        readings, sound, least = (position_readings.units,), _TRUE, _FAR
+    else:
+        readings, sound, least = _READINGS, _SOUND, _LEAVES
     fitting: list[Reading] = []
     best = None
-    for reading in _READINGS:
+    for reading in readings:
         for one in reading(c):
             plain = whole if one.plain is None else one.plain
-            leaves = _FAR if one.searched else _LEAVES
-            if plain < _SOUND or not one.left < min(leaves * plain, max(FITS, _FAR * plain)):
+            leaves = _FAR if one.searched else least
+            if plain < sound or not one.left < min(leaves * plain, max(FITS, _FAR * plain)):
                 continue
             fitting.append(one)
             if best is None or one.left < _BETTER * best.left:
                 best = one
     if best is None:
-        return tuple(other_readings.nothing(c))
+        return () if doubtful else tuple(other_readings.nothing(c))
     # What says more and fits no better is not said, unless it is about something else altogether.
     alike = [x for x in fitting if x.left < best.left / _BETTER and _places(x, best)]
     if not alike:

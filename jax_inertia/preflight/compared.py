@@ -2,10 +2,12 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jax_inertia.preflight.torque_parts import Parts
 
@@ -15,6 +17,8 @@ _SLIGHT = 0.02
 _CARRIES = 0.3
 # A reading leaves less than this share of the logged torque (root mean square).
 _UNEXPLAINED = 0.5
+# A joint that is read wrongly misses this share of what joints miss in the mean.
+_ALIKE = 0.5
 # Mean share of the joints' energy that a load as heavy as the robot must explain.
 _AS_HEAVY = 0.1
 
@@ -27,22 +31,29 @@ class Compared:
     tau: Float[np.ndarray, "R n"]
     weight: Float[np.ndarray, "R n"]
     inertia: Float[np.ndarray, "R n"]
-    load: Float[np.ndarray, "R n masses"]
     shifts: np.ndarray
     """Samples of the grid by which each joint's torque was put later."""
 
     @classmethod
     def of(cls, parts: Parts) -> "Compared":
         """As logged."""
-        weight, inertia, load = (
-            parts.less_friction(x) for x in (parts.weight, parts.inertia, parts.load)
-        )
+        weight, inertia = (parts.less_friction(x) for x in (parts.weight, parts.inertia))
         shifts = np.zeros(len(parts.names), int)
-        return cls(parts, parts.logged(shifts), weight, inertia, load, shifts)
+        return cls(parts, parts.logged(shifts), weight, inertia, shifts)
 
     def shifted(self, shifts: np.ndarray) -> "Compared":
         """The same with each torque so many samples later."""
         return dataclasses.replace(self, tau=self.parts.logged(shifts), shifts=shifts)
+
+    def reordered(self, motion: Sequence[int], torque: Sequence[int]) -> "Compared":
+        """The same log with its columns in another order (`Parts.reordered`)."""
+        other = Compared.of(self.parts.reordered(motion, torque))
+        return other.shifted(self.shifts[list(torque)])
+
+    @functools.cached_property
+    def load(self) -> Float[np.ndarray, "R n masses"]:
+        """Against each of some point masses at the robot's ends."""
+        return self.parts.less_friction(self.parts.load)
 
     @functools.cached_property
     def raw(self) -> Float[np.ndarray, "R n"]:
@@ -58,9 +69,14 @@ class Compared:
 
     @functools.cached_property
     def size(self) -> Float[np.ndarray, " n"]:
-        """The larger of each joint's two torques (norm over all rows), and no trifle."""
+        """The larger of each joint's two torques (norm over all rows), and no trifle of all joints' or its own log's.
+
+        Of a rail that does little but speed its own mass up friction leaves next to nothing, which noise hides.
+        """
+        logged = norm(np.where(self.parts.used, self.raw - self.raw.mean(axis=0), 0.0))
         size = np.maximum(norm(self.tau), norm(self.needed))
-        return np.maximum(size, max(_SLIGHT * size.max(initial=0.0), 1e-300))
+        least = max(_SLIGHT * size.max(initial=0.0), 1e-300)
+        return np.maximum(np.maximum(size, _SLIGHT * logged), least)
 
     @functools.cached_property
     def judged(self) -> Bool[np.ndarray, " n"]:
@@ -122,9 +138,35 @@ class Compared:
         ]
         return float(np.mean(share) + _AS_HEAVY * np.sum((masses / self.mass) ** 2))
 
+    def as_it_stands(self, joints: Bool[np.ndarray, " n"] | None = None) -> float:
+        """What the plain model leaves of all joints or some; of a loop, whose gains may be off, with free ones.
+
+        >>> from jax_inertia import load_model
+        >>> from jax_inertia.preflight.compared import Compared
+        >>> from jax_inertia.preflight.torque_parts import parts
+        >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+        >>> split = parts(swing(), load_model(double_pendulum()))
+        >>> Compared.of(split).as_it_stands() < 0.05
+        True
+        """
+        left = self.left_beside_load(self.tau - self.needed, joints)
+        if self.parts.kp is None:
+            return left
+        free = self.needed * np.maximum(self.gains, 0.0)
+        some = self.judged if joints is None else joints
+        return min(left, self.left_of_torque(self.tau - free, some))
+
+    @functools.cached_property
+    def off(self) -> Int[np.ndarray, " off"]:
+        """Joints of which the plain model misses as much as of the others: any that is logged as another is of them."""
+        missed = self.missed(self.carried(self.tau - self.needed))
+        return np.flatnonzero(missed >= _ALIKE * np.mean(missed[self.judged]))
+
     def left_of_torque(self, residual: Float[np.ndarray, "R n"], joints: np.ndarray) -> float:
         """The mean share of some joints' logged torque alone: for readings that say that it is tiny, or huge."""
-        share = (norm(residual) / np.maximum(norm(self.tau), 1e-300)) ** 2
+        # Infinite of a torque that is 0.
+        with np.errstate(over="ignore"):
+            share = (norm(residual) / np.maximum(norm(self.tau), 1e-300)) ** 2
         return float(np.mean(share[joints]))
 
     def carried(self, residual: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R n"]:
@@ -138,14 +180,16 @@ class Compared:
 
         What is heavy compared with the robot must explain the more, unless it is `free`.
         """
-        basis, triangle = self._load
-        if free:
-            basis, triangle = np.linalg.qr(self._load_columns)
-            basis = np.concatenate([basis, np.zeros((self.load.shape[-1], basis.shape[1]))])
-        wanted = np.concatenate([(residual / self.size).ravel(), np.zeros(self.load.shape[-1])])
+        columns, wanted = self._load_columns, (residual / self.size).ravel()
         try:
-            return scipy.optimize.nnls(triangle, basis.T @ wanted)[0]
-        except RuntimeError:
+            if free:
+                basis, triangle = np.linalg.qr(columns)
+                aim = basis.T @ wanted
+            else:
+                triangle = self._load
+                aim = scipy.linalg.solve_triangular(triangle, columns.T @ wanted, trans=1)
+            return scipy.optimize.nnls(triangle, aim)[0]
+        except (RuntimeError, np.linalg.LinAlgError):
             return np.zeros(self.load.shape[-1])
 
     @functools.cached_property
@@ -153,15 +197,16 @@ class Compared:
         """Of the robot [kg]."""
         return max(float(np.asarray(self.parts.robot.pi)[:, 0].sum()), 1e-12)
 
-    @property
+    @functools.cached_property
     def _load_columns(self) -> np.ndarray:
         return (self.load / self.size[:, None]).reshape(-1, self.load.shape[-1])
 
     @functools.cached_property
-    def _load(self) -> tuple[np.ndarray, np.ndarray]:
+    def _load(self) -> np.ndarray:
+        """Root of the normal equations of a load that costs what its mass is: far quicker than orthogonal columns."""
         columns = self._load_columns
-        cost = np.sqrt(_AS_HEAVY * self.judged.sum()) / self.mass
-        return np.linalg.qr(np.concatenate([columns, cost * np.eye(columns.shape[1])]))
+        cost = _AS_HEAVY * self.judged.sum() / self.mass**2
+        return scipy.linalg.cholesky(columns.T @ columns + cost * np.eye(columns.shape[1]))
 
     def factors(self, tau: Float[np.ndarray, "R n"] | None = None) -> tuple[float, float]:
         """Factors at gravity's and inertia's torque, both free at every joint that carries, weighed by its torque."""

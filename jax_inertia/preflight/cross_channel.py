@@ -5,13 +5,16 @@ the mean rate over the window), so that neither differencing noise nor its delay
 fault of the log.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from scipy import signal
 
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.logs.log import Log
+from jax_inertia.model.robot import HINGE
+from jax_inertia.preflight.units import SI, Unit, conversion, of_ratio
 from jax_inertia.signals.generalised_motion import body_rates
 
 _WINDOW = 0.03
@@ -21,8 +24,10 @@ _ABOVE = 3.0
 _DEGREE = np.pi / 180
 
 
-def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
-    """`qvel` against dqpos/dt, joint by joint: sign, scale, delay, swapped columns.
+def velocity(
+    log: Log, time: np.ndarray, kinds: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Finding]:
+    """`qvel` against dqpos/dt, joint by joint: sign, unit, delay, swapped columns; `kinds`: slide or hinge, by name.
 
     Joints that hardly move show their encoder's noise, and how others shake them: they are not judged. Nor is the size
     of velocities, within half and twice, in a slow log whose targets change from stamp to stamp (`_jolted`).
@@ -42,10 +47,11 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
         and spread[j] > _ABOVE * noise[j]
         and np.std(rate[:, j]) > 0
     ]
+    in_units: dict[tuple[Unit, Unit], list[tuple[str, float]]] = {}
     for j in moving:
         name = log.joint_names[j]
         here = _correlation(slope[:, j], rate[:, j])
-        lag, best = _lag(slope[:, j], rate[:, j], int(_MAX_LAG / period))
+        lag, best = lag_of(slope[:, j], rate[:, j], int(_MAX_LAG / period))
         gain = np.std(rate[:, j]) / spread[j]
         twin = max(moving, key=lambda i: _correlation(slope[:, i], rate[:, j]))
         if here < -0.7:
@@ -64,8 +70,8 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
                 f"qvel of {name!r} does not follow dqpos/dt (correlation {best:.2f}); check the "
                 "signal, or leave qvel out",
             )
-        elif unit := _degrees(gain):
-            yield _error("scale", f"qvel of {name!r} is {gain:.3g} times dqpos/dt: {unit}")
+        elif (units := of_ratio(gain, kinds.get(name, HINGE) == HINGE)) is not None:
+            in_units.setdefault(units, []).append((name, gain))
         elif not (0.5 < gain < 2.0 if _jolted(log, j, period) else 0.9 < gain < 1.1):
             yield _warning(
                 "scale",
@@ -79,6 +85,8 @@ def velocity(log: Log, time: np.ndarray) -> Iterator[Finding]:
                 f"qvel of {name!r} runs {1e3 * abs(lag) * period:.1f} ms {side} dqpos/dt; give "
                 "both one filter, or leave qvel out",
             )
+    for units, joints in in_units.items():
+        yield _in_units(log, joints, *units, kinds)
 
 
 _SLOW, _JOLTS = 0.01, 0.5
@@ -251,8 +259,15 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> float:
     return float(x @ y / np.sqrt((x @ x) * (y @ y)))
 
 
-def _lag(x: np.ndarray, y: np.ndarray, most: int) -> tuple[float, float]:
-    """By how many samples y is behind x, and the correlation there; a parabola refines the peak."""
+def lag_of(x: np.ndarray, y: np.ndarray, most: int) -> tuple[float, float]:
+    """By how many samples, at most, y is behind x, and the correlation there; a parabola refines the peak.
+
+    >>> import numpy as np
+    >>> from jax_inertia.preflight.cross_channel import lag_of
+    >>> x = np.random.default_rng(0).normal(size=200).cumsum()
+    >>> round(lag_of(x[5:], x[:-5], 20)[0])
+    5
+    """
     most = min(most, x.size // 4)
     core = x[most : x.size - most]
     # Each lag correlates the same stretch of x with as long a stretch of y: no lag is favoured.
@@ -272,12 +287,29 @@ def _lag(x: np.ndarray, y: np.ndarray, most: int) -> tuple[float, float]:
     return float(k - most + shift), float(peak)
 
 
-def _degrees(gain: float) -> str | None:
-    if abs(gain * _DEGREE - 1) < 0.1:
-        return "it is in degrees per second, or qpos in turns of a gear; expected rad/s"
-    if abs(gain / _DEGREE - 1) < 0.1:
-        return "qpos is in degrees; expected rad"
-    return None
+def _in_units(
+    log: Log,
+    joints: Sequence[tuple[str, float]],
+    position: Unit,
+    rate: Unit,
+    kinds: Mapping[str, str],
+) -> Finding:
+    """Velocities that are dqpos/dt in another unit; or positions are, which is then what is to be mended."""
+    names = [name for name, _ in joints]
+    text = f"qvel of {', '.join(map(repr, names))} is {joints[0][1]:.4g} times dqpos/dt"
+    if position == SI:
+        return _error("scale", f"{text}: it is in {rate.name}; expected rad/s (m/s)")
+    also = (
+        ""
+        if rate == SI
+        else f" and qvel in {rate.name}, or qvel is of a motor before its gear: leave it out"
+    )
+    of = [kinds.get(name, HINGE) for name in log.joint_names]
+    return _error(
+        "unit",
+        f"{text}: qpos is in {position.name}{also}; expected qpos in rad (m): "
+        f"{conversion(position, names, log.joint_names, of)}",
+    )
 
 
 def _rotate(quat: np.ndarray, x: np.ndarray) -> np.ndarray:

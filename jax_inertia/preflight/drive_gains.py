@@ -55,9 +55,7 @@ def drive_gains(log: Log, robot: Robot) -> tuple[list[float], tuple[Finding, ...
     if max(clarity) < SURE:
         message += f"; known to some {100 / max(clarity):.0f} % only"
     if unsure := [n for n, s in zip(log.joint_names, sure, strict=True) if not s]:
-        message += (
-            f"; {', '.join(unsure)} carry too little to tell, so the others' median stands in"
-        )
+        message += f"; {', '.join(unsure)} carry too little to determine it, so they have the median of the others"
     return gains, (Finding(Severity.WARNING, "drive_gain", message),)
 
 

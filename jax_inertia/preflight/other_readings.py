@@ -8,11 +8,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Bool, Float
 
 from jax_inertia.logs.findings import Finding, Severity
-from jax_inertia.model.robot import HINGE
 from jax_inertia.preflight.compared import Compared, norm
 
 # Gains outside of these are another unit; a drive's own tolerance, and a wrong model's, are within.
@@ -37,8 +35,8 @@ _STRENGTH = 0.15
 _FELT = 0.02
 # Of a differential the products of the direct and of the crossed gains are opposite and about as large.
 _LOWEST_MIX = 1.0 / 3.0
-# Zeros may be off at so many joints.
-_ZEROS = 3
+# A joint without a drive needs less than this of its weight's or its inertia's torque: they balance.
+_PASSIVE = 0.7
 # A torque that is a part of what the model needs, and one that is next to nothing compared with it.
 _PART, _NOTHING = 0.5, 0.15
 
@@ -59,6 +57,19 @@ def error(check: str, message: str) -> Finding:
     return Finding(Severity.ERROR, check, message)
 
 
+def unlogged(c: Compared) -> Iterator[Reading]:
+    """Joints whose torque is 0 throughout, though they do not move as they would without one."""
+    free = norm(c.needed) < _PASSIVE * np.maximum(norm(c.weight), norm(c.inertia))
+    dead = np.flatnonzero(c.judged & ~free & ~np.any(c.raw, axis=0))
+    if len(dead):
+        which = "every joint" if len(dead) == c.judged.sum() else c.called(dead)
+        message = (
+            f"tau of {which} is 0 throughout, and moving so takes a torque: none was logged; log it, "
+            "or leave tau out"
+        )
+        yield Reading(0.0, error("no_torque", message))
+
+
 def gains(c: Compared) -> Iterator[Reading]:
     """One factor for each joint: another unit, a gear's other side, a sign."""
     gain = c.gains
@@ -74,7 +85,9 @@ def gains(c: Compared) -> Iterator[Reading]:
     turned = np.array([j for j in np.flatnonzero(c.judged) if LOW < -gain[j] < HIGH], int)
     if len(turned):
         factor = np.where(np.isin(np.arange(len(gain)), turned), -1.0, 1.0)
-        which = "every joint" if len(turned) == c.judged.sum() else c.called(turned)
+        right = np.any((gain > LOW) & c.judged)
+        which = c.called(turned) if right else "every joint"
+        factor = factor if right else np.full(len(gain), -1.0)
         message = (
             f"tau of {which} is minus what the model needs (factor {np.median(gain[turned]):.2f}): its sign is turned, "
             "or it is the load's torque and not the motor's; turn the sign of tau: --tau-unit turned --gains -1 (1 for "
@@ -96,6 +109,21 @@ def gains(c: Compared) -> Iterator[Reading]:
                 yield Reading(float(np.mean(fits[where])), error("unit", message))
 
 
+def own_gains(c: Compared) -> Iterator[Reading]:
+    """Another factor at each joint: currents or counts of different drives."""
+    where = np.flatnonzero(c.carrying if c.carrying.any() else c.judged)
+    g = c.gains[where]
+    left = c.tau - c.needed * c.gains
+    strange = np.any((np.abs(g) < LOW) | (np.abs(g) > HIGH))
+    if (
+        len(where) > 1
+        and strange
+        and c.left_of_torque(left, where) < FITS
+        and not _is_load(c, where)
+    ):
+        yield Reading(float(np.mean(c.missed(left)[where])), _unit(g))
+
+
 def _is_load(c: Compared, where: np.ndarray) -> bool:
     """Whether a load that somebody may hang there explains torques that are larger than the model's."""
     missing = c.tau - c.needed
@@ -108,18 +136,20 @@ def _unit(gain: np.ndarray) -> Finding:
     middle = float(np.median(gain))
     alike = bool(np.ptp(gain) < _ALIKE * abs(middle))
     span = f"{middle:.4g}" if alike else f"{gain.min():.2g} to {gain.max():.2g}"
-    if np.all(np.abs(gain) > _UNITS):
+    if alike and LOW < middle / 1000.0 < HIGH:
+        ask = "N mm? give --tau-unit mNm --gains 0.001; or masses of the model in another unit? correct the model"
+    elif alike and abs(middle) > _UNITS:
         ask = (
-            f"N mm, or masses of the model in another unit? give --tau-unit mNm --gains {1 / middle:.3g}, or mend the "
-            "model"
+            "masses of the model in another unit? correct the model; or another unit of torque? give --tau-unit other "
+            f"--gains {1 / middle:.3g}"
         )
     elif alike:
         ask = (
             f"the motor's side of a gear of {1 / middle:.3g}? give --tau-unit motor --gains {1 / middle:.4g}; or "
-            "motor currents? give --tau-unit A"
+            "currents of motors? give --tau-unit A"
         )
     else:
-        ask = "motor currents? give --tau-unit A"
+        ask = "currents or counts of motors? give --tau-unit A (or counts)"
     return error(
         "unit",
         f"tau is {span} times what the model needs, at every joint that carries: not N m of the joint; {ask}",
@@ -142,26 +172,6 @@ def weightless(c: Compared) -> Iterator[Reading]:
         )
         plain = c.left_beside_load(c.tau - c.needed, c.carrying)
         yield Reading(left, error("gravity", message), plain)
-
-
-def order(c: Compared) -> Iterator[Reading]:
-    """Columns of torque that go in another order than the joints."""
-    parts, n = c.parts, len(c.parts.names)
-    if n < 2:
-        return
-    seen = np.stack([parts.one(c.raw, j) for j in range(n)], axis=1)
-    off = np.sum((seen - c.needed[:, :, None]) ** 2, axis=0)
-    size = np.maximum(np.sum(seen**2, axis=0), np.sum(c.needed**2, axis=0)[:, None])
-    cost = off / np.maximum(size, 1e-300) * np.where(c.judged, 1.0, 1e-3)[:, None]
-    joint, column = scipy.optimize.linear_sum_assignment(cost)
-    moved = [(j, k) for j, k in zip(joint, column, strict=True) if j != k and c.judged[j]]
-    if not moved or np.any([cost[j, k] > FITS for j, k in moved]):
-        return
-    text = "; ".join(
-        f"tau of {parts.names[k]!r} is what {parts.names[j]!r} needs" for j, k in moved
-    )
-    message = f"{text}: columns go in the order of joint_names"
-    yield Reading(c.left(c.needed, seen[:, joint, column]), error("order", message))
 
 
 def inertia_unit(c: Compared) -> Iterator[Reading]:
@@ -261,53 +271,6 @@ def _mixed(matrix: np.ndarray) -> bool:
     """Whether two motors drive two joints about alike, together one and against each other the other."""
     direct, crossed = matrix[0, 0] * matrix[1, 1], matrix[0, 1] * matrix[1, 0]
     return bool(direct * crossed < 0 and _LOWEST_MIX < abs(crossed / direct) < 1.0 / _LOWEST_MIX)
-
-
-def motion(c: Compared) -> Iterator[Reading]:
-    """Positions in degrees, axes turned, zeros off by a quarter or half a turn."""
-    parts, n = c.parts, len(c.parts.names)
-    kinds = dict(zip(parts.robot.joint_names, parts.robot.joint_type, strict=True))
-    hinge = np.array([kinds[name] == HINGE for name in parts.names])
-    ones, zeros = np.ones(n), np.zeros(n)
-    if hinge.any():
-        needed = parts.moved(np.where(hinge, np.pi / 180.0, 1.0), zeros)
-        message = "torques fit the motion if qpos is in degrees; expected rad: jax-inertia convert --degrees"
-        yield Reading(c.left(needed), error("degrees", message))
-    for j in range(n):
-        turned = np.where(np.arange(n) == j, -1.0, 1.0)
-        needed = parts.moved(turned, zeros)
-        name = parts.names[j]
-        message = (
-            f"torques fit the motion if {name!r} runs the other way: its axis is turned in the model, or qpos and tau "
-            "in the log; turn the sign of both"
-        )
-        yield Reading(c.left(needed, c.tau * turned), error("axis", message), searched=True)
-        message = f"torques fit the motion if qpos of {name!r} has the other sign; turn it"
-        yield Reading(c.left(needed), error("axis", message), searched=True)
-    yield from _zeros(c, ones, hinge)
-
-
-def _zeros(c: Compared, ones: np.ndarray, hinge: np.ndarray) -> Iterator[Reading]:
-    offset, best = np.zeros(len(ones)), c.left_beside_load(c.tau - c.needed)
-    for _ in range(_ZEROS):
-        tried = [
-            np.where(np.arange(len(ones)) == j, turn, offset)
-            for j in np.flatnonzero(hinge & (offset == 0)).tolist()
-            for turn in (0.5 * np.pi, -0.5 * np.pi, np.pi)
-        ]
-        needed = [c.parts.moved(ones, x) for x in tried]
-        left = [c.left_beside_load(c.tau - x) for x in needed]
-        # One that is off more must help.
-        if not left or min(left) > 0.5 * best:
-            return
-        least = int(np.argmin(left))
-        best, offset = left[least], tried[least]
-        text = ", ".join(
-            f"{np.degrees(offset[j]):+.0f}° ({offset[j]:+.4f} rad) at {c.parts.names[j]}"
-            for j in np.flatnonzero(offset)
-        )
-        message = f"torques fit the motion if the zero of qpos is elsewhere: add {text}"
-        yield Reading(c.left(needed[least]), error("zero", message), searched=True)
 
 
 def mount(c: Compared) -> Iterator[Reading]:

@@ -18,7 +18,9 @@ from jax_inertia.logs.schema import check_time
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight import cross_channel as consistency
 from jax_inertia.preflight import single_channel as channels
-from jax_inertia.preflight.against_model import against_model
+from jax_inertia.preflight.against_model import judged
+from jax_inertia.preflight.joint_ranges import impossible_motion, joint_ranges
+from jax_inertia.preflight.position_targets import position_targets
 from jax_inertia.signals.filtering import gap_limit, mask
 from jax_inertia.text.closest_names import listed, suggestion
 
@@ -31,7 +33,7 @@ _SLOWEST, _FASTEST = 10.0, 2e4
 _NO_MOTION = 0.5
 NO_TORQUE = (
     "the log has no torque (tau), which this needs; of a position-controlled robot, `jax-inertia diagnose` and "
-    "`jax-inertia replay` go by qpos_target and qpos alone"
+    "`jax-inertia replay` need only qpos_target and qpos"
 )
 """What who needs torque says of a log without."""
 
@@ -52,6 +54,8 @@ class Preflight(eqx.Module):
     """The findings on one log, the gravest first."""
 
     findings: tuple[Finding, ...] = eqx.field(static=True)
+    confirmed: bool = eqx.field(static=True, default=False)
+    """Whether the log's torque shows that its positions are what the model takes them for."""
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """The findings of one severity."""
@@ -104,11 +108,36 @@ def preflight(log: Log, robot: Names | None = None, fixed: Sequence[str] = ()) -
         # Absurd values may overflow; what is then not a number fails its check's comparison.
         with np.errstate(all="ignore"):
             findings += list(_values(log, time, robot))
-    sound = not any(finding.severity is Severity.ERROR for finding in findings)
+    # Counts of an encoder are a unit of which the model's torque knows more.
+    sound = all(f.severity is not Severity.ERROR or f.check == "counts" for f in findings)
+    confirmed = False
     if sound and not fixed and isinstance(robot, Robot):
-        findings += against_model(log, robot)
+        findings, confirmed = _with_model(findings, log, robot)
     order = list(Severity)
-    return Preflight(tuple(sorted(findings, key=lambda finding: order.index(finding.severity))))
+    findings = sorted(findings, key=lambda finding: order.index(finding.severity))
+    return Preflight(tuple(findings), confirmed)
+
+
+def _with_model(findings: list[Finding], log: Log, robot: Robot) -> tuple[list[Finding], bool]:
+    """The findings with those of a comparison with the model: of its torque, or else of its joints' ranges.
+
+    And whether the torque confirms the positions.
+    """
+    found, confirmed = judged(log, robot)
+    if confirmed:
+        findings = [f for f in findings if f.check != "degrees"]
+    more = [*found]
+    if not (confirmed or found or any(f.check == "counts" for f in findings)):
+        more += joint_ranges(log, robot)
+        if not more:
+            more += impossible_motion(log, robot)
+    if any(f.severity is Severity.ERROR and f.check in POSITIONS for f in more):
+        findings = [f for f in findings if f.check not in ("counts", "degrees")]
+    return [*findings, *more], confirmed
+
+
+POSITIONS = ("counts", "degrees", "unit", "range", "order")
+"""Checks of the comparison that say in which unit, and in whose column, positions are."""
 
 
 def require_usable(
@@ -148,11 +177,16 @@ def _values(log: Log, time: np.ndarray, robot: Names | None) -> Iterator[Finding
     yield from channels.frozen(log, time)
     yield from channels.repeated(log, time)
     yield from channels.saturated(log, time)
+    yield from channels.registers(log)
     yield from channels.spikes(log, time)
     yield from channels.degrees(log, kinds)
     yield from channels.wrapped(log, time, kinds)
     yield from channels.still(log)
-    yield from consistency.velocity(log, time)
+    for finding in position_targets(log, kinds):
+        # Who has torque need not know what the targets are.
+        grave = finding.severity is Severity.ERROR and log.tau is None
+        yield finding if grave else finding._replace(severity=Severity.WARNING)
+    yield from consistency.velocity(log, time, kinds)
     yield from consistency.quaternion(log)
     yield from consistency.base_frames(log, time)
     yield from consistency.accelerometer(log)
@@ -247,7 +281,7 @@ def _base(log: Log, floating: str | None) -> Iterator[Finding]:
     if log.base_pos is not None or log.contact_wrench is not None:
         unused += [n for n in ("contact_force", "contact_flag") if getattr(log, n) is not None]
     if unused:
-        message = f"read and not used, for the log holds better: {listed(unused)}"
+        message = f"read and not used, since the log holds better data: {listed(unused)}"
         yield Finding(Severity.NOTE, "unused", message)
 
 

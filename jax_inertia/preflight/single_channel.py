@@ -13,6 +13,8 @@ _MANY_NAN = 0.2
 _FROZEN_SECONDS, _FROZEN_SAMPLES = 0.5, 20
 _REPEATED_SHARE = 0.02
 _CLIPPED_RUN, _CLIPPED_SAMPLES, _CLIPPED_PILE = 3, 10, 3
+# From a register's end to its beginning a value jumps by less than its motion from sample to sample; in shares of it.
+_WRAPPED = 0.1
 _SPIKE_LEAST = {"qpos": 5e-3, "qvel": 5e-2, "tau": 0.0}
 _STILL, _MOVED = 1e-3, 1e-2
 
@@ -76,7 +78,7 @@ def repeated(log: Log, time: np.ndarray) -> Iterator[Finding]:
     if share > max(_REPEATED_SHARE, 5 * np.prod(same.mean(axis=0))):
         message = (
             f"{100 * share:.0f} % of the rows repeat the row before in every channel while the "
-            "robot moves; the logger outruns the robot, or stalls: log fresh samples only"
+            "robot moves; the logger is faster than the robot's samples, or stalls: log fresh samples only"
         )
         yield Finding(Severity.WARNING, "repeated", message)
 
@@ -105,6 +107,22 @@ def saturated(log: Log, time: np.ndarray) -> Iterator[Finding]:
                 yield Finding(Severity.WARNING, "saturated", message)
 
 
+def registers(log: Log) -> Iterator[Finding]:
+    """Signed values in a register read without its sign: they jump by all that it holds, and by nothing near it."""
+    for label, x in _columns(log, ("qpos", "qvel", "tau")):
+        step = quantum(x)
+        change = np.abs(np.diff(x))
+        for bits in (16, 32):
+            whole = step * (1 << bits)
+            jumps = np.abs(change - whole) < _WRAPPED * whole
+            if whole and jumps.any() and np.all(change[~jumps] < _WRAPPED * whole):
+                message = (
+                    f"{label} jumps by {whole:.6g} about 0, {jumps.sum()} times: a register of {bits} bits without its "
+                    f"sign (two's complement); subtract {whole:.6g} from what is above {0.5 * whole:.6g}"
+                )
+                yield Finding(Severity.ERROR, "register", message)
+
+
 def spikes(log: Log, time: np.ndarray) -> Iterator[Finding]:
     """Single samples far off both neighbours, measured by the channel's usual changes."""
     for array, least in _SPIKE_LEAST.items():
@@ -124,6 +142,15 @@ def spikes(log: Log, time: np.ndarray) -> Iterator[Finding]:
 def degrees(log: Log, scalar_kinds: dict[str, str]) -> Iterator[Finding]:
     """Positions of hinges beyond two turns: degrees, or a joint that really turns on."""
     qpos = np.asarray(log.qpos)
+    whole = np.all(qpos == np.round(qpos), axis=0) & (np.ptp(qpos, axis=0) > 4 * np.pi)
+    counted = [name for name, w in zip(log.joint_names, whole, strict=True) if w]
+    if counted:
+        message = (
+            f"qpos of {', '.join(counted)} are whole numbers over more than two turns: counts of an encoder; expected "
+            "rad: jax-inertia convert --position-scale (rad of a count) --position-zero (its zero)"
+        )
+        yield Finding(Severity.ERROR, "counts", message)
+        return
     far = [
         f"{name!r} ({qpos[:, j].min():.4g} to {qpos[:, j].max():.4g})"
         for j, name in enumerate(log.joint_names)

@@ -10,17 +10,18 @@ inner products alone.
 """
 
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jax_inertia.dynamics import rigid_body
 from jax_inertia.logs.log import Log
-from jax_inertia.model.robot import Robot
+from jax_inertia.model.robot import HINGE, Robot
 from jax_inertia.signals.bands import ESTIMATE
 from jax_inertia.signals.differences import central_differences
 from jax_inertia.signals.filtering import low_pass, mask, resample
@@ -55,14 +56,6 @@ class Parts:
     used: Bool[np.ndarray, "R n"]
     friction: tuple[np.ndarray, ...]
     """An orthonormal basis of each joint's offset, rotor inertia, dry and viscous friction (R, 4), in that order."""
-    direction: Float[np.ndarray, " 3"]
-    """Of the model's gravity [m/s²]."""
-    gravity: Float[np.ndarray, "R n 3"]
-    """Torque against 1 m/s² of gravity along each axis of the world."""
-    inertia: Float[np.ndarray, "R n"]
-    """Inertial and spring torques."""
-    load: Float[np.ndarray, "R n masses"]
-    """Torque against each of some point masses of 1 kg at the robot's ends."""
     motion: tuple[np.ndarray, np.ndarray, np.ndarray]
     """q, v, a of the rows."""
     robot: Robot
@@ -70,6 +63,63 @@ class Parts:
     """Each joint's row of the equations of motion."""
     places: np.ndarray
     """Each joint's place in q."""
+    kp: Float[np.ndarray, " n"] | None = None
+    """Gains of the position loop whose torque it is [N m/rad]; None of a torque that was logged."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What the joints are: hinge, slide."""
+        return tuple(self.robot.joint_kinds[name] for name in self.names)
+
+    @property
+    def hinges(self) -> Bool[np.ndarray, " n"]:
+        """Which joints are hinges."""
+        return np.array([kind == HINGE for kind in self.kinds])
+
+    @property
+    def direction(self) -> Float[np.ndarray, " 3"]:
+        """The model's gravity [m/s²]."""
+        return np.asarray(self.robot.gravity)
+
+    @functools.cached_property
+    def gravity(self) -> Float[np.ndarray, "R n 3"]:
+        """Torque against 1 m/s² of gravity along each axis of the world."""
+        return _against_gravity(self.robot, self.motion[0])[:, self.rows]
+
+    @functools.cached_property
+    def inertia(self) -> Float[np.ndarray, "R n"]:
+        """Inertial and spring torques."""
+        # Made by NumPy: each small operation of jax would be compiled for itself.
+        weightless = dataclasses.replace(self.robot, gravity=jnp.asarray(np.zeros(3)))
+        return _needed(weightless, *self.motion)[:, self.rows]
+
+    @functools.cached_property
+    def load(self) -> Float[np.ndarray, "R n masses"]:
+        """Torque against each of some point masses of 1 kg at the robot's ends."""
+        robot, ends = self.robot, carriers(self.robot)
+        half = min(_SHARE * reach(robot), _REACH)
+        regressor = _on_rows(_regressor(ends), robot, *self.motion)[:, self.rows]
+        each = [
+            regressor[:, :, k] @ _points(_centre(robot, body), half).T
+            for k, body in enumerate(ends)
+        ]
+        return np.concatenate(each, axis=-1)
+
+    def reordered(self, motion: Sequence[int], torque: Sequence[int]) -> "Parts":
+        """The same log if joint j moves as column `motion[j]` says, by the torque of column `torque[j]`."""
+        motion = list(motion)
+        moved = []
+        for x, at in zip(self.motion, (self.places, self.rows, self.rows), strict=True):
+            x = np.array(x)
+            x[:, at] = x[:, at[motion]]
+            moved.append(x)
+        return dataclasses.replace(
+            self,
+            torque=self.torque[:, list(torque)],
+            used=self.used[:, motion],
+            friction=tuple(self.friction[k] for k in motion),
+            motion=(moved[0], moved[1], moved[2]),
+        )
 
     @property
     def weight(self) -> Float[np.ndarray, "R n"]:
@@ -110,6 +160,17 @@ class Parts:
         a[:, self.rows] *= scale
         return self.less_friction(_needed(self.robot, q, v, a)[:, self.rows])
 
+    def at(
+        self, scale: Float[np.ndarray, " n"], offset: Float[np.ndarray, " n"] | None = None
+    ) -> "Parts":
+        """The same log if its joints are at scale · position + offset; a loop's torque, kp (q* − q), scales along."""
+        q, v, a = (np.array(x) for x in self.motion)
+        q[:, self.places] = q[:, self.places] * scale + (0.0 if offset is None else offset)
+        v[:, self.rows] *= scale
+        a[:, self.rows] *= scale
+        torque = self.torque if self.kp is None else self.torque * scale
+        return dataclasses.replace(self, motion=(q, v, a), torque=torque)
+
     def forces(self) -> Iterator[Float[np.ndarray, "R n 3"]]:
         """Torque, less friction, against 1 N along each axis of the world at each moving body's centre of mass."""
         q, bare = self.motion[0], _bare(self.robot)
@@ -118,15 +179,16 @@ class Parts:
             yield self.less_friction(_against_gravity(one, q)[:, self.rows])
 
 
-def parts(log: Log, robot: Robot) -> Parts | None:
+def parts(log: Log, robot: Robot, *, kp: Float[np.ndarray, " n"] | None = None) -> Parts | None:
     """The parts of a log's torque; None where the log does not show them: contacts, a base that floats, little motion.
 
-    Log and robot are such as `preflight` passes.
+    Log and robot are such as `preflight` passes; `kp`: gains of the position loop by which its torque was computed from
+    its targets.
     """
     touched = log.contact_wrench is not None or bool(log.contact_bodies)
     if robot.has_free_base or touched or not all(robot.topology.dof_scalar):
         return None
-    if log.rate < FASTER and position_loop(mask(log).log) is not None:
+    if kp is None and log.rate < FASTER and position_loop(mask(log).log) is not None:
         # Rebuilt from targets: what is off may be the loop's.
         return None
     bands = ESTIMATE.at(round(log.rate, 6))
@@ -144,7 +206,6 @@ def parts(log: Log, robot: Robot) -> Parts | None:
     margin = edge + min(int(LAG * bands.grid), grid // 10)
     index = np.linspace(margin, grid - 1 - margin, min(ROWS, grid - 2 * margin)).astype(int)
     q, v, a = (np.asarray(x)[index] for x in (motion.q, motion.v, observation.a))
-    gravity, inertia, load = _columns(robot, q, v, a)
     speed, quick = v[:, rows], np.percentile(np.abs(np.asarray(motion.v)[:, rows]), 95, axis=0)
     used = np.asarray(motion.valid)[index][:, rows] & (np.abs(speed) > _SLOW * quick)
     used &= (quick > _STANDS) & (used.sum(axis=0) >= min(_FEW, len(index) // 4))
@@ -162,26 +223,12 @@ def parts(log: Log, robot: Robot) -> Parts | None:
         np.asarray(motion.tau)[:, rows],
         used,
         tuple(friction),
-        np.asarray(robot.gravity),
-        gravity[:, rows],
-        inertia[:, rows],
-        load[:, rows],
         (q, v, a),
         robot,
         rows,
         places,
+        kp,
     )
-
-
-def _columns(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Gravity (R, nv, 3), inertia (R, nv), load (R, nv, masses) of some moments, at most `ROWS`."""
-    # Made by NumPy: each small operation of jax would be compiled for itself.
-    inertia = _needed(dataclasses.replace(robot, gravity=jnp.asarray(np.zeros(3))), q, v, a)
-    bare, load = _bare(robot), []
-    for body in carriers(robot):
-        for point in _points(_centre(robot, body), min(_SHARE * reach(robot), _REACH)):
-            load.append(_needed(_with_masses(bare, body, point), q, v, a))
-    return _against_gravity(robot, q), inertia, np.stack(load, axis=-1)
 
 
 def _against_gravity(robot: Robot, q: np.ndarray) -> Float[np.ndarray, "R nv 3"]:
@@ -212,24 +259,39 @@ def _needed(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Float[
     """Torque that the model needs without its dry and viscous friction."""
     none = jnp.asarray(np.zeros(robot.nv))
     robot = dataclasses.replace(robot, frictionloss=none, damping=none)
+    return _on_rows(_torque, robot, q, v, a)
+
+
+def _on_rows(
+    function: Callable[..., Array], robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> Float[np.ndarray, "R ..."]:
+    """A compiled function of a robot and `ROWS` samples, on no more than so many."""
     count = len(q)
     padded = [np.concatenate([x, np.repeat(x[-1:], ROWS - count, axis=0)]) for x in (q, v, a)]
-    return np.asarray(_compiled(robot, *padded))[:count]
+    return np.asarray(function(robot, *padded))[:count]
 
 
-# Run in a few milliseconds; compiling with all optimisation takes far longer.
-_QUICK = {"xla_backend_optimization_level": 0}
+def _compiled(function: Callable[..., Array]) -> Callable[..., Array]:
+    """`function` of a robot, q, v and a, compiled for a row of samples.
+
+    It runs in a few milliseconds; to compile it with all optimisation takes far longer.
+    """
+    return eqx.filter_jit(  # pyright: ignore[reportCallIssue]
+        jax.vmap(function, in_axes=(None, 0, 0, 0)),
+        compiler_options={"xla_backend_optimization_level": 0},
+    )
 
 
-def _of_samples(robot: Robot, q, v, a):
-    def one(q, v, a):
-        passive = rigid_body.passive_torque(robot, q, v)
-        return rigid_body.inverse_dynamics(robot, q, v, a) - passive
-
-    return jax.vmap(one)(q, v, a)
+@_compiled
+def _torque(robot: Robot, q: Array, v: Array, a: Array) -> Array:
+    passive = rigid_body.passive_torque(robot, q, v)
+    return rigid_body.inverse_dynamics(robot, q, v, a) - passive
 
 
-_compiled = eqx.filter_jit(_of_samples, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
+@functools.cache
+def _regressor(bodies: tuple[int, ...]) -> Callable[..., Array]:
+    """The same of some bodies' inertial parameters (nv, bodies, 10): a torque is linear in them."""
+    return _compiled(functools.partial(rigid_body.torque_regressor, bodies=bodies))
 
 
 def reach(robot: Robot) -> float:

@@ -1,0 +1,84 @@
+"""Positions against what a model's joints can do: their ranges, and how fast links of that mass can be moved."""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.logs.log import Log, TorqueUnit
+from jax_inertia.model.robot import HINGE, Robot
+from jax_inertia.preflight.torque_parts import parts, reach
+from jax_inertia.preflight.units import POSITIONS, Unit, conversion
+
+# Positions of hinges beyond so much are no angle, unless they turn on: two turns [rad].
+FAR = 4.0 * np.pi
+# No drive moves its own links with so many times their weight at the robot's whole reach: an arm that throws, 20 rad/s
+# at 1 m, needs 40 in its own plane.
+_HARDEST = 50.0
+# Samples of a log that are no more than stray ones.
+_HARDLY = 0.05
+# A range is stated to a tenth of itself.
+_ROOM = 0.1
+
+
+def joint_ranges(log: Log, robot: Robot) -> Iterator[Finding]:
+    """Joints that are out of the model's range as logged, and in it with the other sign or in another unit."""
+    ranges = dict(zip(robot.joint_names, robot.joint_range, strict=True))
+    kinds = [robot.joint_kinds[name] for name in log.joint_names]
+    for j, (name, kind) in enumerate(zip(log.joint_names, kinds, strict=True)):
+        low, high = ranges[name]
+        q = np.asarray(log.qpos, float)[:, j]
+        q = q[np.isfinite(q)]
+        if not np.isfinite(high - low) or not q.size or _inside(q, low, high) > _HARDLY:
+            continue
+        hinge = kind == HINGE
+        for unit in (_TURNED, *POSITIONS[hinge]):
+            if _inside(unit.size * q, low, high) > 1.0 - _HARDLY:
+                said = f"read as {unit.name}"
+                if unit is _TURNED:
+                    said = unit.name
+                    way = "turn the sign of its qpos, qvel and qpos_target in the log, or the joint in the model"
+                else:
+                    names = log.joint_names if hinge and set(kinds) == {HINGE} else (name,)
+                    way = conversion(unit, names, log.joint_names, kinds)
+                message = (
+                    f"qpos of {name!r} goes from {q.min():.3g} to {q.max():.3g}, out of the model's range "
+                    f"[{low:.3g}, {high:.3g}] {'rad' if hinge else 'm'}, and {said} it is in it: {way}"
+                )
+                yield Finding(Severity.ERROR, "range", message)
+                break
+
+
+def impossible_motion(log: Log, robot: Robot) -> Iterator[Finding]:
+    """Hinges beyond two turns whose links would need torques that no drive has."""
+    q = np.asarray(log.qpos, float)
+    none = np.zeros_like(q)
+    bare = dataclasses.replace(
+        log, qvel=None, tau=none, tau_unit=TorqueUnit.NEWTON_METRE, tau_unit_text=""
+    )
+    if (
+        not np.nanmax(np.abs(q), initial=0.0) > FAR
+        or (p := parts(bare, robot, kp=np.ones(q.shape[1]))) is None
+    ):
+        return
+    # Friction is free, and with it a rotor's inertia: what turns about its own axis may turn fast.
+    needed = np.sqrt(np.mean(p.less_friction(p.weight + p.inertia) ** 2, axis=0)).max()
+    times = float(needed) / (9.81 * float(np.asarray(robot.pi)[:, 0].sum()) * reach(robot))
+    if times > _HARDEST:
+        message = (
+            f"qpos cannot be rad: to move so, the robot would need {times:.2g} times its weight at its whole reach. "
+            "Degrees: jax-inertia convert --degrees; counts of an encoder: jax-inertia convert --position-scale (rad "
+            "of one) --position-zero (its zero)"
+        )
+        yield Finding(Severity.ERROR, "unit", message)
+
+
+_TURNED = Unit("with its sign turned", -1.0)
+
+
+def _inside(q: Float[np.ndarray, " T"], low: float, high: float) -> float:
+    """Share of positions that are in a range, give or take a tenth of it."""
+    room = _ROOM * (high - low)
+    return float(np.mean((q > low - room) & (q < high + room)))
