@@ -14,8 +14,8 @@ from jaxtyping import Float
 from scipy.stats import norm
 
 from jax_inertia.diagnosis.checks import rms, rows
+from jax_inertia.diagnosis.corrected.intervals import reported
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import reported
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 

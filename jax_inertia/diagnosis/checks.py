@@ -1,24 +1,26 @@
-"""Predictive checks, never fitted: the residual of a run that played no part, and ties between hypotheses."""
+"""Predictive checks, never fitted: the residual of rows, or of a run, that played no part."""
 
 import abc
 import dataclasses
+import functools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, excluded, hypothesis
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere, hypothesis
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.search import sensor_noise
-from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
+from jax_inertia.diagnosis.search.best_numbers import at_best
 from jax_inertia.diagnosis.search.candidates import pushes
 from jax_inertia.diagnosis.search.discrepancy import SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior, scaled
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.verdict import Errors
 from jax_inertia.logs.schema import TorqueKind
+from jax_inertia.maths.sample_weight import odds_within
 
 PASSING = frozenset({"push"})
 """Effects that happen once: on another run they are not there."""
@@ -28,31 +30,22 @@ PASSING = frozenset({"push"})
 class Check:
     """Residual torque of a run [N m], rms over moving rows, before and after the effects."""
 
+    errors: Errors
+    """Of each row: floor, before and after, and what is stated of their discrepancy."""
     before: float
-    ordinary: float
-    """With the ordinary effects alone, refitted."""
     after: float
     noise: float
     """Of the sensors, as stated or from samples, and of motors that miss their commands (`noise_of`)."""
-    per_joint_before: Float[np.ndarray, " n"]
-    per_joint_after: Float[np.ndarray, " n"]
     left: Float[np.ndarray, "R n"]
     """Residual after, along time."""
-    expected: Float[np.ndarray, " n"]
-    """What the sensors' noise and the equations' own errors leave of each row."""
-    interval: tuple[float, float] = (0.0, 1.0)
-    """95 % interval of 1 − after / before."""
+    weight: Float[np.ndarray, "R n"]
 
-    @property
-    def excess(self) -> Float[np.ndarray, " n"]:
-        """Residual of each row over what is expected of it."""
-        return self.per_joint_after / np.maximum(self.expected, 1e-12)
-
-    @property
-    def after_excess(self) -> float:
-        """Residual of all rows over what is expected of them."""
-        whole = np.sqrt(np.mean([self.per_joint_after**2, self.expected**2], axis=1))
-        return float(whole[0] / max(whole[1], 1e-12))
+    def odds_within(self, limit: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+        """Log odds of each row that moves that its error is within a limit [nats]."""
+        moves, counted = self.errors.moves, self.weight > 0
+        scale = np.sqrt(counted.sum(axis=0) / np.maximum(self.weight.sum(axis=0), 1e-9))
+        e = np.where(counted, scale * np.sqrt(self.weight) * self.left, np.nan)
+        return odds_within(e[:, moves], limit[moves])
 
     @property
     def unexplained(self) -> float:
@@ -78,8 +71,14 @@ class _Run(abc.ABC):
     @abc.abstractmethod
     def covariances(
         self, now: Posterior
-    ) -> Iterator[tuple[Bool[np.ndarray, " R"], Float[np.ndarray, "p p"]]]:
+    ) -> Iterator[tuple[Bool[np.ndarray, "R n"], Float[np.ndarray, "p p"]]]:
         """Rows that are predicted by one fit, and the covariance of its numbers."""
+
+    @abc.abstractmethod
+    def parts(
+        self, weight: Float[np.ndarray, "S n"]
+    ) -> Iterator[tuple[Float[np.ndarray, "S n"], Bool[np.ndarray, "R n"]]]:
+        """Weights of the log's rows that one fit sees, of `weight`, and rows of this run that it predicts."""
 
     def error(self, now: Posterior) -> float:
         """Residual after, rms over moving rows [N m]."""
@@ -104,17 +103,22 @@ class _Run(abc.ABC):
         variance); Nⱼ: rows; mⱼ: how many of them tell as much as one, of the residual without it, since a slow
         discrepancy may be in its place (`SlowNoise.repeated`).
         """
-        weight, out = self.residual.weight, []
-        least = np.maximum(self.residual.sensors, 1e-12)
-        after = np.maximum(rows(self.left(now), weight), least)
-        for left in self.left_without(now, asked):
-            before = np.maximum(rows(left, weight), least)
-            each = zip(weight.T, (left / before).T, strict=True)
-            repeated = np.array([SlowNoise(w).likeliest(x).repeated for w, x in each])
-            out.append(float(np.sum(weight.sum(axis=0) / repeated * np.log(before / after))))
-        return out
+        after = self.left(now)
+        return [self._likelier(after, left) for left in self.left_without(now, asked)]
 
-    def expected(self, now: Posterior) -> Float[np.ndarray, " n"]:
+    def ahead(self, now: Posterior, other: Posterior) -> float:
+        """By how much rows its numbers were not fitted to are likelier by one posterior than by another, nats."""
+        return self._likelier(self.left(now), self.left(other))
+
+    def _likelier(self, after: Float[np.ndarray, "R n"], before: Float[np.ndarray, "R n"]) -> float:
+        """Σⱼ (Nⱼ / mⱼ) ln(σⱼ⁻ / σⱼ) of two residuals, mⱼ of the latter (`support`) [nats]."""
+        weight, least = self.residual.weight, np.maximum(self.residual.sensors, 1e-12)
+        own, other = (np.maximum(rows(x, weight), least) for x in (after, before))
+        each = zip(weight.T, (before / other).T, strict=True)
+        repeated = np.array([SlowNoise(w).likeliest(x).repeated for w, x in each])
+        return float(np.sum(weight.sum(axis=0) / repeated * np.log(other / own)))
+
+    def discrepancy(self, now: Posterior) -> Float[np.ndarray, " n"]:
         """Rms of each row that a right set of effects leaves on top of this run's noise [N m].
 
         Errors of the effects' own equations, and what is not known of all numbers, diag(A C Aᵀ): what the first run
@@ -122,14 +126,12 @@ class _Run(abc.ABC):
         """
         own = tuple(h for h in now.chosen if h.effect.of_log)
         lasting = tuple(h for h in now.chosen if h.family not in PASSING and h not in own)
-        there = tuple(elsewhere(h, self.residual) for h in lasting)
-        whole = np.ones_like(self.residual.y)
-        columns = scaled(there, whole).reshape(*whole.shape, -1)
+        columns = self._columns(tuple(elsewhere(h, self.residual) for h in lasting))
         parts = map(now.part, lasting)
         at = np.array([k for p in parts for k in range(p.start, p.stop)], int)
         # Of numbers that each log has its own of, the prior is all that is known.
         anew = tuple(hypothesis(self.residual, h.effect, h.place, h.shape, h.odds) for h in own)
-        variance = np.sum(scaled(anew, whole).reshape(*whole.shape, -1) ** 2, axis=-1)
+        variance = np.sum(self._columns(anew) ** 2, axis=-1)
         for rows_of_it, covariance in self.covariances(now):
             of_it = columns[rows_of_it]
             variance[rows_of_it] += np.sum((of_it @ covariance[np.ix_(at, at)]) * of_it, axis=-1)
@@ -137,29 +139,34 @@ class _Run(abc.ABC):
         variance += np.sum(by_form, axis=0)
         return rows(np.sqrt(variance), self.residual.weight)
 
-    def check(self, ordinary: Posterior, whole: Posterior) -> Check:
-        """Before, with the ordinary effects, after."""
+    def _columns(self, there: tuple[Hypothesis, ...]) -> Float[np.ndarray, "R n p"]:
+        """Columns of several effects on all rows of this run, per prior standard deviation [N m]."""
+        whole = np.ones_like(self.residual.y)
+        return scaled(there, whole).reshape(*whole.shape, -1)
+
+    def check(self, now: Posterior, left: Float[np.ndarray, "R n"]) -> Check:
+        """Before, and after what is handed over, which leaves `left` [N m]."""
         y, weight = self.residual.y, self.residual.weight
-        left = self.left(whole)
-        noise = noise_of(self.residual, left)
-        return Check(
-            rms(y, weight),
-            self.error(ordinary),
-            rms(left, weight),
-            rms(np.broadcast_to(noise, y.shape), weight),
+        noise = np.broadcast_to(noise_of(self.residual, left), (y.shape[1],))
+        errors = Errors(
+            tuple(self.residual.context.row_names),
+            noise,
             rows(y, weight),
             rows(left, weight),
-            left,
-            np.hypot(noise, self.expected(whole)),
-            _interval(weight * y**2, weight * left**2),
+            weight.sum(axis=0) >= LEAST_ROWS,
+            self.discrepancy(now),
         )
+        every = rms(np.broadcast_to(noise, y.shape), weight)
+        return Check(errors, rms(y, weight), rms(left, weight), every, left, weight)
 
 
+LEAST_ROWS = 20
+"""Moving rows of a joint from which they say something of it: five for each of its four ordinary numbers."""
 STRETCHES, DRAWS = 20, 1000
 """Of a run, drawn again with replacement, and how often."""
 
 
-def _interval(
+def shrink_interval(
     before: Float[np.ndarray, "R n"], after: Float[np.ndarray, "R n"]
 ) -> tuple[float, float]:
     """95 % interval of 1 − √(Σ after / Σ before), energies of rows, whole stretches drawn again."""
@@ -192,6 +199,8 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     return np.maximum(out, np.minimum(short, most))
 
 
+GUARD = 2
+"""Rows on either side of a part that are left out with it: five rows are two periods of the chain's band."""
 MOST_SEARCHES = 8
 """Of when something happens in another run: given other effects it was at about the same time, and a run is asked of
 hundreds of sets of them."""
@@ -205,6 +214,9 @@ class OtherRun(_Run):
         self._moments: dict[tuple[str, str, str], tuple[Hypothesis, ...]] = {}
         self._searches: Counter[tuple[str, str, str]] = Counter()
         """How often moments between a grid's points were searched, of each effect."""
+
+    def parts(self, weight):
+        yield weight, np.ones(self.residual.y.shape, bool)
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
         """Residual of this run at numbers from the first."""
@@ -252,22 +264,41 @@ class OtherRun(_Run):
         return (self.left(now.without(h)) for h in asked)
 
     def covariances(self, now):
-        yield np.ones(len(self.residual.y), bool), now.covariance
+        yield np.ones(self.residual.y.shape, bool), now.covariance
 
 
 class HeldOut(_Run):
-    """The log itself, each of a few stretches predicted from the others; what happens once, by itself."""
+    """The log itself, each joint's rows in one part of its range predicted from the others; pushes by themselves.
+
+    Parts of the range and not stretches of time: a motion comes by the same postures again, so the next stretch is
+    predicted by the last one whatever is wrong with the equations, and another motion is not (`Settings.folds`).
+    Rows next to those held out are left out of the fit too, as far as the chain's filter remembers.
+    """
 
     def __init__(self, selection: Selection, settings: Settings):
         self.evidence, self.residual = selection.evidence, selection.residual
-        count = len(self.residual.y)
-        self.fold = np.minimum(np.arange(count) * settings.folds // count, settings.folds - 1)
+        context, y = selection.residual.context, selection.residual.y
+        parts = np.arange(settings.folds) / settings.folds
+        # Rows of a base have no range of their own.
+        at = np.broadcast_to(np.linspace(0.0, 1.0, len(y))[:, None], y.shape).copy()
+        for row in context.joint_dofs.values():
+            at[:, row] = context.joint_position[selection.residual.prepared.kept, row]
+        edges = np.quantile(at, parts[1:], axis=0)
+        self.fold = np.sum(at[None] > edges[:, None], axis=0)
+
+    def _apart(self, k: int) -> Bool[np.ndarray, "R n"]:
+        """Rows of a part, and those next to them that are left out with them."""
+        return ndimage.binary_dilation(self.fold == k, np.ones((2 * GUARD + 1, 1), bool))
+
+    def parts(self, weight):
+        for k in range(int(self.fold.max()) + 1):
+            yield np.where(self._apart(k), 0.0, weight), self.fold == k
 
     def torques(self, now):
         return ((h, now.torque(h)) for h in now.chosen)
 
     def left(self, now: Posterior) -> Float[np.ndarray, "R n"]:
-        """Residual of each stretch, fitted to the others."""
+        """Residual of each part, fitted to the others."""
         return self._left(now, self._fits(now))
 
     def left_without(self, now, asked):
@@ -278,15 +309,22 @@ class HeldOut(_Run):
         return ((self.fold == k, fit.covariance) for k, fit in enumerate(self._fits(now)))
 
     def shares(self, now: Posterior, asked: Sequence[Hypothesis]) -> list[float]:
-        """Of the gap's energy, what returns without each of some that are chosen, by numbers of other stretches."""
+        """Of the gap's energy, what returns without each of some that are chosen, by numbers of other parts."""
         fits = self._fits(now)
         left = self._left(now, fits)
         return [share(self.residual, left, self._torque(now, fits, h)) for h in asked]
 
     def _fits(self, now: Posterior) -> list[Posterior]:
-        """To all stretches but one, for each."""
-        folds = range(int(self.fold[-1]) + 1)
-        return [self.evidence.without(self.fold == k).posterior(now.chosen) for k in folds]
+        """To all parts but one, for each."""
+        for part in self._parts:
+            part.noise = self.evidence.noise
+        return [part.posterior(now.chosen) for part in self._parts]
+
+    @functools.cached_property
+    def _parts(self) -> list[Evidence]:
+        """The rows of all parts but one, for each."""
+        folds = range(int(self.fold.max()) + 1)
+        return [self.evidence.without(self._apart(k)) for k in folds]
 
     def _left(self, now: Posterior, fits: list[Posterior]) -> Float[np.ndarray, "R n"]:
         left = self.residual.y - self._of_folds([fit.fitted for fit in fits])
@@ -297,14 +335,14 @@ class HeldOut(_Run):
     def _torque(
         self, now: Posterior, fits: list[Posterior], h: Hypothesis
     ) -> Float[np.ndarray, "R n"]:
-        """Of one of the chosen in every stretch, by numbers of the others."""
+        """Of one of the chosen in every part, by numbers of the others."""
         if h.family in PASSING:
             return now.torque(h)
         return self._of_folds([fit.torque(h) for fit in fits])
 
     def _of_folds(self, every: list[Float[np.ndarray, "R n"]]) -> Float[np.ndarray, "R n"]:
-        """Of what each fit says of the whole log, its own stretch."""
-        return np.array(every)[self.fold, np.arange(len(self.fold))]
+        """Of what each fit says of the whole log, its own part."""
+        return np.take_along_axis(np.array(every), self.fold[None], axis=0)[0]
 
 
 def share(
@@ -354,100 +392,6 @@ def gated(
         now = now.without(worst)
 
 
-def told_apart(selection: Selection, judge: OtherRun, settings: Settings) -> Selection:
-    """The selection with each odd effect that another motion speaks against the one of its ties that it speaks for.
-
-    Two that one motion makes alike another may not: a friction and a constant torque, where a joint moved one way. One
-    gives way to another that leaves less of the other run by `gate`.
-    """
-    for h in selection.odd:
-        if not h.named or h.family in PASSING:
-            continue
-        now, rest = selection.posterior, selection.posterior.without(h)
-        error = judge.error(now)
-        if judge.error(rest) > error:
-            continue
-        own = selection.evidence.worths(now)[now.chosen.index(h)] - h.odds
-        least, reach = (1.0 - settings.gate) * error, settings.reach(own)
-        for rival in (r.hypothesis for r in rivals(selection, h, settings) if r.behind < reach):
-            after = selection.evidence.posterior((*rest.chosen, rival))
-            if (error := judge.error(after)) < least:
-                least, selection = error, dataclasses.replace(selection, posterior=after)
-    return selection
-
-
 def _asked(now: Posterior) -> list[Hypothesis]:
     """Of what is chosen, what should be there on another run."""
     return [h for h in now.chosen if not h.effect.marginal and h.family not in PASSING]
-
-
-MOST_RIVALS = 8
-"""Ties that are looked for: a longer list tells a reader nothing."""
-NEAR = 10.0
-"""Nats beyond a tie up to which another hypothesis counts against a probability."""
-BEYOND_SECANT = 0.3
-"""Share of the evidence that a secant at the wrong value may miss."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Rival:
-    """Another hypothesis that explains about as much in the place of one that was chosen."""
-
-    hypothesis: Hypothesis
-    behind: float
-    """By how much its log evidence is lower, odds counted, nats."""
-
-
-def _at_other_places(residual: Residual, h: Hypothesis) -> tuple[Hypothesis, ...]:
-    """What happens once, at the moments found, to each other body."""
-    if h.family not in PASSING:
-        return ()
-    places = (p for p in h.effect.places(residual.context) if p != h.place)
-    return tuple(hypothesis(residual, h.effect, p, h.shape, h.odds) for p in places)
-
-
-def is_law_of(other: Hypothesis, h: Hypothesis) -> bool:
-    """Whether one is the other with more numbers, as a Stribeck friction is a level friction with more at low speed."""
-    return other.level is not None and other.level.name == h.family and other.place == h.place
-
-
-def _no_more(now: Posterior, law: Hypothesis, settings: Settings) -> bool:
-    """Whether what a law adds to its level is nowhere in the log more than next to nothing: it is no other friction."""
-    mean, covariance = now.of(law)
-    most = np.abs(mean) + 2.0 * np.sqrt(np.diag(covariance))
-    size = np.max(np.abs(law.own_columns), axis=0) * most
-    return bool(np.sum(size[1:]) < settings.ordinary_tolerance * size[0])
-
-
-def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
-    """Best shape of each other family and place, in the place of `h`, those within reach first."""
-    now, evidence = selection.posterior, selection.evidence
-    rest = now.without(h)
-    banks = selection.named, Bank(_at_other_places(selection.residual, h))
-    others, taken = [c for bank in banks for c in bank.candidates], {c.key for c in now.chosen}
-    # What makes one likelier beforehand than its kind makes the others so: that something is there is known.
-    usual = max((c.odds for c in selection.candidates if c.key == h.key), default=h.odds)
-    own = float(evidence.gains(rest, (h,))[0]) - usual
-    own -= sensor_noise.owed(selection.residual, evidence, rest, h)
-    gains = np.concatenate([evidence.gains(now, bank, (h,)) - bank.odds for bank in banks])
-    reach = settings.reach(own) + NEAR
-    best: dict[tuple[str, str, str], Rival] = {}
-    for k in np.argsort(-gains):
-        c, behind = others[k], own - float(gains[k])
-        if behind > reach + (BEYOND_SECANT * abs(own) if c.effect.secant else 0.0):
-            continue
-        if c.key in best or c.key in taken or excluded(selection.residual, c, rest.chosen):
-            continue
-        if len(best) == MOST_RIVALS:
-            break
-        with_it = relinearised(selection.residual, evidence, (*rest.chosen, c))
-        c = with_it.chosen[-1]
-        if c.effect.secant:
-            behind = own - float(evidence.gains(rest, (c,))[0]) + c.odds
-        if behind <= reach and c.possible(selection.residual, with_it.of(c)[0]):
-            if is_law_of(c, h) and _no_more(with_it, c, settings):
-                continue
-            behind += sensor_noise.owed(selection.residual, evidence, rest, c)
-            best[c.key] = Rival(c, behind)
-    out = sorted(best.values(), key=lambda r: r.behind)
-    return tuple(out)

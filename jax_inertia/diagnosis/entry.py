@@ -10,10 +10,22 @@ from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths.precision import in_double_precision
+from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
 from jax_inertia.preflight.drive_gains import drive_gains, in_newton_metres
+from jax_inertia.preflight.mended import mended
 from jax_inertia.preflight.preflight import NO_TORQUE, Finding, Severity, preflight
 from jax_inertia.signals.held import with_loop_torque
+
+
+class Drives(NamedTuple):
+    """How torques of a log are read, and with it those of another motion."""
+
+    gains: list[float]
+    """N m per unit of the log, one for each joint; none for a log in N m."""
+    unit: str
+    name: str
+    """Of the log that they were taken from."""
 
 
 @in_double_precision
@@ -21,7 +33,9 @@ def diagnose(
     robot: Robot,
     log: Log,
     *,
+    validation_log: Log | None = None,
     test_log: Log | None = None,
+    nominal: MjSpec | None = None,
     exclude: Sequence[str] = (),
     extra: Sequence[Effect] = (),
     max_effects: int | None = None,
@@ -30,7 +44,9 @@ def diagnose(
 ) -> Diagnosis:
     """What the model lacks of the robot that a log was recorded on: what `jax-inertia diagnose` finds of its torques.
 
-    `test_log` is another motion of the same robot: effects must carry over to it. `exclude` removes families of
+    `validation_log` is another motion of the same robot, by which effects are chosen and to which no number is fitted;
+    `test_log` is one on which nothing depends: the error of what is handed over is quoted there. `nominal` is the spec
+    that corrected.xml is made of, the robot's own without it. `exclude` removes families of
     effects, `extra` adds effects of your own; `max_effects`: how many odd ones at most, as many as the log supports
     without it. `nominal_uncertainty`: one standard deviation of the model's masses (relative), centres of mass [m] and
     rotational inertias (relative). Torques that are no N m get one drive gain per joint from the log itself, and a note
@@ -47,7 +63,8 @@ def diagnose(
     progress("looking at the log")
     robot = robot.astype("float64")
     notes, drives = [], None
-    logs = {"log": log} | ({} if test_log is None else {"test_log": test_log})
+    logs = {"log": log, "validation_log": validation_log, "test_log": test_log}
+    logs = {name: one for name, one in logs.items() if one is not None}
     for name, one in logs.items():
         try:
             logs[name], drives, findings = usable(one, robot, drives, name)
@@ -57,13 +74,33 @@ def diagnose(
     found = pipeline.diagnose(
         robot,
         logs["log"],
+        validation_log=logs.get("validation_log"),
         test_log=logs.get("test_log"),
+        nominal=nominal,
         exclude=exclude,
         extra=extra,
         settings=settings,
         progress=progress,
     )
-    return dataclasses.replace(found, notes=(*notes, *found.notes))
+    return with_drives(found, drives, logs["log"], notes)
+
+
+def with_drives(
+    found: Diagnosis, drives: Drives | None, log: Log, notes: Sequence[str] = ()
+) -> Diagnosis:
+    """The diagnosis with the drive gains that its log's torques were read with, and with more notes.
+
+    >>> import jax_inertia as ji
+    >>> from jax_inertia.diagnosis.entry import usable, with_drives
+    >>> from jax_inertia.robots.pendulum import double_pendulum, swing
+    >>> robot, log = ji.load_model(double_pendulum()), swing(load=0.5, seconds=8.0)
+    >>> log, drives, _ = usable(log, robot, None, "log")
+    >>> with_drives(ji.diagnose(robot, log), drives, log, ["read as N m"]).notes[0]
+    'read as N m'
+    """
+    gains = drives.gains if drives is not None else []
+    read = dict(zip(log.joint_names, gains, strict=True)) if gains else {}
+    return dataclasses.replace(found, drive_gains=read, notes=(*notes, *found.notes))
 
 
 def stated(
@@ -86,16 +123,6 @@ def stated(
     )
 
 
-class Drives(NamedTuple):
-    """How torques of a log are read, and with it those of another motion."""
-
-    gains: list[float]
-    """N m per unit of the log, one for each joint; none for a log in N m."""
-    unit: str
-    name: str
-    """Of the log that they were taken from."""
-
-
 def usable(
     log: Log, robot: Robot, drives: Drives | None, name: str
 ) -> tuple[Log, Drives, tuple[Finding, ...]]:
@@ -114,6 +141,7 @@ def usable(
         if not robot.has_free_base or log.qpos_target is None:
             raise LogError(NO_TORQUE)
         log = with_loop_torque(log, log.kp, log.kd)
+    log, left_out = mended(log, kinds=robot.joint_kinds)
     found = preflight(log, robot)
     found.raise_for_errors()
     for finding in found.findings:
@@ -128,4 +156,4 @@ def usable(
         drives = Drives(gains, log.tau_unit_text, name)
     elif log.tau_unit_text != drives.unit:
         raise LogError(f"tau is in {log.tau_unit_text!r}, {drives.name} in {drives.unit!r}")
-    return in_newton_metres(log, drives.gains), drives, (*found.findings, *remarks)
+    return in_newton_metres(log, drives.gains), drives, (*left_out, *found.findings, *remarks)

@@ -104,6 +104,23 @@ class Hypothesis:
         """Of a joint's effect, on the joint's own row: forces of the ground may spread it over all."""
         return self.columns if self.row is not None else self.columns[:, self.place.index]
 
+    @functools.cached_property
+    def rows(self) -> tuple[int, ...]:
+        """Rows that it acts on."""
+        if self.row is not None:
+            return (self.row,)
+        return tuple(np.flatnonzero(self.columns.any(axis=(0, 2))).tolist())
+
+    @property
+    def on_rows(self) -> Float[np.ndarray, "R rows k"]:
+        """Columns on those rows, per prior standard deviation."""
+        own = self.columns[:, None] if self.row is not None else self.columns[:, list(self.rows)]
+        return own * self.scale
+
+    def on_row(self, row: int) -> Float[np.ndarray, "R k"]:
+        """Columns on one of those rows, per prior standard deviation."""
+        return (self.columns if self.row is not None else self.columns[:, row]) * self.scale
+
     @property
     def scaled(self) -> np.ndarray:
         """Columns per prior standard deviation."""
@@ -223,6 +240,17 @@ def _cut(residual: Residual, effect: Effect, place: Place, shape: Shape) -> Cut 
     share, mean = residual.prepared.finish(np.stack([room > 0, room], axis=1).astype(float)).T
     share = np.clip(share, 0.0, 1.0)
     return Cut(share, np.maximum(mean, 0.0) / np.maximum(share, 1e-9))
+
+
+def fast_torque(h: Hypothesis, residual: Residual, theta: Float[np.ndarray, " k"]) -> np.ndarray:
+    """Torque of a hypothesis on the fast grid (T, nv), at numbers in their own units [N m]."""
+    columns = _raw(residual, h.effect, h.place, h.shape, h.level)
+    values = columns.values @ theta
+    if columns.row is None:
+        return values
+    out = np.zeros((len(values), residual.robot.nv))
+    out[:, columns.row] = values
+    return out
 
 
 def _raw(

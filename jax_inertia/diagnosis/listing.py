@@ -4,38 +4,38 @@ import dataclasses
 
 import numpy as np
 
-from jax_inertia.diagnosis.checks import is_law_of, rivals, rows
+from jax_inertia.diagnosis.certainty.causes import Judges
+from jax_inertia.diagnosis.certainty.probability import odds_of_effect, probability
+from jax_inertia.diagnosis.certainty.rivals import is_law_of, rivals
+from jax_inertia.diagnosis.checks import rows
+from jax_inertia.diagnosis.corrected.intervals import ORDINARY_NUMBERS, added, intervals, reported
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import ORDINARY_NUMBERS, added, intervals, reported
 from jax_inertia.diagnosis.result import Found, Tie
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 
 
 def effects(
-    selection: Selection, shares: dict[int, float], settings: Settings
+    selection: Selection, shares: dict[int, float], judges: Judges, settings: Settings
 ) -> tuple[list[tuple[Hypothesis, Found]], tuple[Hypothesis, ...]]:
     """What is listed, and odd effects that are no likelier than others in their place; `shares` of the gap's energy."""
     now = selection.posterior
     worths = dict(zip(map(id, now.chosen), selection.evidence.worths(now), strict=True))
     listed = [h for h in now.chosen if h.named and _is_listed(selection, h, worths, settings)]
-    every = [(h, _found(selection, h, shares, worths, settings)) for h in listed]
+    every = [(h, _found(selection, h, shares, worths, judges, settings)) for h in listed]
     likely = [(h, f) for h, f in every if f.ordinary or f.probability >= settings.likely]
     told = {id(h) for h, _ in likely}
     return likely, tuple(h for h in listed if id(h) not in told)
 
 
-def as_listed(
-    selection: Selection, found: list[tuple[Hypothesis, Found]], trust: float
-) -> tuple[Found, ...]:
-    """With the numbers of a selection, the largest first; `trust`: probability that an odd one is no stand-in."""
+def as_listed(selection: Selection, found: list[tuple[Hypothesis, Found]]) -> tuple[Found, ...]:
+    """With the numbers of a selection, the largest first."""
     out = []
     for h, f in found:
         numbers = intervals(selection, h, *reported(selection, h))
-        probability = f.probability if f.ordinary else trust * f.probability
-        out.append((h, dataclasses.replace(f, parameters=numbers, probability=probability)))
+        out.append((h, dataclasses.replace(f, parameters=numbers)))
     return tuple(sorted((f for _, f in _as_one_law(selection, out)), key=lambda f: -f.share))
 
 
@@ -56,7 +56,7 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     return bool(distinct and matters and worths[id(h)] > h.odds)
 
 
-def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Found:
+def _found(selection, h: Hypothesis, shares, worths, judges: Judges, settings: Settings) -> Found:
     others = () if h.ordinary else rivals(selection, h, settings)
     own = worths[id(h)] - h.odds
     reach = settings.reach(own)
@@ -65,17 +65,16 @@ def _found(selection, h: Hypothesis, shares, worths, settings: Settings) -> Foun
         for r in others
         if r.behind < reach
     )
-    # Odds against rivals beyond the tie, and against nothing at all, tempered: equations are not exact.
-    beyond = [-(r.behind / settings.temper) for r in others if r.behind >= reach]
-    nothing = -own / settings.temper
-    probability = float(1.0 / (1.0 + np.exp(np.clip(np.array([*beyond, nothing]), -50, 50)).sum()))
+    beyond = [r for r in others if r.behind >= reach]
+    odds = own if h.ordinary else odds_of_effect(selection, h, beyond, judges)
     return Found(
         family=h.family,
         place=h.place,
         parameters={},
         share=shares[id(h)],
         evidence=float(own),
-        probability=probability,
+        log_odds=float(odds),
+        probability=probability(odds),
         equivalent=ties,
         ordinary=h.ordinary,
         equation=h.effect.equation,

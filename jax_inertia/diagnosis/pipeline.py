@@ -1,19 +1,28 @@
 """`diagnose`: log → residual → hypotheses → posterior → checks → verdict."""
 
 import dataclasses
+import json
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
+from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
-from jax_inertia.diagnosis.causes import borne_out, judges_of, remembering
-from jax_inertia.diagnosis.checks import HeldOut, OtherRun, gated, told_apart
+from jax_inertia.diagnosis.certainty.causes import borne_out, judges_of, remembering
+from jax_inertia.diagnosis.certainty.rivals import told_apart
+from jax_inertia.diagnosis.checks import LEAST_ROWS, PASSING, HeldOut, OtherRun, gated, rms
+from jax_inertia.diagnosis.corrected.handed_over import HandedOver
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.registry import NAMES, effects_of
 from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.ordinary import ordinary_of
@@ -21,8 +30,14 @@ from jax_inertia.diagnosis.search.refuted_tolerances import named_where_refuted
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.search.stepwise import searched, started
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.diagnosis.simulate.whole_robot import correction
 from jax_inertia.logs.log import Log
+from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.model.robot import Robot
+from jax_inertia.model.robot_spec import spec_of
+from jax_inertia.model.spec import compile_spec
+from jax_inertia.model.write import loadable
+from jax_inertia.text.words import number
 
 Progress = Callable[[str], None]
 
@@ -33,7 +48,9 @@ def diagnose(
     robot: Robot,
     log: Log,
     *,
+    validation_log: Log | None = None,
     test_log: Log | None = None,
+    nominal: MjSpec | None = None,
     exclude: Sequence[str] = (),
     extra: Sequence[Effect] = (),
     settings: Settings = Settings(),  # noqa: B008 (frozen)
@@ -42,13 +59,16 @@ def diagnose(
 ) -> Diagnosis:
     """Find the ordinary physics of every joint that the model lacks, and what is odd beyond it.
 
-    Torques in N m. `exclude` removes families, `extra` adds effects of your own, `test_log` is another motion: effects
-    must carry over to it. `state`: whether the model has its joints' ordinary physics; the log says where it is left
-    out. Raises ValueError for an unknown family and LogError for a log that does not fit the robot.
+    Torques in N m. `exclude` removes families, `extra` adds effects of your own. `validation_log` is another motion by
+    which effects are chosen; without it stretches of the log are, each predicted from the others. `test_log` is read
+    once, at the end: its error is quoted, and no number and no choice depends on it. `nominal` is the spec that the
+    robot came from, which corrected.xml is made of; without it one is made of the robot. `state`: whether the model has
+    its joints' ordinary physics; the log says where it is left out. Raises ValueError for an unknown family and
+    LogError for a log that does not fit the robot.
     """
     library, residual = _begun(robot, log, exclude, extra, settings, progress)
     selection, as_bought = None, np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
-    if state is None and residual.prepared.support is not None:
+    if state is None and not _shows_joints(residual):
         # Forces of the ground use up what legs' torques would say of their joints' ordinary physics.
         state = CalibrationState.CALIBRATED
     if state is None:
@@ -60,7 +80,9 @@ def diagnose(
         )
     if selection.state is CalibrationState.CALIBRATED:
         selection = named_where_refuted(selection, settings)
-    return _judged(robot, test_log, selection, as_bought, settings, progress)
+    spec = spec_of(robot) if nominal is None else nominal
+    unseen = Unseen(robot, spec, validation_log, test_log, tuple(extra))
+    return _judged(unseen, selection, as_bought, settings, progress)
 
 
 def _begun(robot, log: Log, exclude, extra, settings: Settings, progress: Progress):
@@ -77,35 +99,122 @@ def _begun(robot, log: Log, exclude, extra, settings: Settings, progress: Progre
     return (*(e for e in effects_of(log) if e.name not in exclude), *extra), residual
 
 
+class Unseen(NamedTuple):
+    """What a selection is judged with."""
+
+    robot: Robot
+    nominal: MjSpec
+    validation_log: Log | None
+    test_log: Log | None
+    extra: tuple[Effect, ...]
+
+
 def _judged(
-    robot: Robot,
-    test_log: Log | None,
-    selection: Selection,
-    as_bought: float,
-    settings: Settings,
-    progress: Progress,
+    unseen: Unseen, selection: Selection, as_bought: float, settings: Settings, progress: Progress
 ) -> Diagnosis:
     """Which of what was selected are causes, and what is to be said of them."""
-    progress("checking on held-out stretches and on the other motion")
+    progress("checking on rows that numbers were not fitted to")
     heldout = HeldOut(selection, settings)
-    other = None if test_log is None else _other_run(robot, test_log, selection, settings)
-    judge = heldout if other is None else other
-    if other is not None:
-        selection = told_apart(selection, other, settings)
+    validation = _other_run(unseen.robot, unseen.validation_log, selection, settings)
+    judges = judges_of(heldout, validation)
+    judge = judges[-1]
+    if validation is not None:
+        selection = told_apart(selection, validation, settings)
     gate, dropped = gated(selection, judge, settings)
     whole = remembering(gate, gate.posterior)
     everything = min(gate.posterior, whole.posterior, key=judge.error)
-    selection = borne_out(whole, judges_of(heldout, other))
-    found = summary.summarised(selection, everything, heldout, other, dropped, as_bought, settings)
+    selection = borne_out(whole, judges)
+
+    def made(chosen: Selection) -> Made:
+        causes = summary.causes_of(chosen, everything, judges, dropped, settings)
+        draft = summary.drafted(causes, heldout, as_bought, settings)
+        done = correction(_nominal(unseen), unseen.robot, draft, unseen.extra)
+        draft = dataclasses.replace(draft, corrected=done)
+        handed = _handed_over(draft, unseen)
+        return Made(causes, draft, handed, causes.left(heldout, handed))
+
+    causes, draft, handed, left = _borne_out_by_files(selection, settings.gate, made, heldout)
     progress("what this log would have shown")
     context = selection.residual.context
     fast = np.percentile(np.abs(context.v), 99, axis=0)
-    return dataclasses.replace(
-        found,
-        notes=(*selection.residual.log.notes, *_of_the_ground(selection.residual), *found.notes),
+    draft = dataclasses.replace(
+        draft,
+        notes=(*selection.residual.log.notes, *_of_the_ground(selection.residual), *draft.notes),
         undetectable_below=undetectable(selection),
         speed=dict(zip(context.row_names, fast.tolist(), strict=True)),
     )
+    progress("the error of what is handed over")
+    test = _other_run(unseen.robot, unseen.test_log, selection, settings)
+    return summary.concluded(draft, causes, handed, (heldout, left), validation, test)
+
+
+class Made(NamedTuple):
+    """What is stated of a selection, and what is handed over."""
+
+    causes: summary.Causes
+    draft: Diagnosis
+    handed: HandedOver
+    left: Float[np.ndarray, "R n"]
+    """Of held-out rows by what is handed over [N m]."""
+
+
+def _borne_out_by_files(
+    selection: Selection, gate: float, made: Callable[[Selection], Made], heldout: HeldOut
+) -> Made:
+    """The causes, those withheld from the files by which held-out rows are predicted worse by a share `gate`.
+
+    They are sought where the files lose as much of what the fit predicts. A spring between motor and link may be there
+    beyond doubt, and no model that holds it predict as well as one without it: it is named, and not handed over. The
+    worst first, one at a time, everything else refitted.
+    """
+    whole = now = made(selection)
+    withheld: list[Hypothesis] = []
+    moving = heldout.residual.moving
+    while True:
+        error = rms(now.left, moving)
+        if error <= (1.0 + gate) * rms(heldout.left(now.causes.now), moving):
+            break
+        odd = [h for h in selection.odd if h.named and h.family not in PASSING]
+        rests = [
+            dataclasses.replace(selection, posterior=selection.posterior.without(h)) for h in odd
+        ]
+        tried = [made(rest) for rest in rests]
+        errors = [rms(one.left, moving) for one in tried]
+        if not tried or min(errors) >= (1.0 - gate) * error:
+            break
+        best = int(np.argmin(errors))
+        withheld.append(odd[best])
+        selection, now = rests[best], tried[best]
+    keys = {(h.family, h.place) for h in withheld}
+    named = (f for f in whole.draft.found if (f.family, f.place) in keys)
+    named = tuple(dataclasses.replace(f, handed_over=False) for f in named)
+    draft = dataclasses.replace(
+        now.draft,
+        found=(*now.draft.found, *named),
+        not_listed=tuple(x for x in now.draft.not_listed if (x.family, x.place) not in keys),
+    )
+    return now._replace(draft=draft, causes=now.causes.naming(keys))
+
+
+def _handed_over(draft: Diagnosis, unseen: Unseen) -> HandedOver:
+    """The files of a diagnosis as they would be written, read back."""
+    robot, nominal, done = unseen.robot, _nominal(unseen), draft.corrected
+    given = compile_spec(nominal)
+    if given.nv != robot.nv:
+        # Joints that the robot holds are free in its file, and no log says where they are.
+        given = compile_spec(spec_of(robot))
+        done = correction(spec_of(robot), robot, draft, unseen.extra)
+    assert done is not None
+    report = json.loads(json.dumps(to_report(draft), allow_nan=False))
+    text = loadable(done.spec, Path(nominal.modelfiledir or "model.xml"), Path("/"))
+    return HandedOver(report, mujoco.MjModel.from_xml_string(text), given, unseen.extra)
+
+
+def _nominal(unseen: Unseen) -> MjSpec:
+    """The spec of the model's file, its base as the robot's."""
+    out = unseen.nominal.copy()
+    out.option.gravity = np.asarray(unseen.robot.gravity)
+    return out
 
 
 def _of_the_ground(residual: Residual) -> tuple[str, ...]:
@@ -119,6 +228,12 @@ def _of_the_ground(residual: Residual) -> tuple[str, ...]:
     )
 
 
+def _shows_joints(residual: Residual) -> bool:
+    """Whether most joints that move have rows of their own: all of a robot in the air, those of legs that swing."""
+    rows = list(residual.context.joint_dofs.values())
+    return bool(np.median(residual.weight[:, rows].sum(axis=0)) >= LEAST_ROWS)
+
+
 def _selected_as_bought(
     residual: Residual, library: tuple[Effect, ...], settings: Settings, progress: Progress
 ) -> tuple[Selection | None, float]:
@@ -128,6 +243,7 @@ def _selected_as_bought(
     """
     progress("ordinary physics of every joint")
     bought = started(residual, library, settings, CalibrationState.AS_BOUGHT)
+    progress(_first_answer(bought))
     odds = log_odds_as_bought(bought, settings)
     if odds <= -settings.odd_odds:
         return None, odds
@@ -136,14 +252,22 @@ def _selected_as_bought(
     return bought if odds > settings.as_bought else None, odds
 
 
-def _other_run(robot: Robot, log: Log, selection: Selection, settings: Settings) -> OtherRun:
+def _first_answer(start: Selection) -> str:
+    """The torque error of the log before and after ordinary physics alone, which is known after seconds."""
+    y, weight, now = start.residual.y, start.residual.weight, start.posterior
+    after = y - np.sum([now.torque(h) for h in now.chosen], axis=0)
+    sizes = f"{number(rms(y, weight))} → {number(rms(after, weight))} N m"
+    return f"ordinary physics alone: torque error of this log {sizes}; now odd effects"
+
+
+def _other_run(
+    robot: Robot, log: Log | None, selection: Selection, settings: Settings
+) -> OtherRun | None:
+    if log is None:
+        return None
     ordinary = ordinary_of(selection.residual, selection.posterior)
     residual = Residual(robot, log, settings).calibrated(ordinary)
     return OtherRun(residual, selection.evidence)
-
-
-LEAST_ROWS = 20
-"""Moving rows of a joint: five for each of its four ordinary numbers."""
 
 
 def _require_rows(residual: Residual, log: Log) -> None:

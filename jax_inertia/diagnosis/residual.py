@@ -73,16 +73,25 @@ class Residual:
         """Of the calibrated model, once there is one."""
         self.y = self.prepared.finish_torque(self.prepared.missing)
         """Torque residual (R, n) [N m]."""
+        self.loaded = False
+        """Whether loads are those of the robot as found."""
         self.ordinary: Ordinary | None = None
         """What the calibrated model has beyond the nominal one."""
         self._replicas: tuple[Residual, ...] | None = None
         self.known: dict[tuple, tuple] = {}
         """Columns of hypotheses on this log, made once (`hypothesis.hypothesis`)."""
 
-    def calibrated(self, ordinary: Ordinary) -> "Residual":
-        """The same rows, of a model that has each joint's friction and rotor inertia."""
+    def calibrated(
+        self, ordinary: Ordinary, carried: Float[np.ndarray, "T nv"] | None = None
+    ) -> "Residual":
+        """The same rows, of a model that has each joint's friction and rotor inertia.
+
+        `carried`: what the links need beyond the nominal model [N m], where loads are those of the robot as found.
+        """
         out = copy.copy(self)
         out.ordinary, out._replicas, out.known = ordinary, None, {}
+        out.loaded = carried is not None
+        links = 0.0 if carried is None else carried
         c, robot = self.context, self.robot
         dry = ordinary.coulomb * c.side
         prepared = dataclasses.replace(
@@ -93,7 +102,7 @@ class Residual:
                 damping=jnp.asarray(np.asarray(robot.damping) + ordinary.viscous),
                 frictionloss=jnp.asarray(np.asarray(robot.frictionloss) + ordinary.coulomb),
             ),
-            inverse=c.inverse + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
+            inverse=c.inverse + links + ordinary.armature * c.a + ordinary.viscous * c.v + dry,
             dry=self.prepared.dry + dry,
         )
         out.beside = _Calibrated(prepared, c, ordinary.offset)
@@ -101,7 +110,9 @@ class Residual:
 
     def context_of(self, effect: Effect) -> Context:
         """What an effect's columns are made of."""
-        return self.beside if effect.calibrated else self.context
+        return (
+            self.beside if effect.calibrated or (self.loaded and effect.by_load) else self.context
+        )
 
     @property
     def time(self) -> Float[np.ndarray, " R"]:
@@ -115,6 +126,15 @@ class Residual:
         for row in self.context.joint_dofs.values():
             moving[:, row] = speed[:, row] > self.settings.rest_speed
         moves = np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
+        return moves * self.prepared.valid
+
+    @functools.cached_property
+    def moving(self) -> Float[np.ndarray, "R n"]:
+        """1 where a row is measured and its joint moves at that moment, 0 elsewhere: rows that errors are quoted of."""
+        speed = np.abs(self.context.v / self.context.radian)[self.prepared.kept]
+        moves = np.ones_like(speed)
+        for row in self.context.joint_dofs.values():
+            moves[:, row] = speed[:, row] > self.settings.rest_speed
         return moves * self.prepared.valid
 
     def rotates(self, row: int) -> bool:

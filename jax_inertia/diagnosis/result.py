@@ -6,7 +6,11 @@ import enum
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.effects.base import Interval, Parameter, Place
+from jax_inertia.diagnosis.effects.base import Effect, Interval, Parameter, Place
+from jax_inertia.diagnosis.effects.identified import Identified
+from jax_inertia.diagnosis.friction_curve import FrictionCurve
+from jax_inertia.model.model_errors import NO_ERRORS, NamedErrors
+from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.text.notebook_page import line, table
 from jax_inertia.text.words import at, chance, plain, unit
 
@@ -41,13 +45,17 @@ class Found:
     """Of the gap's energy in N² m²: what returns when it alone is left out."""
     evidence: float
     """Log evidence that it brings, prior odds taken off, nats."""
+    log_odds: float
+    """That it, or one that it is tied with, is there, as the search has it: before calibration [nats]."""
     probability: float
-    """That it, or one that it is tied with, is there."""
+    """The same, calibrated (`calibration.json`)."""
     equivalent: tuple[Tie, ...]
     ordinary: bool
     equation: str
+    handed_over: bool = True
+    """Whether corrected.xml and the friction laws have it: not where they predict held-out rows better without it."""
     explained_heldout: float = 0.0
-    """`share` on held-out stretches, by numbers that were fitted to the others."""
+    """`share` on held-out rows, by numbers that were fitted to the others."""
 
     @property
     def sizes(self) -> str:
@@ -74,8 +82,22 @@ class Found:
 
 
 @dataclasses.dataclass(frozen=True)
+class NotListed:
+    """An effect that may be there and is not listed."""
+
+    family: str
+    place: Place
+    log_odds: float
+    """Before calibration [nats]."""
+    probability: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Shrink:
-    """Residual torque of moving rows on a run that played no part [N m, rms]."""
+    """Torque error of the files as written on a run, rms over the rows in which a joint moves [N m].
+
+    On held-out rows: numbers of the other rows, and what the files lose of the fit.
+    """
 
     before: float
     ordinary: float
@@ -85,6 +107,8 @@ class Shrink:
     """Before and after."""
     interval: tuple[float, float] = (0.0, 1.0)
     """95 % interval of `share`, stretches of the run drawn again (block bootstrap; Künsch, Ann. Stat. 17(3), 1989)."""
+    least_squares: float | None = None
+    """By plain least squares of four terms a joint (`baseline`)."""
 
     @property
     def share(self) -> float:
@@ -94,7 +118,7 @@ class Shrink:
 
 @dataclasses.dataclass(frozen=True)
 class Remainder:
-    """What no effect explains, on the run that played no part."""
+    """What no effect explains, on the run that was checked."""
 
     share: float
     """Of the gap's energy, the sensors' noise taken off."""
@@ -102,8 +126,8 @@ class Remainder:
     """Each joint's part of it, and of shapes that name no cause, summing to one."""
     resembles: tuple[str, ...]
     """Shapes that name no cause, and effects that only stand in for one, that fit it."""
-    after: float
-    """Residual that the causes leave on that run, rms of moving rows [N m]; with such shapes it is `Shrink.after`."""
+    with_shapes: float
+    """Residual of that run with such shapes too, which no file holds, rms of moving rows [N m]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -145,21 +169,51 @@ class BodyForce:
 
 
 @dataclasses.dataclass(frozen=True)
+class Correction:
+    """A nominal model with effects added."""
+
+    spec: MjSpec
+    in_model: tuple[Identified, ...]
+    """Done by attributes alone."""
+    by_callback: tuple[Identified, ...]
+    """Need `step_law`, at least for torques given by `qfrc_applied`."""
+    outside: tuple[Identified, ...]
+    """Of sensors, or without a law: neither in the model nor done before a step."""
+    notes: tuple[str, ...]
+    extra: tuple[Effect, ...] = ()
+    """Effects of a user's own among them."""
+
+    @property
+    def effects(self) -> tuple[Identified, ...]:
+        """All of them."""
+        return (*self.in_model, *self.by_callback, *self.outside)
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """Verdict, effects, the ordinary physics of every joint, and the remainder."""
 
     verdict: Verdict
     confidence: float
+    """Probability that the verdict is right, calibrated."""
+    log_odds: float
+    """The same as the search has it: log odds before calibration [nats]."""
     headline: str
     found: tuple[Found, ...]
     joints: dict[str, dict[str, Interval]]
     """By joint and family: the joint's whole number, the model's own included; found or not."""
     presliding: dict[str, float]
     """Displacement over which each joint's dry friction turns round [rad]."""
+    friction: dict[str, FrictionCurve]
+    """Each joint's whole friction law, mild forms that name no cause included."""
     as_bought: float
     """Log odds that the model lacks its joints' ordinary physics, against one that is calibrated [nats]."""
     heldout: Shrink
+    """On the log itself, each part of a joint's range predicted from the others: the same motion, so it may flatter."""
+    validation: Shrink | None
+    """On a run that choices were made by, and no numbers fitted to."""
     test: Shrink | None
+    """On a run that nothing depends on."""
     remainder: Remainder
     chi2: float
     noise_floor: float
@@ -183,6 +237,14 @@ class Diagnosis:
     """Family, place and smallest size of odd effects that this log would have shown."""
     speed: dict[str, float] = dataclasses.field(default_factory=dict)
     """Fastest usual speed of each row in this log, its 99th percentile [rad/s; m/s]."""
+    drive_gains: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Of each joint whose torque was logged in another unit: N m for one unit, as the log was read."""
+    not_listed: tuple[NotListed, ...] = ()
+    """What else may be there, the likeliest first."""
+    corrected: Correction | None = None
+    """The model as corrected.xml has it."""
+    errors: NamedErrors = NO_ERRORS
+    """What the log leaves open of the corrected model's inertials and of its joints' numbers, all together."""
 
     def _repr_html_(self) -> str:
         """For notebooks: the verdict in words, the effects as a table, how far the gap shrinks."""
@@ -195,8 +257,8 @@ class Diagnosis:
 
     def _shrinks(self) -> str:
         """How far the residual shrinks on the run that played no part."""
-        where, s = "held out" if self.test is None else "other motion", self.checked
-        return f"{where}: {s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})"
+        s = self.checked
+        return f"{self.checked_on}: {s.before:.3g} → {s.after:.3g} N m (noise {s.noise:.3g})"
 
     @property
     def odd(self) -> tuple[Found, ...]:
@@ -205,8 +267,15 @@ class Diagnosis:
 
     @property
     def checked(self) -> Shrink:
-        """On the other run where there is one, on held-out stretches where not."""
-        return self.heldout if self.test is None else self.test
+        """On the test run where there is one, else on the validation run, else on held-out rows."""
+        return self.test or self.validation or self.heldout
+
+    @property
+    def checked_on(self) -> str:
+        """What run that is, in words."""
+        if self.test is not None:
+            return "other motion"
+        return "held out" if self.validation is None else "validation motion"
 
     def __repr__(self) -> str:
         lines = [f"{self.verdict} (confidence {self.confidence:.2f})", f"  {self.headline}"]

@@ -1,104 +1,233 @@
 """From a selection and its checks to what is reported: effects with intervals, the joints' table, the remainder."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.causes import carried_over, judges_of, odds_of_another
-from jax_inertia.diagnosis.checks import Check, HeldOut, OtherRun, rows, share
+from jax_inertia.diagnosis.certainty.causes import Judges, carried_over, odds_of_others
+from jax_inertia.diagnosis.certainty.doubts import Doubts, odds_of_verdict
+from jax_inertia.diagnosis.certainty.probability import confidence, probability
+from jax_inertia.diagnosis.checks import (
+    Check,
+    HeldOut,
+    OtherRun,
+    noise_of,
+    rms,
+    rows,
+    share,
+    shrink_interval,
+)
+from jax_inertia.diagnosis.corrected.baseline import left_by_least_squares
+from jax_inertia.diagnosis.corrected.covariance import model_errors
+from jax_inertia.diagnosis.corrected.friction_laws import friction_curves
+from jax_inertia.diagnosis.corrected.handed_over import HandedOver
+from jax_inertia.diagnosis.corrected.intervals import joint_numbers
+from jax_inertia.diagnosis.corrected.motor_gains import motor_gains
+from jax_inertia.diagnosis.corrected.physical_bounds import physical
 from jax_inertia.diagnosis.effects.actuator import GainTolerance
-from jax_inertia.diagnosis.effects.base import Interval
+from jax_inertia.diagnosis.effects.base import Interval, Place
 from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
-from jax_inertia.diagnosis.hypothesis import Hypothesis
-from jax_inertia.diagnosis.intervals import joint_numbers
+from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
 from jax_inertia.diagnosis.listing import as_listed, effects
-from jax_inertia.diagnosis.motor_gains import motor_gains
 from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.where import body_forces, regions, states
 from jax_inertia.diagnosis.report.wording import headline
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Trace, Verdict
+from jax_inertia.diagnosis.result import (
+    Diagnosis,
+    Found,
+    NotListed,
+    Remainder,
+    Shrink,
+    Trace,
+    Verdict,
+)
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import bounded
 from jax_inertia.diagnosis.search.refuted_tolerances import refuted
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.verdict import Doubts, confidence, verdict
-from jax_inertia.maths.inertial_parameters import is_physical
-
-SHARES = (1.0, 0.9, 0.75, 0.5, 0.25)
-"""Of a body's error, the largest first, that may be taken out."""
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.diagnosis.verdict import joined, judged
 
 
-def summarised(
+@dataclasses.dataclass(frozen=True)
+class Causes:
+    """What is stated of a selection, and what speaks against it."""
+
+    selection: Selection
+    """With stand-ins."""
+    told: Selection
+    """With causes alone: its numbers are those that are stated."""
+    likely: list[tuple[Hypothesis, Found]]
+    ordinary: Posterior
+    everything: Posterior
+    """With the stand-ins that help to predict."""
+    generic: list[Hypothesis]
+    others: list[tuple[Hypothesis, float]]
+    """Named effects that are no causes, and the log odds that each is there [nats]."""
+    doubts: Doubts
+    bent: tuple[str, ...]
+    dropped: tuple[Hypothesis, ...]
+
+    @property
+    def now(self) -> Posterior:
+        """Numbers of the causes."""
+        return self.told.posterior
+
+    def naming(self, keys: Collection[tuple[str, Place]]) -> "Causes":
+        """With effects of some families and places named after all: that they are there is no doubt any more."""
+        others = [(h, odds) for h, odds in self.others if (h.family, h.place) not in keys]
+        doubts = self.doubts._replace(another=_any_of(others))
+        return dataclasses.replace(self, others=others, doubts=doubts)
+
+    def left(self, run: HeldOut, handed: HandedOver) -> Float[np.ndarray, "R n"]:
+        """Residual of held-out rows by what is handed over [N m].
+
+        What the files lose of the fit comes on top of what rows are predicted with by the others.
+        """
+        by_files = handed.residual(run.residual) - self.late(run.residual)
+        return run.left(self.now) + by_files - (run.residual.y - self.now.fitted)
+
+    def late(self, residual: Residual) -> Float[np.ndarray, "R n"]:
+        """Torque by which a log's stamps are off [N m]: fitted, and of how the log is read, no part of the robot."""
+        base = next((h for h in self.now.chosen if h.family == "tolerances"), None)
+        if base is None:
+            return np.zeros_like(residual.y)
+        own = residual.log is self.told.residual.log
+        there = base if own else elsewhere(base, residual)
+        theta = self.now.of(base)[0]
+        return there.columns @ (theta - base.effect.of_links(theta))
+
+
+def causes_of(
     selection: Selection,
     everything: Posterior,
-    heldout: HeldOut,
-    other: OtherRun | None,
+    judges: Judges,
     dropped: tuple[Hypothesis, ...],
-    as_bought: float,
     settings: Settings,
-) -> Diagnosis:
-    """Everything that is reported of a selection; `everything`: with the stand-ins that help to predict.
-
-    `as_bought`: log odds that its model is [nats].
-    """
+) -> Causes:
+    """Which effects of a selection are causes, by rows that choices may depend on; the last judge is the strictest."""
     now, evidence, residual = selection.posterior, selection.evidence, selection.residual
-    names = residual.context.row_names
     ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
     left = residual.y - now.fitted
     shares = {id(h): share(residual, left, now.torque(h)) for h in now.chosen}
-    likely, doubtful = effects(selection, shares, settings)
+    likely, doubtful = effects(selection, shares, judges, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
-    judge = heldout if other is None else other
-    causes = _causes(selection, generic, judge, settings)
-    by_cause = judge.check(ordinary, causes)
-    # Shapes are there to predict: where the causes do it better, they are not.
-    best = min(everything, causes, key=judge.error)
-    own_causes = by_cause if other is None else heldout.check(ordinary, causes)
-    own = own_causes if best is causes else heldout.check(ordinary, best)
-    test = None
-    if other is not None:
-        test = by_cause if best is causes else other.check(ordinary, best)
-    likely = [(h, f) for h, f in likely if h in causes.chosen]
-    told = dataclasses.replace(selection, posterior=causes)
+    residual, causes = _causes(selection, generic, judges[-1], settings)
+    # Where a secant was laid again it is another object of the same key.
+    kept = {h.key: h for h in causes.chosen}
+    likely = [(h if h in causes.chosen else kept[h.key], f) for h, f in likely if h.key in kept]
+    told = dataclasses.replace(selection, residual=residual, posterior=causes)
     before = dataclasses.replace(selection, posterior=everything)
-    another = odds_of_another(before, causes, dropped, judges_of(heldout, other))
+    others = odds_of_others(before, causes, dropped, judges)
     bent = tuple(x.line for x in refuted(told, settings))
-    doubts = Doubts(another, bool(bent), bool(generic))
-    on_other = None if other is None else by_cause
-    judged = verdict(own_causes, on_other, bool(likely), doubts, settings)
-    trust = settings.adequate[0 if judged is Verdict.EXPLAINED else 1]
-    found = as_listed(told, _by_other_stretches(heldout, causes, likely), trust)
-    odd = [f.probability for f in found if not f.ordinary]
-    sure = confidence(by_cause, judged, odd, doubts, settings)
-    remainder = _remainder(by_cause, selection, generic)
-    shrinks = _shrink(own, names), None if test is None else _shrink(test, names)
+    worths = zip(now.chosen, evidence.worths(now), strict=True)
+    unnamed = max((float(w) - h.odds for h, w in worths if h in generic), default=None)
+    # A model that lacks its joints' friction is no sound one, even where a log determines none of the numbers.
+    lacking = selection.state is CalibrationState.AS_BOUGHT
+    doubts = Doubts(_any_of(others), bool(bent) or lacking, unnamed)
+    return Causes(
+        selection, told, likely, ordinary, everything, generic, others, doubts, bent, dropped
+    )
+
+
+def _any_of(others: Sequence[tuple[Hypothesis, float]]) -> float:
+    """Odds that any one of some effects is there, of the log odds of each [nats]."""
+    return float(np.exp(np.minimum([odds for _, odds in others], 50.0)).sum())
+
+
+def drafted(causes: Causes, heldout: HeldOut, as_bought: float, settings: Settings) -> Diagnosis:
+    """Every number of the report and of the corrected model, before their prediction error is computed.
+
+    `as_bought`: log odds that its model is [nats].
+    """
+    told, residual = causes.told, causes.told.residual
+    listed = as_listed(told, _by_other_stretches(heldout, causes.now, causes.likely))
     joints, gains = joint_numbers(told), motor_gains(told)
+    nothing = Shrink(0.0, 0.0, 0.0, 0.0, {})
+    empty = np.zeros((0, residual.y.shape[1]))
     return Diagnosis(
-        verdict=judged,
-        confidence=sure,
-        headline=headline(judged, found, shrinks, remainder, _lacking(residual, found), bent),
-        found=found,
+        verdict=Verdict.UNKNOWN,
+        confidence=0.0,
+        log_odds=0.0,
+        headline="",
+        found=listed,
         joints=joints,
         gains=gains,
         presliding={
-            h.place.name: float(h.shape[0]) for h in now.chosen if h.family == "coulomb_friction"
+            h.place.name: float(h.shape[0])
+            for h in causes.now.chosen
+            if h.family == "coulomb_friction"
         },
+        friction=friction_curves(told),
+        not_listed=tuple(
+            NotListed(h.family, h.place, odds, probability(odds)) for h, odds in causes.others
+        ),
         as_bought=as_bought,
-        heldout=shrinks[0],
-        test=shrinks[1],
-        remainder=remainder,
+        heldout=nothing,
+        validation=None,
+        test=None,
+        remainder=Remainder(0.0, dict.fromkeys(residual.context.row_names, 0.0), (), 0.0),
         inertials=_inertials(told),
-        notes=(*bent, *_flags(told, joints), *_gains(told, gains, settings), *_left_out(dropped)),
-        trace=_trace(residual if other is None else other.residual, own if test is None else test),
-        **_gap(residual, evidence),
+        errors=model_errors(told),
+        notes=(
+            *causes.bent,
+            *_flags(told, joints),
+            *_gains(told, gains, settings),
+            *_left_out(causes.dropped),
+        ),
+        trace=Trace(np.zeros(0), empty, empty, empty, residual.context.row_names, {}),
+        **_gap(residual, told.evidence),
     )
+
+
+def concluded(
+    draft: Diagnosis,
+    causes: Causes,
+    handed: HandedOver,
+    heldout: tuple[HeldOut, Float[np.ndarray, "R n"]],
+    validation: OtherRun | None,
+    test: OtherRun | None,
+) -> Diagnosis:
+    """The diagnosis with its verdict, by the error of what is handed over on the last run there is.
+
+    `heldout`: held-out rows of the log, and what the files leave of them.
+    """
+    again = handed.on_another_run()
+    others = [run for run in (validation, test) if run is not None]
+    runs: list[tuple[HeldOut | OtherRun, Float[np.ndarray, "R n"]]] = [heldout]
+    runs += [(x, again.residual(x.residual) - causes.late(x.residual)) for x in others]
+    checks = [run.check(causes.now, left) for run, left in runs]
+    own = causes.selection.residual
+    shrinks = [_shrink(run, left, causes.ordinary, own) for run, left in runs]
+    by_run = dict(zip([id(run) for run, _ in runs], shrinks, strict=True))
+    run, check = runs[-1][0], checks[-1]
+    named = bool(draft.found)
+    # Where nothing is named the files differ from the model within its tolerances alone, and every run has to be quiet.
+    counted = checks[-1:] if named else checks
+    errors = joined([c.errors for c in counted])
+    errors = errors if named else errors.as_given()
+    given = judged(errors, named, tuple(causes.doubts.against(named))).verdict
+    limit = np.split(errors.limit if named else errors.silence, len(counted))
+    within = [c.odds_within(top) for c, top in zip(counted, limit, strict=True)]
+    odds = odds_of_verdict(np.concatenate(within), given, draft.odd, causes.doubts)
+    remainder = _remainder(check, causes, run, given)
+    out = dataclasses.replace(
+        draft,
+        verdict=given,
+        confidence=confidence(odds),
+        log_odds=odds,
+        heldout=shrinks[0],
+        validation=by_run.get(id(validation)),
+        test=by_run.get(id(test)),
+        remainder=remainder,
+        trace=_trace(run.residual, check),
+    )
+    return dataclasses.replace(out, headline=headline(out, _lacking(own, out.found), causes.bent))
 
 
 def _by_other_stretches(
@@ -130,13 +259,16 @@ def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:
 
 def _causes(
     selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun, settings: Settings
-) -> Posterior:
-    """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing."""
+) -> tuple[Residual, Posterior]:
+    """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing.
+
+    With the residual that has the loads of the robot as found.
+    """
     now, residual = selection.posterior, selection.residual
     causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
     causes = carried_over(bounded(residual, selection.evidence, causes), judge)
     causes = _at_stated_gains(causes, judge, settings)
-    return bounded(residual, selection.evidence, causes)
+    return physical(residual, selection.evidence, bounded(residual, selection.evidence, causes))
 
 
 def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settings) -> Posterior:
@@ -176,7 +308,7 @@ def _at(h: Hypothesis) -> str:
 
 
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
-    """Bodies without the errors that the log says they have, as far towards that as bodies can exist."""
+    """Bodies without the errors that the log says they have."""
     now, residual = selection.posterior, selection.residual
     base = next((h for h in now.chosen if h.family == "tolerances"), None)
     if base is None:
@@ -186,11 +318,8 @@ def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
     for change, name, pi in inertial_changes(residual.context, base.shape):
         size = change.shape[1]
         # The tolerances' torque is what the model needs too much: the body is lighter by it.
-        error = change @ numbers[at : at + size]
+        out[name] = tuple(float(x) for x in pi - change @ numbers[at : at + size])
         at += size
-        share = next((t for t in SHARES if bool(is_physical(jnp.asarray(pi - t * error)))), 0.0)
-        if share:
-            out[name] = tuple(float(x) for x in pi - share * error)
     return out
 
 
@@ -237,18 +366,32 @@ def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings)
             )
 
 
-def _remainder(check: Check, selection: Selection, generic: list[Hypothesis]) -> Remainder:
+def _remainder(check: Check, causes: Causes, run: HeldOut | OtherRun, given: Verdict) -> Remainder:
     """What the causes leave, and shapes that name no cause."""
-    now, residual = selection.posterior, selection.residual
+    now, residual = causes.selection.posterior, causes.selection.residual
     names = residual.context.row_names
-    shapes = sum((now.torque(h) for h in generic), np.zeros_like(residual.y))
-    rms = rows(shapes, residual.weight)
+    shapes = sum((now.torque(h) for h in causes.generic), np.zeros_like(residual.y))
+    size = rows(shapes, residual.weight)
     # Within what equations may err by, a shape that is distinct is there all the same.
-    energy = np.maximum(check.per_joint_after**2 - check.expected**2, rms**2)
+    e = check.errors
+    energy = np.maximum(e.after**2 - e.floor**2 - e.discrepancy**2, size**2)
     total = float(energy.sum())
     where = {n: float(e / total) if total > 0 else 0.0 for n, e in zip(names, energy, strict=True)}
-    carried = tuple(f"{h.family} at {h.place.name}" for h in generic)
-    return Remainder(check.unexplained, where, carried, check.after)
+    with_shapes = min(run.error(causes.everything), check.after) if causes.generic else check.after
+    return Remainder(check.unexplained, where, _resembled(causes, given), with_shapes)
+
+
+def _resembled(causes: Causes, given: Verdict) -> tuple[str, ...]:
+    """Shapes that are carried without a name; of a remainder without one, the candidate that would take most of it."""
+    like = list(causes.generic)
+    if not like and given in (Verdict.UNKNOWN, Verdict.PARTLY):
+        told = causes.told
+        barred = {h.key for h in (*causes.dropped, *told.posterior.chosen)}
+        others = [c for c in told.candidates if c.key not in barred]
+        gains = told.evidence.gains(told.posterior, others) if others else np.zeros(0)
+        if np.max(gains, initial=0.0) > 0.0:
+            like = [others[int(np.argmax(gains))]]
+    return tuple(f"{h.family} at {h.place.name}" for h in like)
 
 
 def _shares(evidence: Evidence) -> Float[np.ndarray, " n"]:
@@ -262,9 +405,20 @@ def _trace(residual, checked: Check) -> Trace:
     return Trace(residual.time, residual.y, checked.left, residual.weight, names, states(residual))
 
 
-def _shrink(c: Check, names: tuple[str, ...]) -> Shrink:
-    rows_of = {
-        n: (float(b), float(a))
-        for n, b, a in zip(names, c.per_joint_before, c.per_joint_after, strict=True)
-    }
-    return Shrink(c.before, c.ordinary, c.after, c.noise, rows_of, c.interval)
+def _shrink(
+    run: HeldOut | OtherRun, left: Float[np.ndarray, "R n"], ordinary: Posterior, own: Residual
+) -> Shrink:
+    """What is quoted of a run: every row in which a joint moves alike."""
+    residual, y = run.residual, run.residual.y
+    moving = residual.moving
+    noise = noise_of(residual, left)
+    per_joint = zip(rows(y, moving).tolist(), rows(left, moving).tolist(), strict=True)
+    return Shrink(
+        rms(y, moving),
+        rms(run.left(ordinary), moving),
+        rms(left, moving),
+        rms(np.broadcast_to(noise, y.shape), moving),
+        dict(zip(residual.context.row_names, per_joint, strict=True)),
+        shrink_interval(moving * y**2, moving * left**2),
+        rms(left_by_least_squares(own, run), moving),
+    )

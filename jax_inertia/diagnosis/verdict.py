@@ -1,88 +1,145 @@
-"""The verdict, one table: about the remainder, not about the robot.
+"""One meaning of the verdict, by torque and by replays: a table of errors on rows that no number was fitted to.
 
-| residual before, against the sensors | unexplained share u | after, against the sensors | verdict |
-|---|---|---|---|
-| no effect is named, all runs and joints are quiet, every number of the model within its tolerance | – | – | no_gap |
-| else | below `explained`, or | within `noise_ratio` | explained |
-| else | below `partly` | | partly |
-| else | | | unknown |
+Each output j (a joint's torque or its replayed position) that moves is judged by itself, by rms errors:
 
-All of what the named effects leave: a generic alternative explains nothing. A run is quiet within `noise_ratio`, a
-joint within `excess` of what its sensors, the equations' own errors and unknown numbers leave. `explained` becomes
-`partly` where a joint is not quiet in every run, where it is not `likely` that no further effect is there, and where
-one without a name is: small as it may be next to the gap, it is distinct, and its cause is not known.
+| quantity | meaning |
+|---|---|
+| f | floor: noise of the sensors, and nothing else; what a fit could take up, such as a clock, is none of it |
+| b, a | error of the model as given, and of the corrected one as it was written to its files and read back |
+| d | what the equations' stated errors and numbers that the log leaves open add to either; 0 where none are stated |
+
+| condition | verdict |
+|---|---|
+| no effect is named, nothing stands against it, and b ≤ 1.5 √(f² + d²) at every output of every run | no_gap |
+| one is, nothing stands against it, and a ≤ 1.5 f, or a ≤ 1.5 √(f² + d²) and a ≤ 0.1 b, at every output | explained |
+| else: one is, and Σ max(a² − f², 0) / f² < Σ max(b² − f², 0) / 2 f² | partly |
+| else | unknown |
+
+The model as given has its numbers where they fit within its stated tolerances, and a position loop's clock likewise.
+Against a verdict stand numbers that are not possible together, numbers of the model beyond its tolerances (against
+no_gap), one more effect that is more likely there than not, and a remainder that is distinct and has no name.
 """
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from jax_inertia.diagnosis.checks import Check
 from jax_inertia.diagnosis.result import Verdict
-from jax_inertia.diagnosis.settings import Settings
 
-SURE = 0.95
-"""Probability of a verdict that no border is near to."""
-
-
-class Doubts(NamedTuple):
-    """What else there may be."""
-
-    another: float = 0.0
-    """Odds that one more effect is there."""
-    refuted: bool = False
-    """Numbers of the model are further off than their tolerance."""
-    unnamed: bool = False
-    """An effect is there that no name is known for."""
+FLOORS = 1.5
+"""Times the floor that an error may be and still show nothing. Decision."""
+NEARLY = 0.1
+"""Of the error of the model as given, what a stated discrepancy may leave of it at most. Decision."""
+HALF = 0.5
+"""Of the gap's energy, what may remain of a gap that is explained in part. Decision."""
 
 
-def verdict(
-    own: Check,
-    other: Check | None,
-    listed: bool,
-    doubts: Doubts,
-    settings: Settings,
-) -> Verdict:
-    """Of the log itself, its stretches held out, and of another run; `listed`: any effect is."""
-    runs = [own] if other is None else [own, other]
-    if not listed:
-        quiet = all(_quiet(c, settings) for c in runs) and not doubts.refuted
-        return Verdict.NO_GAP if quiet else Verdict.UNKNOWN
-    check = runs[-1]
-    limit = settings.noise_ratio * check.noise
-    small = check.unexplained < settings.explained or check.after <= limit
-    if small and check.after < check.before:
-        loud = any(np.any(c.excess > settings.excess) for c in runs)
-        doubted = loud or doubts.unnamed or 1.0 / (1.0 + doubts.another) < settings.likely
-        return Verdict.PARTLY if doubted else Verdict.EXPLAINED
-    return Verdict.PARTLY if check.unexplained < settings.partly else Verdict.UNKNOWN
+@dataclasses.dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors on rows that no number was fitted to, rms of each of m outputs, in the output's own unit."""
+
+    names: tuple[str, ...]
+    floor: Float[np.ndarray, " m"]
+    before: Float[np.ndarray, " m"]
+    after: Float[np.ndarray, " m"]
+    moves: Bool[np.ndarray, " m"]
+    """Outputs that are judged; what rests shows nothing."""
+    discrepancy: Float[np.ndarray, " m"]
+
+    def as_given(self) -> "Errors":
+        """Of a corrected model that is the one given, with numbers moved within its tolerances."""
+        return dataclasses.replace(self, before=self.after)
+
+    @property
+    def quiet(self) -> Bool[np.ndarray, " m"]:
+        """Where the model as given shows no gap, or the output rests."""
+        return (self.before <= self.silence) | ~self.moves
+
+    @property
+    def silence(self) -> Float[np.ndarray, " m"]:
+        """Up to what error the model as given shows no gap."""
+        return FLOORS * np.hypot(self.floor, self.discrepancy)
+
+    @property
+    def done(self) -> Bool[np.ndarray, " m"]:
+        """Where the corrected model leaves nothing that is to be explained, or the output rests."""
+        return (self.after <= self.limit) | ~self.moves
+
+    @property
+    def limit(self) -> Float[np.ndarray, " m"]:
+        """Up to what error the corrected model leaves nothing that is to be explained."""
+        nearly = np.minimum(FLOORS * np.hypot(self.floor, self.discrepancy), NEARLY * self.before)
+        return np.maximum(FLOORS * self.floor, nearly)
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the gap's energy that is left, each output in units of its own floor; 1 where there is no gap."""
+        unit = np.maximum(self.floor, 1e-300)
+        gap, rest = (
+            np.sum(np.maximum((x / unit) ** 2 - 1.0, 0.0)[self.moves])
+            for x in (self.before, self.after)
+        )
+        return float(rest / gap) if gap > 0 else 1.0
 
 
-def _quiet(check: Check, settings: Settings) -> bool:
-    """Whether a run shows nothing that the model's tolerances and its sensors' noise do not leave."""
-    small = check.after_excess <= settings.noise_ratio
-    return bool(small and np.all(check.excess <= settings.excess))
+@dataclasses.dataclass(frozen=True)
+class Left:
+    """The remainder of one output."""
+
+    name: str
+    after: float
+    floors: float
+    """`after` over the floor."""
+    share: float
+    """`after` over the error of the model as given."""
 
 
-def confidence(
-    check: Check,
-    given: Verdict,
-    probabilities: list[float],
-    doubts: Doubts,
-    settings: Settings,
-) -> float:
-    """Probability that the verdict is right: of the least sure odd effect, and of the border between two verdicts.
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """A verdict, and what stands against `explained`."""
 
-    What is explained needs that no other effect is there; what is there without a name remains, however little is left.
+    verdict: Verdict
+    left: tuple[Left, ...]
+    """Outputs at which something is left, the farthest beyond its floor first."""
+    against: tuple[str, ...]
+    """What stands against `no_gap` and `explained` whatever the errors are, one sentence each."""
+
+
+def judged(errors: Errors, named: bool, against: Sequence[str] = ()) -> Judgement:
+    """The verdict of the table above; `named`: an effect is, with a place and a size.
+
+    >>> import numpy as np
+    >>> floor, moves = np.array([1.0, 1.0]), np.array([True, True])
+    >>> at = Errors(("hip", "knee"), floor, np.array([9.0, 40.0]), np.array([1.1, 12.0]), moves, 0 * floor)
+    >>> found = judged(at, named=True)
+    >>> str(found.verdict), found.left[0].name
+    ('partly', 'knee')
     """
-    sure = min(probabilities, default=0.99)
-    ratio = max(check.unexplained, 1e-6) / settings.explained
-    if given is Verdict.EXPLAINED:
-        border = 1.0 / (1.0 + ratio**2)
-        sure /= 1.0 + doubts.another
-    elif given is Verdict.PARTLY:
-        border = SURE if doubts.unnamed else ratio**2 / (1.0 + ratio**2)
-        sure = max(sure, 0.5)
-    else:
-        border = SURE
-    return float(np.clip(sure * max(border, 0.5), 0.05, 0.99))
+    if not named and np.all(errors.quiet) and not against:
+        return Judgement(Verdict.NO_GAP, (), ())
+    floors = errors.after / np.maximum(errors.floor, 1e-300)
+    shares = errors.after / np.maximum(errors.before, 1e-300)
+    left = tuple(
+        Left(errors.names[j], float(errors.after[j]), float(floors[j]), float(shares[j]))
+        for j in np.argsort(-floors).tolist()
+        if not errors.done[j]
+    )
+    if named and not left and not against:
+        return Judgement(Verdict.EXPLAINED, (), ())
+    part = named and errors.unexplained < HALF
+    verdict = Verdict.PARTLY if part else Verdict.UNKNOWN
+    return Judgement(verdict, left, tuple(against))
+
+
+def joined(runs: Sequence[Errors]) -> Errors:
+    """The outputs of several runs, side by side."""
+    return Errors(
+        tuple(n for e in runs for n in e.names),
+        np.concatenate([e.floor for e in runs]),
+        np.concatenate([e.before for e in runs]),
+        np.concatenate([e.after for e in runs]),
+        np.concatenate([e.moves for e in runs]),
+        np.concatenate([e.discrepancy for e in runs]),
+    )

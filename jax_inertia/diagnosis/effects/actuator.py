@@ -35,7 +35,7 @@ class TorqueGain(Effect):
     """At one joint, or at all of them (supply voltage, torque constant of one drive type)."""
 
     name, equation, form_error = "torque_gain", "τ = g τ_logged", 0.02
-    before_gain = True
+    before_gain, by_load = True, True
     source = "a torque constant, a current sensor's scale; Gautier and Briot, J. Dyn. Syst. Meas. Control 136(5), 2014"
     units, advice = {"gain": "1"}, advice.KNOWN_WEIGHT
     prior = "1 − 1/g: 0.15; g from 0.5 to 1.5"
@@ -57,7 +57,7 @@ class TorqueGain(Effect):
 
     def numbers(self, context, place, shape, theta):
         support = context.prepared.support
-        if place.kind == "joint" and support is not None and support.used_up[place.index]:
+        if place.kind == "joint" and support is not None and support.bears(place.index):
             # Of a leg by whose logged torque the ground's force is taken, that torque is all that it seems to need.
             return {"gain": Parameter(1.0 + float(theta[0]), "1", factor=True)}
         # Friction at the joint is what the motor's torque is after its gain, so y = (1 − 1/g) needed + ....

@@ -67,7 +67,7 @@ FAST_SWEEP = Advice(
     "fast sweep",
     "Sweep the torque from 5 to 25 Hz",
     {"from_hz": 5.0, "to_hz": 25.0},
-    "a delay and a first-order lag have the same phase when slow, and part above some ten hertz",
+    "a delay and a first-order lag have the same phase when slow, and differ above some ten hertz",
 )
 TORQUE_REVERSALS = Advice(
     "torque reversals",

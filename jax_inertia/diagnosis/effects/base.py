@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from jax_inertia.diagnosis.effects.advice import WIDE, Advice
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.logs.log import AnyArray
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 Shape = tuple[float, ...]
@@ -38,7 +39,8 @@ class Place:
 class Columns:
     """Columns on the fast grid: of one row (T, k), or of all rows (T, nv, k)."""
 
-    values: np.ndarray
+    values: Any
+    """NumPy's array, or JAX's where the context's are."""
     row: int | None = None
 
 
@@ -77,6 +79,21 @@ OF_SLIDE = {
     "1/rad": "1/m",
 }
 """Units of a hinge's numbers, and of a slide's."""
+
+
+class Term(NamedTuple):
+    """One term of a joint's friction law, see `friction_curve`; its torque is its number times a form of the motion."""
+
+    form: str
+    """'bristle', 'slow', 'load', 'by_direction', 'viscous', 'quadratic', 'slope_by_direction' or 'drift'."""
+    scale: float = 0.0
+    """Displacement of a bristle [rad], speed of 'slow' [rad/s], time constant of 'drift' [s]."""
+    kind: float = 0.0
+    """1 of a bristle that slips as a straight spring does, of a load that is the motor's; exponent of 'slow'."""
+
+
+Terms = Mapping[Term, float]
+"""Terms of a friction law, and how much of each there is for one unit of a number."""
 
 
 class Edit(NamedTuple):
@@ -181,6 +198,10 @@ class Effect(abc.ABC):
     θ is one, give or take this. Zero where θ is the size."""
     calibrated: ClassVar[bool] = False
     """Whether its columns need each joint's friction and rotor inertia as found (`Residual.calibrated`)."""
+    loads: ClassVar[bool] = False
+    """Whether it changes what the links need, so that loads of gears and motors change with it."""
+    by_load: ClassVar[bool] = False
+    """Whether its columns are of those loads: handed over, they are of the robot with what was found."""
     before_gain: ClassVar[bool] = False
     """Whether it is of the logged torque itself, so that its numbers do not change with the motor's gain."""
     holds: ClassVar[str] = ""
@@ -247,6 +268,10 @@ class Effect(abc.ABC):
         """Of each of `count` numbers, of what kind of which the log says how large they are; −1 where it does not."""
         return np.full(count, -1)
 
+    def of_links(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """The numbers of θ that change what the links need."""
+        return theta
+
     of_log: ClassVar[bool] = False
     """Whether its numbers are one log's, so that another log has its own."""
 
@@ -273,9 +298,22 @@ class Effect(abc.ABC):
         """
         return None
 
+    def friction_terms(self, context: Context, place: Place, shape: Shape) -> tuple[Terms, ...]:
+        """Of each number of θ, the terms of the joint's friction law that it adds to; none of what is no friction."""
+        return ()
+
     def lower(self, context: Context, place: Place) -> float:
         """Least value of the first number of θ that a robot can have."""
         return -np.inf
+
+    def least(
+        self, context: Context, place: Place, shape: Shape, count: int
+    ) -> Float[np.ndarray, " k"]:
+        """Least value of each of `count` numbers of θ that can be handed over, those of its level first.
+
+        Beside `lower` of the first of its own and of its level.
+        """
+        return np.full(count, -np.inf)
 
     def possible(self, context: Context, place: Place, theta: Float[np.ndarray, " k"]) -> bool:
         """Whether a robot can have these numbers: of what is there whole or not at all, θ one as far as it is known."""
@@ -327,6 +365,11 @@ class Effect(abc.ABC):
         )
 
     @property
+    def is_friction(self) -> bool:
+        """Whether it is a term of a joint's friction law."""
+        return type(self).friction_terms is not Effect.friction_terms
+
+    @property
     def acts(self) -> bool:
         """Whether it adds to what acts on rows and bodies, beyond making torques late."""
         own = type(self)
@@ -362,6 +405,6 @@ def peak_of(context: Context, row: int) -> float:
     return max(float(np.percentile(both, 99.5)), 1e-9)
 
 
-def of_row(values: Float[np.ndarray, "T *k"], place: Place) -> Columns:
+def of_row(values: Float[AnyArray, "T *k"], place: Place) -> Columns:
     """Columns on a joint's own row."""
     return Columns(values.reshape(len(values), -1), place.index)

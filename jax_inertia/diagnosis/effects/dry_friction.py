@@ -7,11 +7,20 @@ both at once has the level before them.
 """
 
 import itertools
+from typing import Any
 
 import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
-from jax_inertia.diagnosis.effects.base import Edit, Effect, Parameter, Shape, of_row, peak_of
+from jax_inertia.diagnosis.effects.base import (
+    Edit,
+    Effect,
+    Parameter,
+    Shape,
+    Term,
+    of_row,
+    peak_of,
+)
 from jax_inertia.diagnosis.effects.joint import ARMSTRONG
 from jax_inertia.diagnosis.effects.spec_joint import add_friction, joint_of, wind
 
@@ -23,13 +32,18 @@ BENT, STRAIGHT = 0.0, 1.0
 """How friction turns over a displacement: as Dahl's bristles bend, or as a straight spring slips."""
 
 
-def direction(context, row: int, presliding: float, way: float = BENT) -> np.ndarray:
+def direction(context, row: int, presliding: float, way: float = BENT) -> Any:
     """z(t) of a joint (T,)."""
     if presliding < 0:
         return context.creeping(row, -presliding)
     if not presliding:
         return context.side[:, row]
     return context.bristle(row, presliding, straight=way == STRAIGHT)
+
+
+def bristle_of(presliding: float, way: float = BENT) -> Term:
+    """The term of a friction law whose direction is `direction`'s; of a creeping one the level stands for it."""
+    return Term("bristle", float(presliding), float(way))
 
 
 def ways(context, place) -> list[float]:
@@ -55,7 +69,7 @@ class DryFriction(Effect):
         # Where its own; a form of a friction that is there turns round as that does.
         return (0.3 * abs(float(shape[0])), *[0.0] * (len(shape) - 1))
 
-    def direction(self, context, place, shape) -> np.ndarray:
+    def direction(self, context, place, shape) -> Any:
         """z in [−1, 1] that multiplies the level (T,)."""
         return direction(context, place.index, float(shape[0]), shape[1])
 
@@ -74,6 +88,9 @@ class CoulombFriction(DryFriction):
 
     def columns(self, context, place, shape):
         return of_row(-self.direction(context, place, shape), place)
+
+    def friction_terms(self, context, place, shape):
+        return ({bristle_of(*shape[:2]): 1.0},)
 
     def scale(self, context, place, shape):
         return np.array([0.15 * peak_of(context, place.index)])
@@ -103,6 +120,9 @@ class AsymmetricCoulomb(DryFriction):
 
     def columns(self, context, place, shape):
         return of_row(-np.abs(self.direction(context, place, shape)), place)
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("by_direction"): 1.0},)
 
     def scale(self, context, place, shape):
         return np.array([0.03 * peak_of(context, place.index)])
@@ -158,6 +178,9 @@ class StribeckFriction(DryFriction):
         z = self.direction(context, place, shape)
         slow = np.exp(-(np.abs(context.v[:, place.index] / shape[2]) ** shape[3]))
         return of_row(-z * slow, place)
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("slow", float(shape[2]), float(shape[3])): 1.0},)
 
     def scale(self, context, place, shape):
         return np.array([0.08 * peak_of(context, place.index)])
@@ -263,6 +286,9 @@ class LoadFriction(DryFriction):
 
     def possible(self, context, place, theta):
         return bool(-1e-12 <= theta[0] <= MOST_LOAD)
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("load", 0.0, float(shape[2])): 1.0},)
 
     def scale(self, context, place, shape):
         return np.array([0.1])

@@ -41,7 +41,7 @@ class GravityTilt(Effect):
         True,
     )
     source, advice = "a base that is not level, a robot on a wall", advice.TURNED_BASE
-    units = {"tilt_x": "rad", "tilt_y": "rad"}
+    units, loads = {"tilt_x": "rad", "tilt_y": "rad"}, True
     prior = "0.04 rad about either axis, of larger ones as large as they are; at most π"
     mjcf = "option gravity"
 

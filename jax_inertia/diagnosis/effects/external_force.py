@@ -6,6 +6,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Applied, Bound, Columns, Effect, Moment, Parameter
+from jax_inertia.maths.batch_last import cross
 
 SHORTEST, LONGEST = 0.1, 3.0
 """Of a push [s]: a period of the band in which it is looked for; what lasts longer is no push."""
@@ -50,7 +51,7 @@ def wrench_at(xp: ModuleType, now: Moment, at: Bound):
         return xp.concatenate([force, xp.zeros(3)])
     point = np.array([at.values[f"point_{k}"] for k in "xyz"])
     lever = now.turn[at.index] @ (point - at.centres[at.index])
-    return xp.concatenate([force, xp.cross(lever, force)])
+    return xp.concatenate([force, cross(lever[None], force[None])[0]])
 
 
 class _Force(Effect):
@@ -62,6 +63,7 @@ class ConstantForce(_Force):
     """θ = [f, p], p from the centre of mass along the body's axes; bilinear, the secant at θ."""
 
     name, equation, secant = "constant_force", "J(p)ᵀ f, f fixed in the world, p on the body", True
+    loads = True
     source, advice = "a cable, a hoist, a balancer", advice.BRISK
     units = {f"force_{k}": "N" for k in "xyz"} | {f"point_{k}": "m" for k in "xyz"}
     prior = "10 N along each axis, more on a robot of over 40 kg; at the centre of mass, give or take a link"
@@ -120,7 +122,11 @@ class Drag(_Force):
 class Push(_Force):
     """A force for a short time."""
 
-    name, equation, form_error = "push", "Jᵀ f w(t), w a short plateau", 0.1
+    name, form_error = "push", 0.1
+    equation = (
+        "Jᵀ f w(t), w = ½ (1 − cos πn)(1 + skew sin 2πp), p = (t − start)/(end − start) within [0, 1], "
+        "n = min(p/flank, (1 − p)/flank, 1)"
+    )
     source, advice = "a hand, a collision; w: Tukey's window (Harris 1978)", advice.AGAIN
     units = {
         **{f"force_{k}": "N" for k in "xyz"},

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jax_inertia.diagnosis.effects.base import Effect, of_row
-from jax_inertia.diagnosis.effects.dry_friction import BENT, direction, ways
+from jax_inertia.diagnosis.effects.base import Effect, Term, of_row
+from jax_inertia.diagnosis.effects.dry_friction import BENT, bristle_of, direction, ways
 
 FORM_TOLERANCE = 0.05
 """How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
@@ -13,6 +13,12 @@ MILD_STICTION = 0.2
 nothing of a motion's rms, however large."""
 
 
+MILD_LOAD = 0.03
+"""How much of the load on a gear is friction on such robots: next to no load says nothing of it, however it fits."""
+MILD_SPEEDS = 0.05, 0.2
+"""Speeds below which mild stiction is there [rad/s]."""
+STATED_SPEEDS = 0.02, 0.05, 0.2
+"""The same of a friction that a calibrated model states: what is slower than is seen is a way to turn round, too."""
 TURNING_TOLERANCE = 0.5
 """How much of a joint's friction may turn round over another displacement: bristle laws differ in no other way."""
 
@@ -51,6 +57,10 @@ class FrictionTurning(Effect):
         others = [direction(context, place.index, x) - z for x in _other_ways(shape[0])]
         return of_row(-np.stack(others, 1), place)
 
+    def friction_terms(self, context, place, shape):
+        own = bristle_of(*shape[:2])
+        return tuple({bristle_of(x): 1.0, own: -1.0} for x in _other_ways(shape[0]))
+
     def scale(self, context, place, shape):
         return np.full(2, TURNING_TOLERANCE * shape[2])
 
@@ -66,7 +76,7 @@ class FrictionForms(Effect):
     """
 
     name, equation, named, marginal = "friction_forms", "level (1 + a mild form)", False, True
-    form_error = 0.0
+    form_error, by_load = 0.0, True
 
     def shapes(self, context, place):
         return []
@@ -74,9 +84,9 @@ class FrictionForms(Effect):
     def columns(self, context, place, shape):
         row = place.index
         z, v = direction(context, row, shape[0]), context.v[:, row]
-        load = np.abs(context.inverse[:, row])
+        load = np.abs(context.link_torque[:, row])
         forms = [
-            *_slow(context, row, z, (0.05, 0.2)),
+            *_slow(context, row, z, MILD_SPEEDS),
             z * load,
             np.abs(v) * v,
             np.abs(z),
@@ -86,11 +96,23 @@ class FrictionForms(Effect):
         ]
         return of_row(-np.stack(forms, 1), place)
 
+    def friction_terms(self, context, place, shape):
+        radian, own = float(context.radian[place.index]), bristle_of(shape[0])
+        return (
+            *({Term("slow", radian * speed, 2.0): 1.0} for speed in MILD_SPEEDS),
+            {Term("load"): 1.0},
+            {Term("quadratic"): 1.0},
+            {Term("by_direction"): 1.0},
+            {Term("slope_by_direction"): 2.0},
+            *({bristle_of(x): 1.0, own: -1.0} for x in _other_ways(shape[0])),
+        )
+
     def scale(self, context, place, shape):
         size = np.sqrt(np.mean(self.columns(context, place, shape).values ** 2, axis=0))
         out = FORM_TOLERANCE * shape[1] / np.maximum(size, 1e-12)
         if shape[2] > 0:
             out[:2] = np.minimum(out[:2], MILD_STICTION * shape[2])
+        out[2] = min(out[2], MILD_LOAD)
         out[6:] = TURNING_TOLERANCE * shape[1]
         return out
 
@@ -128,12 +150,27 @@ class StatedFriction(Effect):
         dry = [
             context.side[:, row] - z,
             *(z - direction(context, row, x) for x in _other_ways(shape[0])),
-            *_slow(context, row, z, (0.02, 0.05, 0.2)),
+            *_slow(context, row, z, STATED_SPEEDS),
         ]
-        top = max(float(np.percentile(np.abs(v), 99)), 1e-9)
-        bent = float(context.damping[row]) * np.abs(v) * v / top
+        bent = float(context.damping[row]) * np.abs(v) * v / self._top(context, row)
         return of_row(
             np.stack([*(float(context.frictionloss[row]) * x for x in dry), bent], 1), place
+        )
+
+    @staticmethod
+    def _top(context, row: int) -> float:
+        """Usual top speed of a row [rad/s]."""
+        return max(float(np.percentile(np.abs(context.v[:, row]), 99)), 1e-9)
+
+    def friction_terms(self, context, place, shape):
+        row, own = place.index, bristle_of(*shape)
+        level, damping = float(context.frictionloss[row]), float(context.damping[row])
+        radian = float(context.radian[row])
+        return (
+            {bristle_of(0.0): -level, own: level},
+            *({own: -level, bristle_of(x): level} for x in _other_ways(shape[0])),
+            *({Term("slow", radian * speed, 2.0): -level} for speed in STATED_SPEEDS),
+            {Term("quadratic"): -damping / self._top(context, row)},
         )
 
     def scale(self, context, place, shape):

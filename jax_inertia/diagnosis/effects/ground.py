@@ -1,6 +1,6 @@
 """What is never exact of forces of the ground, marginalised: feet that give, friction at rest, stamps of wrenches.
 
-Where no contact wrench is measured, legs' torques and feet say what the ground does (`signals.ground_support`).
+Where no contact wrench is measured, legs' torques and feet say what the ground does (`signals.ground.support`).
 """
 
 import dataclasses

@@ -32,7 +32,17 @@ class Identified:
 
 
 def effects_in(report: Mapping[str, Any]) -> tuple[Identified, ...]:
-    """The effects of a report.json as parsed, each joint's whole gain with them; ValueError where it is none."""
+    """The effects of a report.json as parsed, each joint's whole gain with them; ValueError where it is none.
+
+    Those that are named and not handed over are left out.
+
+    >>> from jax_inertia.diagnosis.effects.identified import effects_in
+    >>> numbers = {"stiffness": {"value": 5.0}, "rest_angle": {"value": 0.1}}
+    >>> place = {"kind": "joint", "name": "elbow"}
+    >>> spring = {"family": "joint_spring", "location": place, "parameters": numbers}
+    >>> [str(e) for e in effects_in({"effects": [spring]})]
+    ['joint_spring at joint elbow: stiffness = 5, rest_angle = 0.1']
+    """
     try:
         gains = {
             joint: own[GAIN]["value"]
@@ -49,7 +59,7 @@ def effects_in(report: Mapping[str, Any]) -> tuple[Identified, ...]:
                 e["location"].get("other", ""),
             )
             for e in report["effects"]
-            if not gains or e["family"] != GAIN
+            if e.get("handed_over", True) and (not gains or e["family"] != GAIN)
         )
         return (*whole, *listed)
     except (KeyError, TypeError) as error:

@@ -10,9 +10,12 @@ from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter
 from jax_inertia.diagnosis.effects.external_force import lever_on
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.model.load import body_pi, set_inertials
+from jax_inertia.signals.differences import RIGID_BODY_ERROR
 
 SIZE = 0.1
 """A load's usual radius of gyration on such links [m]."""
+ROUNDNESS = 0.8, 0.5
+"""Mean and standard deviation of k², of that radius squared: loads of 2 to 15 cm, and none below a point's zero."""
 ROUND = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 """A ball's inertia of one, among a body's parameters."""
 LIFTED = (
@@ -58,8 +61,8 @@ LOAD = 0.08
 
 
 class _Inertial(Effect):
-    # A rigid body's equation is exact; filters and differences of the motion are not.
-    kind, advice, form_error = "body", advice.BRISK, 0.003
+    kind, advice, form_error = "body", advice.BRISK, RIGID_BODY_ERROR
+    loads = True
     mjcf: ClassVar[str] = "body inertial"
 
     def regressor(self, context, place) -> np.ndarray:
@@ -95,7 +98,7 @@ class Payload(_Inertial):
     What is quadratic in c is the secant at θ: bilinear in m c and the c of the nonlinear numbers, which are θ's own.
     """
 
-    name, equation, secant = "payload", "π + [m, m c, m (c·c 1 − c cᵀ + k² 1)]", True
+    name, equation, secant = "payload", "mass m, centre c, moments m k² about c, added", True
     source = "a tool, a gripper; Khalil, Gautier and Lemoine, ICRA 2007"
     units = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m", "gyration_radius": "m"}
     prior = "0.08 of the robot's mass or 0.3 of the body's, up to four times that; as far off as its centre and 6 cm"
@@ -124,7 +127,13 @@ class Payload(_Inertial):
 
     def mean(self, context, place, shape):
         # A log that shows moments alone leaves it there, and not at none.
-        return np.array([self._near(context, place, shape), 0.0, 0.0, 0.0, 0.0])
+        near = self._near(context, place, shape)
+        round_ = ROUNDNESS[0] * self._judged_by(context, place, shape) * (SIZE * context.scale) ** 2
+        return np.array([near, 0.0, 0.0, 0.0, round_])
+
+    def _judged_by(self, context, place, shape) -> float:
+        """Mass by which a load's moments are judged [kg]."""
+        return max(float(shape[0]), LEAST * self.usual_mass(context, place))
 
     def _near(self, context, place, shape) -> float:
         """The mass of the grid that is nearest to that by which moments are judged [kg]."""
@@ -133,17 +142,20 @@ class Payload(_Inertial):
 
     def scale(self, context, place, shape):
         # As far from the joint as the body's own centre of mass; its moments by its mass: p(m c | m), p(m k² | m).
-        lever, size = lever_on(context, place), (SIZE * context.scale) ** 2
-        usual = self.usual_mass(context, place)
-        mass = max(float(shape[0]), LEAST * usual)
+        lever, size = lever_on(context, place), ROUNDNESS[1] * (SIZE * context.scale) ** 2
+        usual, mass = self.usual_mass(context, place), self._judged_by(context, place, shape)
         spread = max(usual, self._near(context, place, shape))
         return np.array([spread, *(mass * np.array([lever, lever, lever, size]))])
+
+    def least(self, context, place, shape, count):
+        # Nothing is rounder than a point.
+        return np.array([*[-np.inf] * (count - 1), 0.0])
 
     def possible(self, context, place, theta):
         mass = max(float(theta[0]), 1e-9)
         lever = np.linalg.norm(theta[1:4]) / mass
         # Nothing is rounder than a point; noise in accelerations makes it seem so by some.
-        round_enough = theta[4] > -3.0 * mass * (SIZE * context.scale) ** 2
+        round_enough = theta[4] > -mass * (SIZE * context.scale) ** 2
         return bool(theta[0] > 0 and lever < context.scale and round_enough)
 
     def numbers(self, context, place, shape, theta):
@@ -220,8 +232,11 @@ class LinkInertia(_Inertial):
     def scale(self, context, place, shape):
         return np.array([0.8])
 
+    def lower(self, context, place):
+        return 0.1 - 1.0
+
     def possible(self, context, place, theta):
-        return bool(0.1 < 1.0 + theta[0] < 10.0)
+        return bool(0.1 <= 1.0 + theta[0] < 10.0)
 
     def numbers(self, context, place, shape, theta):
         return {"inertia_scale": Parameter(1.0 + float(theta[0]), "1", factor=True)}

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from jax_inertia.diagnosis.effects import advice
-from jax_inertia.diagnosis.effects.base import Edit, Effect, Parameter, of_row, peak_of
+from jax_inertia.diagnosis.effects.base import Edit, Effect, Parameter, Term, of_row, peak_of
 from jax_inertia.diagnosis.effects.spec_joint import add_damping, joint_of, wind
 
 ARMSTRONG = "Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994"
@@ -37,6 +37,9 @@ class ViscousFriction(_AlongTheJoint):
     of_speed = 1
     prior = "0.15 of the joint's peak torque at top speed, 1 rad/s at most; not below minus the model's own"
     mjcf = "joint damping"
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("viscous"): 1.0},)
 
     def columns(self, context, place, shape):
         return of_row(-context.v[:, place.index], place)
@@ -92,15 +95,18 @@ class TorqueBias(_AlongTheJoint):
 class AsymmetricViscous(_AlongTheJoint):
     name, equation, refines = "asymmetric_viscous", "−½ (d⁺ − d⁻) |q̇|", True
     source = ARMSTRONG
-    units, share, of_speed, form_error = {"difference": "N m s/rad"}, 0.05, 1, 0.05
-    prior = "0.05 of the joint's peak torque at top speed, 1 rad/s at most"
+    units, share, of_speed, form_error = {"difference": "N m s/rad"}, 0.1, 1, 0.05
+    prior = "0.1 of the joint's peak torque at top speed, 1 rad/s at most"
     mjcf = "none: step law"
 
+    def friction_terms(self, context, place, shape):
+        return ({Term("slope_by_direction"): 1.0},)
+
     def columns(self, context, place, shape):
-        return of_row(-np.abs(context.v[:, place.index]), place)
+        return of_row(-0.5 * np.abs(context.v[:, place.index]), place)
 
     def torque(self, xp, now, at):
-        return -at.values["difference"] * xp.abs(now.v)
+        return -0.5 * at.values["difference"] * xp.abs(now.v)
 
 
 class QuadraticViscous(_AlongTheJoint):
@@ -110,6 +116,9 @@ class QuadraticViscous(_AlongTheJoint):
     prior = "0.05 of the joint's peak torque at top speed, 1 rad/s at most"
     mjcf = "joint damping, its second coefficient; MJX by step law"
     unread_by_mjx = True
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("quadratic"): 1.0},)
 
     def columns(self, context, place, shape):
         v = context.v[:, place.index]
@@ -145,6 +154,9 @@ class FrictionDrift(_AlongTheJoint):
     def lower(self, context, place):
         # A lubricant gets thinner as it warms.
         return 0.0
+
+    def friction_terms(self, context, place, shape):
+        return ({Term("drift", float(shape[0])): 1.0},)
 
     def columns(self, context, place, shape):
         return of_row(-context.v[:, place.index] * np.exp(-context.time / shape[0]), place)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, Shape, of_row
+from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, Shape, Term, of_row
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
@@ -19,7 +19,7 @@ class InertialTolerances(Effect):
     """
 
     name, equation, kind = "tolerances", "Y δπ, δπ within the model's tolerance", "global"
-    named, marginal, form_error = False, True, 0.0
+    named, marginal, form_error, loads = False, True, 0.0, True
 
     def columns(self, context, place, shape):
         every, robot = context.regressor, context.robot
@@ -37,6 +37,10 @@ class InertialTolerances(Effect):
     def kinds(self, count: int) -> Int[np.ndarray, " k"]:
         """Of each of `count` columns: 0 a mass, 1 a centre of mass, 2 an inertia, −1 the timings."""
         return np.append(np.tile([0, 1, 1, 1, *[2] * 6], (count - 3) // 10), [-1, -1, -1])
+
+    def of_links(self, theta):
+        # Timings are of the log.
+        return np.concatenate([theta[:-3], np.zeros(3)])
 
     def size_prior(self, shape):
         return shape[4], shape[6]
@@ -85,6 +89,10 @@ class StatedNumbers(Effect):
         row, own = place.index, self.own(context, place)
         motion = context.v[:, row], context.side[:, row], context.a[:, row]
         return of_row(-self.relative(shape) * np.stack(motion, 1) * own, place)
+
+    def friction_terms(self, context, place, shape):
+        damping, dry, _ = self.relative(shape) * self.own(context, place)
+        return ({Term("viscous"): damping}, {Term("bristle"): dry}, {})
 
     @staticmethod
     def relative(shape: Shape) -> Float[np.ndarray, "3"]:

@@ -282,8 +282,15 @@ class Context:
 
         `band`: up to which frequency [Hz] the logged motion is believed.
         """
-        whole = max(level * self._softness[row], 1e-9)
-        return np.clip(self._sliding(band)[:, row] / whole, -1.0, 1.0)
+        return self.creeping_at(row, self.creep_speed(row, level), band)
+
+    def creep_speed(self, row: int, level: float) -> float:
+        """Speed at which a `level` of MuJoCo's friction loss is reached [rad/s]."""
+        return max(level * float(self._softness[row]), 1e-9)
+
+    def creeping_at(self, row: int, speed: float, band: float = CREEP_BAND) -> np.ndarray:
+        """`creeping` by the speed at which its level is reached [rad/s]."""
+        return np.clip(self._sliding(band)[:, row] / speed, -1.0, 1.0)
 
     def _sliding(self, band: float) -> np.ndarray:
         """q̇ + q̈/b of the soft constraint, below a frequency [Hz] (T, nv)."""
@@ -320,6 +327,11 @@ class Context:
                 offset=float(self.offset[row]),
             )
         return self._driven_links[row]
+
+    def predicted_link(self, row: int) -> DrivenLink:
+        """The same by the motion alone: no logged torque is in it."""
+        link = self.driven_link(row)
+        return link.by_motion(self.below(self.prepared.bands.cutoff, link.needed))
 
     def rubs(self, row: int) -> bool:
         """Whether the model knows friction of a joint's own."""

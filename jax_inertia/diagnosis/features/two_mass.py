@@ -92,6 +92,17 @@ class DrivenLink:
         clear = abs(first) > LEANS * np.percentile(np.abs(self.carried), 99.5)
         return float(np.sign(first)) if clear else 0.0
 
+    def by_motion(self, needed: Float[np.ndarray, " T"]) -> "DrivenLink":
+        """The same whose paths are predictions: `needed`, n within the chain's band, is taken for what is carried.
+
+        A path drawn to the logged torque holds a part of what it is to predict: a false spring that resonates within
+        the band then explains all of the torque there.
+        """
+        own = self.friction
+        if own is not None:
+            own = dataclasses.replace(own, carried=needed + own.carried - self.carried)
+        return dataclasses.replace(self, carried=needed, friction=own, _paths={}, _begins={})
+
     def separation(self, coupling: Coupling) -> Float[np.ndarray, " T"]:
         """δ: how far the motor is ahead of the link through a coupling."""
         self.separate([coupling])

@@ -6,9 +6,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from jax_inertia.diagnosis.report.drawing import BLUE, GREY, ORANGE, STYLE, embedded
-from jax_inertia.diagnosis.result import Diagnosis
+from jax_inertia.diagnosis.result import Diagnosis, Trace
+from jax_inertia.text.words import from_start
 
 WIDTH = 5.2
+SHOWN_SECONDS = 6.0
+"""Of a run, about the moment that the nominal model misses most: lines of a whole run lie on each other [s]."""
 
 
 def joints(found: Diagnosis) -> str:
@@ -32,6 +35,42 @@ def joints(found: Diagnosis) -> str:
         axes.set_xlabel("torque error, rms of moving rows [N m]")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return embedded(figure)
+
+
+def torques(found: Diagnosis) -> list[tuple[str, str]]:
+    """(joint, figure) of every joint: its torque measured, by the nominal model, and with what was found."""
+    trace = found.trace
+    part = _worst_part(trace)
+    time, axis = from_start(trace.time[part])
+    out = []
+    for name in (n for n in found.joints if n in trace.rows):
+        row = trace.rows.index(name)
+        measured = trace.state["tau"][part, row]
+        lines = (
+            (measured, GREY, 3.0, "measured"),
+            (measured + trace.before[part, row], ORANGE, 1.0, "nominal model"),
+            (measured + trace.after[part, row], BLUE, 1.0, "with what was found"),
+        )
+        with rc_context(STYLE):
+            figure = Figure((WIDTH, 2.0), layout="constrained")
+            axes = figure.subplots()
+            for values, colour, width, label in lines:
+                axes.plot(time, values, color=colour, linewidth=width, label=label)
+            axes.set(xlabel=axis, ylabel=f"torque [{found.units[name]}]")
+            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+            out.append((name, embedded(figure)))
+    return out
+
+
+def _worst_part(trace: Trace) -> slice:
+    """The rows of `SHOWN_SECONDS` in which the nominal model errs most, each joint by its own error."""
+    error = trace.moving * trace.before**2
+    size = (error / np.maximum(error.mean(axis=0), 1e-300)).sum(axis=1)
+    count = int(np.searchsorted(trace.time - trace.time[0], SHOWN_SECONDS, side="right"))
+    if count >= len(size):
+        return slice(0, len(size))
+    start = int(np.argmax(np.convolve(size, np.ones(count), mode="valid")))
+    return slice(start, start + count)
 
 
 def along_state(found: Diagnosis, joint: str) -> str:
@@ -72,8 +111,9 @@ def along_time(found: Diagnosis, joint: str) -> str:
             (trace.after, BLUE, "with what was found"),
         ):
             y = np.where(rests, np.nan, values[:, row])
-            axes.plot(trace.time, y, color=colour, linewidth=1.0, label=label)
-        axes.set_xlabel("time [s]")
+            time, axis = from_start(trace.time)
+            axes.plot(time, y, color=colour, linewidth=1.0, label=label)
+        axes.set_xlabel(axis)
         axes.set_ylabel(f"torque residual [{found.units[joint]}]")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.2), ncols=2)
     return embedded(figure)

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from jax_inertia.diagnosis.effects.base import Effect, Interval
+from jax_inertia.diagnosis.friction_curve import EQUATION, NUMBERS_OF, FrictionCurve
 from jax_inertia.diagnosis.report.json_values import clean, located, motion_values, rollout_values
 from jax_inertia.diagnosis.report.next_motion import to_record
-from jax_inertia.diagnosis.result import Diagnosis, Found, Shrink
+from jax_inertia.diagnosis.result import Diagnosis, Found, NotListed, Shrink
 from jax_inertia.diagnosis.simulate.rollout import Rollouts
 from jax_inertia.preflight.preflight import Finding as Quality
 
@@ -23,6 +24,7 @@ def to_report(
         "schema": 1,
         "verdict": str(found.verdict),
         "confidence": found.confidence,
+        "log_odds": found.log_odds,
         "headline": found.headline,
         "gap": {
             "chi2": found.chi2,
@@ -31,21 +33,27 @@ def to_report(
             "share": found.share,
         },
         "effects": [_effect(f) for f in found.found],
+        "not_listed": [_not_listed(other) for other in found.not_listed],
         "joints": {
             name: {family: _number(p) for family, p in own.items()}
             | {"coulomb_friction": _dry(own["coulomb_friction"], found.presliding.get(name))}
             | ({"torque_gain": _number(found.gains[name])} if name in found.gains else {})
             for name, own in found.joints.items()
         },
+        "friction": {name: _law(curve) for name, curve in found.friction.items()},
+        "drive_gains": {"value": found.drive_gains, "unit": "N m per unit of the log"}
+        if found.drive_gains
+        else None,
         "shrink": {
             "heldout": _shrink(found.heldout),
+            "validation_log": None if found.validation is None else _shrink(found.validation),
             "test_log": None if found.test is None else _shrink(found.test),
             "rollout": None if rollouts is None else rollout_values(rollouts),
         },
         "explained_share": 1.0 - found.remainder.share,
         "remainder": {
             "share": found.remainder.share,
-            "after": found.remainder.after,
+            "with_shapes": found.remainder.with_shapes,
             "where": found.remainder.where,
             "resembles": "; ".join(found.remainder.resembles),
         },
@@ -70,15 +78,42 @@ def _effect(f: Found) -> dict[str, Any]:
         "family": f.family,
         "location": located(f.place),
         "ordinary": f.ordinary,
+        "handed_over": f.handed_over,
         "equation": f.equation,
         "parameters": {name: _number(p) for name, p in f.parameters.items()},
         "share": f.share,
         "explained_heldout": f.explained_heldout,
         "evidence": f.evidence,
+        "log_odds": f.log_odds,
         "probability": f.probability,
         "equivalent": [
             {"family": t.family, "location": located(t.place), "kind": t.kind} for t in f.equivalent
         ],
+    }
+
+
+def _not_listed(other: NotListed) -> dict[str, Any]:
+    return {
+        "family": other.family,
+        "location": located(other.place),
+        "log_odds": other.log_odds,
+        "probability": other.probability,
+    }
+
+
+def _law(curve: FrictionCurve) -> dict[str, Any]:
+    """A joint's friction law, term by term, the main bristle first (`FrictionCurve`)."""
+    first = sorted(curve.terms.items(), key=lambda item: item[0] != curve.main)
+    return {
+        "equation": EQUATION,
+        "terms": [
+            {"form": term.form}
+            | {name: getattr(term, of) for name, of in NUMBERS_OF[term.form].items()}
+            | ({"effect": curve.effects[term]} if term in curve.effects else {})
+            | _number(p)
+            for term, p in first
+        ],
+        "quadratic_in_model": curve.quadratic,
     }
 
 
@@ -111,6 +146,7 @@ def _shrink(s: Shrink) -> dict[str, Any]:
     return {
         "before": s.before,
         "ordinary": s.ordinary,
+        "least_squares": s.least_squares,
         "after": s.after,
         "noise": s.noise,
         "unit": "N m",

@@ -67,6 +67,23 @@ def _advice_between(*two: Advice) -> Advice:
     return next((a for a in two if a.alone), WIDE)
 
 
+def next_step(found: Diagnosis, wanted: Sequence[Suggestion]) -> str:
+    """One sentence: what to do with this result."""
+    if found.verdict is Verdict.NO_GAP:
+        return "Keep the model: this log shows nothing to correct in it."
+    better = found.checked.after < found.checked.before
+    use = "Use corrected.xml in place of the model"
+    if found.verdict is Verdict.EXPLAINED:
+        check = " and check it on another motion (--test-log)" if found.test is None else ""
+        return f"{use}{check}."
+    top = max(found.remainder.where, key=lambda n: found.remainder.where[n], default="")
+    start = (
+        f"{use}, which is closer to the robot, and look" if better else "Keep the model, and look"
+    )
+    more = ": record the first motion that is suggested" if wanted else ""
+    return f"{start} for the rest of the error at {top}{more}."
+
+
 UNTOLD = ("viscous_friction", "coulomb_friction", "armature")
 """Ordinary numbers that no joint is without."""
 

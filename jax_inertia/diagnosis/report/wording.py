@@ -1,6 +1,6 @@
 """What is said of a diagnosis, as an engineer would say it."""
 
-from jax_inertia.diagnosis.result import Found, Remainder, Shrink, Verdict
+from jax_inertia.diagnosis.result import Diagnosis, Found, Remainder, Shrink, Verdict
 from jax_inertia.text import words
 from jax_inertia.text.words import number, percent, plain, unit
 
@@ -9,39 +9,33 @@ LEAST = 0.005
 """Share that is rounded to no per cent."""
 
 
-def headline(
-    verdict: Verdict,
-    found: tuple[Found, ...],
-    shrinks: tuple[Shrink, Shrink | None],
-    remainder: Remainder,
-    lacking: str,
-    refuted: tuple[str, ...] = (),
-) -> str:
+def headline(found: Diagnosis, lacking: str, refuted: tuple[str, ...] = ()) -> str:
     """One to three sentences: what is missing, how far the error shrinks with it, what remains and where."""
-    heldout, test = shrinks
-    checked = heldout if test is None else test
-    where = "on held-out stretches" if test is None else "on the other run"
-    if verdict is Verdict.NO_GAP:
+    checked, remainder = found.checked, found.remainder
+    where = {"other motion": "on the other run", "held out": "on held-out rows"}.get(
+        found.checked_on, "on the validation run"
+    )
+    if found.verdict is Verdict.NO_GAP:
         return "No gap: model and robot agree within the sensors' noise and the model's tolerances."
     top = max(remainder.where, key=lambda n: remainder.where[n], default="")
-    if not found and refuted:
+    if not found.found and refuted:
         return (
             f"The model misses the robot by {number(checked.before)} N m, and what fits that is a number of its own: "
             f"{refuted[0]}."
         )
-    if not found:
+    if not found.found:
         return (
             f"The model misses the robot by {number(checked.before)} N m, mostly at {top}, and no effect that is "
             f"known here explains it{_resembled(remainder, checked)}."
         )
-    parts = [f"The model has no {lacking} at any joint; the robot has."] if lacking else []
-    odd = [f for f in found if not f.ordinary]
-    by_cause = 1.0 - remainder.after / max(checked.before, 1e-300)
+    parts = [*_outdone(checked, where)]
+    parts += [f"The model has no {lacking} at any joint; the robot has."] if lacking else []
+    odd = list(found.odd)
     shrunk = (
-        f"{percent(max(by_cause, 0.0))} of the torque error {where} goes "
-        f"({number(checked.before)} → {number(remainder.after)} N m, sensors {number(checked.noise)})"
+        f"{percent(max(checked.share, 0.0))} of the torque error {where} goes "
+        f"({number(checked.before)} → {number(checked.after)} N m, sensors {number(checked.noise)})"
     )
-    ordinary = any(f.ordinary for f in found)
+    ordinary = any(f.ordinary for f in found.found)
     names = [named(f) for f in odd[:MANY]]
     more = f" and {len(odd) - MANY} more" if len(odd) > MANY else ""
     causes = ["each joint's friction, rotor inertia and offset"] if ordinary else []
@@ -49,10 +43,22 @@ def headline(
     listed = causes[0] if len(causes) == 1 else ", ".join(causes[:-1]) + " and " + causes[-1]
     parts.append(f"With {listed}{more}, {shrunk}.")
     like = _resembled(remainder, checked)
-    if verdict is not Verdict.EXPLAINED and (remainder.share > 0 or like):
+    if found.verdict is not Verdict.EXPLAINED and (remainder.share > 0 or like):
         share = percent(remainder.share) if remainder.share >= LEAST else "Under 1 %"
         parts.append(f"{share} of its energy remains, mostly at {top}{like}.")
     return " ".join(parts)
+
+
+def _outdone(checked: Shrink, where: str) -> tuple[str, ...]:
+    """A sentence where less than this result predicts a run better."""
+    others = {"the model as given": checked.before}
+    if checked.least_squares is not None:
+        others["plain least squares of four terms a joint"] = checked.least_squares
+    best = min(others, key=lambda name: others[name])
+    if others[best] >= checked.after:
+        return ()
+    errors = f"{number(others[best])} N m for {number(checked.after)}"
+    return (f"{best[0].upper()}{best[1:]} errs less {where}: {errors}.",)
 
 
 def _resembled(remainder: Remainder, checked: Shrink) -> str:
@@ -60,8 +66,10 @@ def _resembled(remainder: Remainder, checked: Shrink) -> str:
     if not remainder.resembles:
         return ""
     like = f", and resembles {remainder.resembles[0]}"
-    if checked.after < 0.9 * remainder.after:
-        like += f"; such shapes, which name no cause, take it to {number(checked.after)} N m"
+    if remainder.with_shapes < 0.9 * checked.after:
+        like += (
+            f"; such shapes, which name no cause, take it to {number(remainder.with_shapes)} N m"
+        )
     return like
 
 

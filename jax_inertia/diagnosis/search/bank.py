@@ -54,22 +54,22 @@ class Seen:
 
 
 class Bank:
-    """Columns of candidates, per prior standard deviation, by the row that they act on and by how many they have."""
+    """Columns of candidates, per prior standard deviation, by the rows that they act on and by how many they have."""
 
     def __init__(self, candidates: Sequence[Hypothesis]):
         self.candidates = tuple(candidates)
-        members: dict[tuple[int | None, int], list[int]] = defaultdict(list)
+        members: dict[tuple[tuple[int, ...], int], list[int]] = defaultdict(list)
         for i, h in enumerate(self.candidates):
-            members[h.row, h.count].append(i)
+            members[h.rows, h.count].append(i)
         self._blocks = [
             (
-                row,
+                np.array(rows, int),
                 count,
                 np.array(at),
-                np.stack([self.candidates[i].scaled for i in at], axis=-2),
+                np.stack([self.candidates[i].on_rows for i in at], axis=-2),
                 np.stack([self.candidates[i].prior_mean for i in at]),
             )
-            for (row, count), at in members.items()
+            for (rows, count), at in members.items()
         ]
         self.odds = np.array([h.odds for h in self.candidates])
         """Prior log odds against each, nats."""
@@ -87,13 +87,10 @@ class Bank:
         """Of all: `base` the columns of the chosen and `left` the residual, both times `root`, √precision."""
         return [self._seen(*block, root, base, left, covariance) for block in self._blocks]
 
-    def _seen(self, row, count, at, columns, prior_mean, root, base, left, covariance) -> Seen:
-        if row is None:
-            own = (columns * root[:, :, None, None]).reshape(-1, len(at) * count)
-            x, rest = base.reshape(left.size, base.shape[-1]), left.ravel()
-        else:
-            own = (columns * root[:, row, None, None]).reshape(-1, len(at) * count)
-            x, rest = base[:, row], left[:, row]
+    def _seen(self, rows, count, at, columns, prior_mean, root, base, left, covariance) -> Seen:
+        own = (columns * root[:, rows, None, None]).reshape(-1, len(at) * count)
+        # An effect that this motion does not excite has no rows.
+        x, rest = base[:, rows].reshape(len(own), base.shape[2]), left[:, rows].ravel()
         cross = x.T @ own
         explained = (covariance @ cross).reshape(len(covariance), len(at), count)
         cross = cross.reshape(explained.shape)

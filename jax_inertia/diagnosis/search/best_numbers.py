@@ -29,8 +29,7 @@ def at_best(
     have, if any.
     """
     if h.effect.secant:
-        # As bought, more is misfit than any one secant tells: there the likeliest as it is laid leads on.
-        return _own_value(residual, evidence, rest, h, every) if evidence.exact else h
+        return _own_value(residual, evidence, rest, h, every)
     steps = steps_of(residual, h)
     if not np.any(steps):
         return h
@@ -61,7 +60,8 @@ def _own_value(
     order = np.argsort(-evidence.gains(rest, alike))[:MOST_SECANTS]
     laid = [_alone(residual, evidence, rest, alike[k]) for k in order]
     best = sorted(laid, key=lambda x: -float(evidence.gains(rest, (x,))[0]))
-    return next((x for x in best if _there(residual, evidence, rest, x)), h)
+    # None that a robot can have is refused where it is laid, not where it is not.
+    return next((x for x in best if _there(residual, evidence, rest, x)), best[0])
 
 
 def _alone(residual, evidence: Evidence, rest: Posterior, h: Hypothesis) -> Hypothesis:

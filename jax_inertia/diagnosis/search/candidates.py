@@ -75,6 +75,9 @@ def candidates(
             foreseen(residual, effect, place, shapes, _level(effect, state, library))
             for shape in shapes:
                 h = make(residual, effect, place, shape, settings, state, library)
+                # A torque that gives the ground's force and is cut off: how likely what is missing is, no row says.
+                if h.cut is not None and h.row is None:
+                    continue
                 # What this motion does not show is no candidate.
                 if np.any(np.abs(h.scaled) > 1e-9):
                     yield h

@@ -15,6 +15,7 @@ Columns here are scaled by their prior standard deviation.
 import copy
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -124,6 +125,18 @@ class Noise:
         return np.minimum([s.repeated for s in self.slow], self.most_repeated)
 
 
+class Normal(NamedTuple):
+    """Normal equations of some hypotheses under one noise, their priors apart."""
+
+    y: Float[np.ndarray, "R n"]
+    root: Float[np.ndarray, "R n"]
+    """√precision."""
+    chosen: tuple[Hypothesis, ...]
+    slices: tuple[slice, ...]
+    gram: Float[np.ndarray, "p p"]
+    along: Float[np.ndarray, " p"]
+
+
 class Evidence:
     """Residual rows with their weights; judges sets of hypotheses."""
 
@@ -147,6 +160,7 @@ class Evidence:
         """Least residual standard deviation of a row, whatever leaves it [N m]."""
         variance = np.maximum((0.2 * self.gap) ** 2, sensors**2) * np.ones_like(y)
         self.noise = Noise(variance, tuple(SlowNoise(w) for w in weight.T))
+        self._latest: Normal | None = None
         self._base: tuple[Posterior, Noise, np.ndarray] | None = None
         self._seen: tuple[Posterior, Noise, Bank, list[Seen], np.ndarray] | None = None
 
@@ -154,11 +168,11 @@ class Evidence:
         """Weighted columns of the chosen, per prior standard deviation."""
         return scaled(chosen, np.sqrt(self.precision))
 
-    def without(self, part: Bool[np.ndarray, " R"]) -> "Evidence":
+    def without(self, part: Bool[np.ndarray, "R n"]) -> "Evidence":
         """The same with some rows left out, variances kept."""
         out = copy.copy(self)
-        out.weight = np.where(part[:, None], 0.0, self.weight)
-        out._base, out._seen = None, None
+        out.weight = np.where(part, 0.0, self.weight)
+        out._latest, out._base, out._seen = None, None, None
         return out
 
     def remembering(self, now: Posterior) -> "Evidence":
@@ -176,18 +190,9 @@ class Evidence:
     def posterior(self, chosen: tuple[Hypothesis, ...]) -> Posterior:
         """Given the present noise."""
         root, prior, slices = np.sqrt(self.precision), prior_mean(chosen), _slices(chosen)
-        y, gram, along = root * self.y, np.eye(len(prior)), prior.copy()
-        # Row by row: most hypotheses act on one, and say nothing of those on another.
-        every = [(h.row, s, h.scaled) for h, s in zip(chosen, slices, strict=True)]
-        for j in range(y.shape[1]):
-            own = [(s, x[:, j] if row is None else x) for row, s, x in every if row in (j, None)]
-            if not own:
-                continue
-            at = np.concatenate([np.arange(s.start, s.stop) for s, _ in own])
-            parts = [x for _, x in own]
-            columns = np.concatenate(parts, axis=1) * root[:, j, None]
-            gram[np.ix_(at, at)] += columns.T @ columns
-            along[at] += columns.T @ y[:, j]
+        y = root * self.y
+        gram, along = self._normal(chosen, slices, root, y)
+        gram, along = gram + np.eye(len(prior)), along + prior
         factor = linalg.cho_factor(gram, lower=True)
         mean = linalg.cho_solve(factor, along)
         covariance = linalg.cho_solve(factor, np.eye(len(mean)))
@@ -196,6 +201,47 @@ class Evidence:
         logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
         log_evidence = -0.5 * (logdet + float(np.sum(y**2) + prior @ prior - along @ mean))
         return Posterior(chosen, slices, mean, covariance, fitted, log_evidence)
+
+    def _normal(
+        self,
+        chosen: tuple[Hypothesis, ...],
+        slices: tuple[slice, ...],
+        root: Float[np.ndarray, "R n"],
+        y: Float[np.ndarray, "R n"],
+    ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"]]:
+        """(AᵀA, Aᵀy) of weighted columns and residual; what the latest call shares with this one is not made again."""
+        gram, along = (np.zeros((sum(h.count for h in chosen),) * n) for n in (2, 1))
+        last, there = self._latest, {}
+        if last is not None and last.y is self.y and np.array_equal(last.root, root):
+            there = {id(h): s for h, s in zip(last.chosen, last.slices, strict=True)}
+        old = [(s, there[id(h)]) for h, s in zip(chosen, slices, strict=True) if id(h) in there]
+        if last is not None and old:
+            here, before = (
+                np.concatenate([np.arange(s.start, s.stop) for s in x])
+                for x in zip(*old, strict=True)
+            )
+            gram[np.ix_(here, here)] = last.gram[np.ix_(before, before)]
+            along[here] = last.along[before]
+        new = [(h, s) for h, s in zip(chosen, slices, strict=True) if id(h) not in there]
+        # Row by row: most hypotheses act on one, and say nothing of those on another.
+        for j in np.flatnonzero(root.any(axis=0)).tolist():
+            fresh = [(h, s) for h, s in new if j in h.rows]
+            if not fresh:
+                continue
+            every = [(h, s) for h, s in zip(chosen, slices, strict=True) if j in h.rows]
+            a, b = (
+                np.concatenate([h.on_row(j) for h, _ in x], axis=1) * root[:, j, None]
+                for x in (fresh, every)
+            )
+            at, beside = (
+                np.concatenate([np.arange(s.start, s.stop) for _, s in x]) for x in (fresh, every)
+            )
+            gram[np.ix_(at, beside)] += a.T @ b
+            along[at] += a.T @ y[:, j]
+        for _, s in new:
+            gram[:, s] = gram[s].T
+        self._latest = Normal(self.y, root, chosen, slices, gram, along)
+        return gram, along
 
     def nothing(self) -> Posterior:
         """The posterior of no hypothesis at all."""

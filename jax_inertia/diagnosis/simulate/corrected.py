@@ -3,7 +3,6 @@
 What each changes is its own `Effect.edit`; what no attribute can say is listed in <custom> and done by `step_law`.
 """
 
-import dataclasses
 import itertools
 import warnings
 from collections.abc import Sequence
@@ -11,31 +10,11 @@ from collections.abc import Sequence
 from jax_inertia.diagnosis.effects.base import Edit, Effect
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.effects.registry import known
+from jax_inertia.diagnosis.result import Correction
 from jax_inertia.model.load import ModelWarning, compile_spec
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 
 STEP_LAW = "jax_inertia.diagnosis.simulate.step_law"
-
-
-@dataclasses.dataclass(frozen=True)
-class Correction:
-    """A nominal model with effects added."""
-
-    spec: MjSpec
-    in_model: tuple[Identified, ...]
-    """Done by attributes alone."""
-    by_callback: tuple[Identified, ...]
-    """Need `step_law`, at least for torques given by `qfrc_applied`."""
-    outside: tuple[Identified, ...]
-    """Of sensors, or without a law: neither in the model nor done before a step."""
-    notes: tuple[str, ...]
-    extra: tuple[Effect, ...] = ()
-    """Effects of a user's own among them."""
-
-    @property
-    def effects(self) -> tuple[Identified, ...]:
-        """All of them."""
-        return (*self.in_model, *self.by_callback, *self.outside)
 
 
 def corrected(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.couplings import DAMPING_RATIO, DEFLECTION
@@ -60,6 +60,32 @@ class _Torque:
         return (1 - share) * self.tau[k] + share * self.tau[k + 1]
 
 
+def twists(
+    context: Context, effects: Sequence[Identified], *, predicted: bool = False
+) -> dict[str, tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
+    """Position and velocity along a log of the hinge between each soft joint's motor and its link [rad, rad/s].
+
+    `predicted`: by the motion alone, and not by the logged torque too.
+    """
+    out, link = {}, context.predicted_link if predicted else context.driven_link
+    for e in effects:
+        if e.family in ("joint_elasticity", "backlash"):
+            play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
+            coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
+            ahead = link(context.joint_dofs[e.name]).separation(coupling)
+            out[e.name] = -ahead, -derivative(context.time, ahead)
+    return out
+
+
+def rows_and_places(
+    model: MjModel, joints: Sequence[int]
+) -> tuple[Int[np.ndarray, " nv"], Int[np.ndarray, " nq"]]:
+    """Where the speeds and positions of some joints stand in a model, which may have other joints between."""
+    rows = [model.jnt_dofadr[j] + np.arange(_dofs(model, j)) for j in joints]
+    places = [model.jnt_qposadr[j] + np.arange(_size(model, j)) for j in joints]
+    return np.concatenate(rows), np.concatenate(places)
+
+
 class Recording:
     """A log as the plants need it."""
 
@@ -67,15 +93,8 @@ class Recording:
         self.prepared = prepare(robot, log)
         self.torque = _Torque(log, robot)
         self._context = Context(self.prepared)
-        self.twists: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.twists = twists(self._context, effects)
         """Position and velocity of the hinge between motor and link, by joint."""
-        rows = dict(zip(robot.joint_names, robot.joint_dofadr, strict=True))
-        for e in effects:
-            if e.family in ("joint_elasticity", "backlash"):
-                play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
-                coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
-                ahead = self._context.driven_link(rows[e.name]).separation(coupling)
-                self.twists[e.name] = -ahead, -derivative(self.prepared.time, ahead)
 
     def bent(self, k: int, turning: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " r"]:
         """How far bristles are bent at a sample, −1 to 1, of the rows that have any."""
@@ -112,12 +131,7 @@ class Plant:
         joints = [_joint_id(model, name, k) for k, name in enumerate(robot.joint_names)]
         model.jnt_limited[joints] = False
         # Rows and positions of the nominal model in this one, which may have hinges between.
-        self.rows = np.concatenate(
-            [model.jnt_dofadr[j] + np.arange(_dofs(model, j)) for j in joints]
-        )
-        self.places = np.concatenate(
-            [model.jnt_qposadr[j] + np.arange(_size(model, j)) for j in joints]
-        )
+        self.rows, self.places = rows_and_places(model, joints)
         self.adr = np.full(robot.nv, -1)
         self.names = [""] * robot.nv
         for name, j, dof, adr in zip(

@@ -24,6 +24,7 @@ import numpy as np
 from jax_inertia.diagnosis.effects.base import Applied, Bound, Effect, Moment, row_of
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.effects.registry import known
+from jax_inertia.maths.batch_last import cross
 from jax_inertia.model.mujoco_types import MjData, MjModel
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -98,7 +99,20 @@ def law(
 def callback(
     model: MjModel, effects: Sequence[Identified], extra: Sequence[Effect] = ()
 ) -> Callable[[MjModel, MjData], None]:
-    """A `Callback` for MuJoCo C; raises ValueError for a name that the model does not have."""
+    """A `Callback` for MuJoCo C; raises ValueError for a name that the model does not have.
+
+    >>> import mujoco
+    >>> from jax_inertia.diagnosis.effects.identified import Identified
+    >>> from jax_inertia.diagnosis.simulate.step_law import callback
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> model = double_pendulum()
+    >>> correct = callback(model, [Identified("torque_gain", "joint", "elbow", {"gain": 0.8})])
+    >>> data = mujoco.MjData(model)
+    >>> data.qfrc_applied[:] = 1.0, 2.0
+    >>> correct(model, data)
+    >>> data.qfrc_applied.tolist()
+    [1.0, 1.6]
+    """
     return Callback(law(model, effects, extra))
 
 
@@ -124,7 +138,7 @@ class Callback:
         q = np.where(law.adr >= 0, data.qpos[law.adr], 0.0)
         velocity = None
         if law.pushed:
-            velocity = _centre_velocity(np, data, model.body_rootid)
+            velocity = centre_velocity(data, model.body_rootid)
         turn = data.xmat.reshape(-1, 3, 3)
         applied = law(np, Moment(q, data.qvel, u, data.time, turn, velocity))
         data.qfrc_applied[:] = applied.torque
@@ -141,6 +155,21 @@ def mjx_callback(
 
     `memory = start(data)`, then before each `mjx.step`: `model, data, memory = step(model, data, memory)`, with the
     torque asked for in `data.qfrc_applied`. Raises ValueError for a name that the model does not have.
+
+    >>> import contextlib, io
+    >>> import jax.numpy as jnp
+    >>> with contextlib.redirect_stdout(io.StringIO()):
+    ...     from mujoco import mjx
+    >>> from jax_inertia.diagnosis.effects.identified import Identified
+    >>> from jax_inertia.diagnosis.simulate.step_law import mjx_callback
+    >>> from jax_inertia.robots.pendulum import double_pendulum
+    >>> model = double_pendulum()
+    >>> gain = Identified("torque_gain", "joint", "elbow", {"gain": 0.8})
+    >>> start, step = mjx_callback(model, [gain])
+    >>> data = mjx.make_data(model).replace(qfrc_applied=jnp.array([1.0, 2.0]))
+    >>> _, data, _ = step(mjx.put_model(model), data, start(data))
+    >>> [round(float(x), 3) for x in data.qfrc_applied]
+    [1.0, 1.6]
     """
     bound = law(model, effects, extra, mjx=True)
     frictional = any(effect.rubs for effect, _ in bound.parts)
@@ -151,7 +180,7 @@ def mjx_callback(
 
     def step(mx, data, memory: tuple) -> tuple:
         memory, u = bound.late(jnp, memory, data.qfrc_applied)
-        velocity = _centre_velocity(jnp, data, roots)
+        velocity = centre_velocity(data, roots)
         q = jnp.where(bound.adr >= 0, data.qpos[bound.adr], 0.0)
         now = Moment(q, data.qvel, u, data.time, data.xmat, velocity)
         torque, friction, wrench = bound(jnp, now)
@@ -165,6 +194,7 @@ def mjx_callback(
     return start, step
 
 
-def _centre_velocity(xp: ModuleType, data, roots):
+def centre_velocity(data, roots):
     """World velocity of each body's centre of mass; `cvel` is about the centre of its whole tree."""
-    return data.cvel[:, 3:] + xp.cross(data.cvel[:, :3], data.xipos - data.subtree_com[roots])
+    turning, arm = data.cvel[:, :3], data.xipos - data.subtree_com[roots]
+    return data.cvel[:, 3:] + cross(turning, arm)

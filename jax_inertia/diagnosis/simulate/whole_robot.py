@@ -23,12 +23,14 @@ def correction(
     """The spec, which is changed, with the effects added; what no attribute and no step law holds is in the notes."""
     if found.inertials:
         set_inertials(spec, {name: np.array(pi) for name, pi in found.inertials.items()})
+    found.errors.add_to(spec)
     compile_spec(spec)
     # Whole gains and ordinary numbers, joint by joint, in the place of what is listed of them.
     odd = (
         _identified(f)
         for f in found.odd
-        if (f.family != GAIN or not found.gains)
+        if f.handed_over
+        and (f.family != GAIN or not found.gains)
         and f.family not in found.joints.get(f.place.name, {})
     )
     gains = (
@@ -63,7 +65,7 @@ def _ordinary(robot: Robot, found: Diagnosis) -> list[Identified]:
         "coulomb_friction": robot.frictionloss,
         "armature": robot.armature,
     }
-    held = {(LEVEL_OF.get(f.family), f.place.name) for f in found.found}
+    held = {(LEVEL_OF.get(f.family), f.place.name) for f in found.found if f.handed_over}
     out = []
     for joint, numbers in found.joints.items():
         dof = robot.joint_dofadr[robot.joint_index(joint)]
@@ -77,4 +79,6 @@ def _ordinary(robot: Robot, found: Diagnosis) -> list[Identified]:
                 assert effect is not None
                 (number,) = effect.units
                 out.append(Identified(family, "joint", joint, {number: p.value - nominal}))
+        if c := found.friction[joint].quadratic:
+            out.append(Identified("quadratic_viscous", "joint", joint, {"coefficient": c}))
     return out

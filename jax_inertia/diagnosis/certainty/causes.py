@@ -19,7 +19,7 @@ Judges = Sequence[OtherRun | HeldOut]
 
 
 def judges_of(heldout: HeldOut, other: OtherRun | None) -> Judges:
-    """Rows that numbers were not fitted to: held-out stretches, and the other run where there is one."""
+    """Rows that numbers were not fitted to: held-out rows, and the other run where there is one."""
     return [heldout] if other is None else [heldout, other]
 
 
@@ -79,27 +79,28 @@ def evidence_of_causes(
     return [min(p, supports.get(id(h), np.inf)) for h, p in zip(asked, parts, strict=True)]
 
 
-def odds_of_another(
+def odds_of_others(
     selection: Selection, causes: Posterior, refuted: Collection[Hypothesis], judges: Judges
-) -> float:
-    """Odds that a named effect is there that is not among the causes.
+) -> list[tuple[Hypothesis, float]]:
+    """Named effects that are not among the causes, with the log odds that each is there [nats], the likeliest first.
 
-    Σ exp(log evidence − prior odds) of what was chosen and is no cause, and of what else may be there; each has to be a
-    cause (`evidence_of_causes`). What happens as a cause does, at another place, is its echo; what another run
-    `refuted` is not there.
+    Log evidence − prior odds of what was chosen and is no cause, and of what else may be there; each has to be a cause
+    (`evidence_of_causes`). What happens as a cause does, at another place, is its echo; what another run `refuted` is
+    not there.
     """
     now, context = selection.posterior, selection.residual.context
-    gone = [h for h in now.chosen if h.is_odd and h.named and h not in causes.chosen]
+    there = {h.key for h in causes.chosen}
+    gone = [h for h in now.chosen if h.is_odd and h.named and h.key not in there]
     once = [h for h in causes.chosen if h.family in PASSING]
     gone = [h for h in gone if all(_apart(context, h, c) for c in once)]
     evidence = evidence_of_causes(selection, gone, judges)
-    best = [e - h.odds for h, e in zip(gone, evidence, strict=True)]
+    others = [(h, e - h.odds) for h, e in zip(gone, evidence, strict=True)]
     barred = {h.key for h in (*now.chosen, *refuted)}
     for odds, h, with_it in selection.further(barred):
         one_more = dataclasses.replace(selection, posterior=with_it)
         (told,) = evidence_of_causes(one_more, (h,), judges)
-        best.append(min(odds, told - h.odds))
-    return float(np.exp(np.minimum(best, 50.0)).sum())
+        others.append((h, min(odds, told - h.odds)))
+    return sorted(others, key=lambda other: -other[1])
 
 
 def _apart(context: Context, a: Hypothesis, b: Hypothesis) -> bool:

@@ -53,10 +53,13 @@ def after_gain(
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k p"]]:
     """(mean, slopes) of a hypothesis' numbers at the joint; `numbers`: those of the rows, linear in the posterior's."""
     mean = numbers @ selection.posterior.mean
+    if selection.residual.loaded:
+        # Columns of a gain are then of all that its joint needs, and every other number is at the joint.
+        return mean, numbers
     if h.place.kind != "joint" or h.effect.before_gain:
         return mean, numbers
     support = selection.residual.prepared.support
-    if support is not None and support.used_up[h.place.index]:
+    if support is not None and support.bears(h.place.index):
         return mean, numbers
     gain = gain_at(selection, h.place.name, h.place.index)
     if gain is None:

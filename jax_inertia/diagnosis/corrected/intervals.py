@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from jax_inertia.diagnosis.checks import rms
+from jax_inertia.diagnosis.corrected.friction_laws import NEAREST, nearest_numbers
+from jax_inertia.diagnosis.corrected.motor_gains import after_gain
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.friction_forms import FORM_TOLERANCE
 from jax_inertia.diagnosis.effects.tolerances import STATED, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
-from jax_inertia.diagnosis.motor_gains import after_gain
 from jax_inertia.diagnosis.search.ordinary import FRICTION
 from jax_inertia.diagnosis.search.selection import Selection
 
@@ -131,32 +132,27 @@ def _by_evidence(selection: Selection, h: Hypothesis, k: int, step: float) -> fl
 def reported(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """(mean (k,), covariance (k, k)) of a hypothesis' numbers as they are reported, in their own units.
 
-    Parts of the log and the equation's own error are in the covariance. Dry and viscous friction are the level and the
-    slope that come nearest to the joint's whole law, its mild forms included: what a model of two numbers should hold.
-    A joint's own numbers are those after its motor's gain.
+    Parts of the log and the equation's own error are in the covariance. Dry and viscous friction and a constant torque
+    are those that come nearest to the joint's whole law, its mild forms included (`friction_laws.nearest_numbers`):
+    what a model of these numbers should hold. A joint's own numbers are those after its motor's gain.
     """
-    now = selection.posterior
-    numbers = np.zeros((h.count, len(now.mean)))
-    numbers[:, now.part(h)] = np.diag(h.scale)
-    if h.family in FRICTION:
-        forms = next(
-            (c for c in now.chosen if c.family == "friction_forms" and c.place == h.place), None
-        )
-        if forms is not None:
-            part = now.part(forms)
-            numbers[:, part] = _nearest(selection, h, forms) * forms.scale
-    mean, numbers = after_gain(selection, h, numbers)
-    covariance = numbers @ (now.covariance + selection.spread) @ numbers.T
+    mean, numbers = _in_own_units(selection, h)
+    covariance = numbers @ (selection.posterior.covariance + selection.spread) @ numbers.T
     return mean, covariance + _systematic(selection, h)
 
 
-def _nearest(selection: Selection, h: Hypothesis, forms: Hypothesis) -> np.ndarray:
-    """Change of `h`'s number per unit of each mild form, level and slope fitted to the form together (1, k)."""
-    both = [c for c in selection.ordinary if c.family in FRICTION and c.place == h.place]
-    root = np.sqrt(selection.residual.weight[:, h.place.index])[:, None]
-    columns = np.concatenate([c.own_columns for c in both], axis=1)
-    solved = np.linalg.lstsq(columns * root, forms.own_columns * root, rcond=None)[0]
-    return solved[[both.index(h)]]
+def _in_own_units(selection: Selection, h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """(mean (k,), slopes (k, p)) of a hypothesis' numbers as they are reported, linear in the posterior's."""
+    now = selection.posterior
+    numbers = np.zeros((h.count, len(now.mean)))
+    numbers[:, now.part(h)] = np.diag(h.scale)
+    mean, numbers = after_gain(selection, h, numbers)
+    if h.ordinary and h.family in NEAREST:
+        _, beyond, slopes = nearest_numbers(selection, h.place.name, h.place.index)[h.family]
+        if h.family in FRICTION:
+            return np.array([beyond]), slopes[None]
+        return mean + beyond, numbers + slopes
+    return mean, numbers
 
 
 def _systematic(selection: Selection, h: Hypothesis) -> np.ndarray:
@@ -191,10 +187,12 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
         for family, (attribute, unit) in ORDINARY_NUMBERS.items():
             nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
             h = chosen.get((family, "joint", name))
+            if h is None and family in NEAREST and any(c.ordinary for c in now.chosen):
+                own[family] = _of_law(selection, name, row, family, unit)
+                continue
             if h is None:
-                own[family] = _stated(
-                    selection, chosen.get(("stated_numbers", "joint", name)), family, unit
-                )
+                stated = chosen.get(("stated_numbers", "joint", name))
+                own[family] = _stated(selection, stated, family, nominal, unit)
                 continue
             (p,) = intervals(selection, h, *reported(selection, h)).values()
             low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
@@ -203,17 +201,52 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
     return out
 
 
-def _stated(selection: Selection, h: Hypothesis | None, family: str, unit: str) -> Interval:
+def _of_law(selection: Selection, name: str, row: int, family: str, unit: str) -> Interval:
+    """What a joint without a level or slope of its own should have in a model, by the mild forms of its friction."""
+    nominal, beyond, slopes = nearest_numbers(selection, name, row)[family]
+    covariance = selection.posterior.covariance + selection.spread
+    half = 1.96 * float(np.sqrt(max(slopes @ covariance @ slopes, 0.0)))
+    value = nominal + beyond
+    low = value - half if family not in FRICTION else max(value - half, 0.0)
+    return Interval(value, low, value + half, unit)
+
+
+def _stated(
+    selection: Selection, h: Hypothesis | None, family: str, nominal: float, unit: str
+) -> Interval:
     """A number of the model's own to which nothing was found, its error within the tolerance taken out.
 
-    Nothing where the model states none, and where what is beyond it would be less than nothing.
+    The model's own where that says nothing of it.
     """
     if h is None or family not in STATED:
-        return Interval(0.0, 0.0, 0.0, unit)
+        return Interval(nominal, nominal, nominal, unit)
     now, k = selection.posterior, STATED.index(family)
     at = now.part(h).start + k
-    nominal = float(StatedNumbers.own(selection.residual.context, h.place)[k])
     sd = nominal * float(StatedNumbers.relative(h.shape)[k])
     value = nominal + sd * float(now.mean[at])
     half = 1.96 * sd * float(np.sqrt(now.covariance[at, at] + selection.spread[at, at]))
     return Interval(value, max(value - half, 0.0), value + half, unit)
+
+
+def joint_slopes(selection: Selection, name: str, row: int) -> dict[str, tuple[np.ndarray, float]]:
+    """Of a joint's numbers by family: slopes (p,) by the posterior's numbers, and what its equation adds to its σ."""
+    now = selection.posterior
+    chosen = {h.key: h for h in now.chosen}
+    bought = any(h.ordinary for h in now.chosen)
+    nearest = nearest_numbers(selection, name, row) if bought else {}
+    out = {}
+    for family, (attribute, _) in ORDINARY_NUMBERS.items():
+        h = chosen.get((family, "joint", name))
+        stated = chosen.get(("stated_numbers", "joint", name))
+        slope, own = np.zeros(len(now.mean)), 0.0
+        if h is not None:
+            slope = _in_own_units(selection, h)[1][0]
+            own = float(np.sqrt(_systematic(selection, h)[0, 0]))
+        elif family in nearest:
+            slope = nearest[family][2]
+        elif stated is not None and family in STATED and attribute is not None:
+            k = STATED.index(family)
+            nominal = float(getattr(selection.residual.context, attribute)[row])
+            slope[now.part(stated).start + k] = nominal * StatedNumbers.relative(stated.shape)[k]
+        out[family] = slope, own
+    return out

@@ -1,0 +1,81 @@
+"""How probable an effect is, and a verdict, given this log: the search's posterior, calibrated on opened sets.
+
+    L = −ln(e^−E + Σₐ e^−cₐ)
+
+L are log odds, in nats, that an effect, or one that is tied with it, is there. E: its log evidence against nothing in
+its place, prior odds taken off, the less of what the fitted rows say and of what rows do that no number was fitted to
+(`evidence_of_causes`). cₐ: by how much alternative a is behind it, on the fitted rows or on those others, whichever is
+less: what predicts them as well may be there instead. Alternatives that are tied are counted with it.
+
+Equations are not exact, and what they miss grows with an effect's size, so L is too sure of itself in proportion. The
+probability is p = 1 / (1 + exp(−a asinh L)) (after Platt, Advances in Large Margin Classifiers, 1999; even odds stay
+even), a > 0 fitted on opened sets, of effects and of verdicts apart, and kept in `calibration.json` with where it is
+from (`benchmarks/gap/calibrate.py`).
+"""
+
+import functools
+import json
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from jax_inertia.diagnosis.certainty.causes import Judges, evidence_of_causes
+from jax_inertia.diagnosis.certainty.rivals import Rival
+from jax_inertia.diagnosis.hypothesis import Hypothesis
+from jax_inertia.diagnosis.search.selection import Selection
+
+
+def log_odds(against: Sequence[float]) -> float:
+    """−ln Σ e^−x of what stands against something, x its log odds against each [nats]."""
+    return -float(np.logaddexp.reduce(-np.asarray(against)))
+
+
+def odds_of_effect(
+    selection: Selection, h: Hypothesis, beyond: Sequence[Rival], judges: Judges
+) -> float:
+    """Log odds that one of the chosen, or one tied with it, is there [nats].
+
+    `beyond`: alternatives that are not tied with it.
+    """
+    now, rest = selection.posterior, selection.posterior.without(h)
+    (cause,) = evidence_of_causes(selection, (h,), judges)
+    (own,) = (w for c, w in zip(now.chosen, selection.evidence.worths(now), strict=True) if c is h)
+    against = [min(float(own), cause) - h.odds]
+    for rival in beyond:
+        instead = selection.evidence.posterior((*rest.chosen, rival.hypothesis))
+        ahead = sum(judge.ahead(now, instead) for judge in judges)
+        against.append(min(rival.behind, max(ahead, 0.0)))
+    return log_odds(against)
+
+
+def probability(odds: float) -> float:
+    """Calibrated probability of an effect of log odds L.
+
+    >>> from jax_inertia.diagnosis.certainty.probability import probability
+    >>> probability(-20.0) < 0.5 < probability(20.0) < 1.0
+    True
+    """
+    return _mapped(odds, slopes()["slope"])
+
+
+def confidence(odds: float) -> float:
+    """Calibrated probability that a verdict of log odds L is right; the map is one of its own.
+
+    >>> from jax_inertia.diagnosis.certainty.probability import confidence
+    >>> confidence(-20.0) < 0.5 < confidence(20.0) < 1.0
+    True
+    """
+    return _mapped(odds, slopes()["slope_of_verdicts"])
+
+
+def _mapped(odds: float, slope: float) -> float:
+    return float(1.0 / (1.0 + np.exp(-slope * np.arcsinh(odds))))
+
+
+@functools.cache
+def slopes() -> dict[str, Any]:
+    """`calibration.json`."""
+    file = resources.files("jax_inertia.diagnosis.certainty") / "calibration.json"
+    return json.loads(file.read_text(encoding="utf-8"))
