@@ -5,16 +5,22 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
+from scipy.special import comb, ndtri
 
 from jax_inertia.replay.fitting.errors import replay_errors
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.loop import Loop, Parameter
+from jax_inertia.replay.joint_numbers import Numbers
+from jax_inertia.replay.loop import HALF_PERIOD, Loop, Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import WINDOW, Windows, replay
 
-LOOSE_TIME = 1e-3
-"""How well log and loop agree about the time [s]: half the hold of a loop of 500 Hz, which a model does not know."""
+LOOSE_TIME = HALF_PERIOD
+"""How well log and loop agree about the time [s], which a model does not know."""
+_ROUGH = 0.05
+"""Of a friction, what no law of it says: it repeats to a few per cent and varies with position by as much (Armstrong-
+Hélouvry, Dupont and Canudas de Wit, Automatica 30(7), 1994). Stated."""
+_ORDERS, _QUANTILES = (3, 5, 8), (0.25, 0.5)
 _REPEATS = 0.05
 _AGAINST = -0.5
 _MOVES = 0.02
@@ -59,20 +65,63 @@ def encoder_noise(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
         values = np.unique(x)
         steps = np.diff(values)
         steps = steps[steps > 1e-9]
-        counted = len(values) < (1.0 - _REPEATS) * len(x) and steps.size > 0
-        # Third differences of white noise have √20 of its deviation; the median leaves jolts out.
-        rough = 1.4826 * float(np.median(np.abs(np.diff(x, 3)))) / np.sqrt(20.0)
-        out[j] = float(np.median(steps)) / np.sqrt(12.0) if counted else rough
+        if not steps.size:
+            continue
+        repeats = len(values) < (1.0 - _REPEATS) * len(x)
+        count = _count(steps) or float(np.median(steps)) * repeats
+        out[j] = max(count / np.sqrt(12.0), _rough(x))
     return out
 
 
+def _rough(x: Float[np.ndarray, " T"]) -> float:
+    """What is no smooth motion: the least that differences of several orders say, by several of their quantiles.
+
+    k-th differences of white noise have √C(2k, k) of its deviation, and those of a slow motion fall with k; where a
+    motion turns, or rests, its own are small, and noise is not.
+    """
+    orders = [k for k in _ORDERS if len(x) > 2 * k]
+    each = [
+        np.quantile(np.abs(np.diff(x, k)) / np.sqrt(comb(2 * k, k)), _QUANTILES) for k in orders
+    ]
+    # Of a normal distribution's absolute value.
+    own = ndtri(0.5 * (1.0 + np.array(_QUANTILES)))
+    return float(np.min(each / own)) if each else 0.0
+
+
+def _count(steps: Float[np.ndarray, " S"]) -> float:
+    """The step of an encoder, of differences between values that it gave: they are whole numbers of it; 0 if not.
+
+    The least one, where nearly all are multiples of that: a fast motion passes over most counts.
+    """
+    least = float(np.min(steps[steps > 0.01 * np.median(steps)]))
+    multiples = steps / least
+    whole = np.abs(multiples - np.round(multiples)) < 0.1
+    return least if np.mean(whole) > 0.9 else 0.0
+
+
 def floor(records: Sequence[Record]) -> Float[np.ndarray, " n"]:
-    """What replays err by though nothing is wrong, rms [rad]: by encoders, and `LOOSE_TIME` at a joint's speed."""
-    square = 0.0
-    for r in records:
-        speed = np.mean(np.gradient(r.q, r.time, axis=0) ** 2, axis=0)
-        square = square + len(r.q) * (encoder_noise(r.q) ** 2 + LOOSE_TIME**2 * speed)
-    return np.sqrt(square / sum(len(r.q) for r in records))
+    """What replays err by though nothing is wrong, rms [rad]: by encoders, and by nothing that a fit could take up."""
+    square = [len(r.q) * encoder_noise(r.q) ** 2 for r in records]
+    return np.sqrt(np.sum(square, axis=0) / sum(len(r.q) for r in records))
+
+
+def discrepancy(
+    x: Numbers, records: Sequence[Record], steps: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """What is stated that no number can take up of each joint's error, rms [rad].
+
+    A friction differs from any law of it by `_ROUGH` of itself, from place to place and time to time, which moves a
+    loop by so much over kp; and `steps`, what the simulation's own steps do.
+    """
+    square = [np.mean(np.gradient(r.q, r.time, axis=0) ** 2, axis=0) for r in records]
+    friction = x.dry + x.damping * np.sqrt(np.mean(square, axis=0))
+    return np.hypot(steps, _ROUGH * friction / x.kp)
+
+
+def moving(records: Sequence[Record]) -> Bool[np.ndarray, " n"]:
+    """Joints that move, or are commanded to."""
+    travel = [np.maximum(np.ptp(r.q, axis=0), np.ptp(r.target, axis=0)) for r in records]
+    return np.max(travel, axis=0) > _MOVES
 
 
 def torque_floor(
@@ -131,20 +180,10 @@ def _forgotten(plant: Plant, record: Record, seen: Float[np.ndarray, " n"]) -> f
     return float(record.time[shows[-1]]) if len(shows) else 0.0
 
 
-def loose(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
-    """What `LOOSE_TIME` adds to each number's deviation: kp · δ is a damping or so much of kd, kd · δ an inertia."""
-    sd = LOOSE_TIME / np.sqrt(3.0)
-    out = np.zeros(len(table))
-    for k, p in enumerate(table):
-        if p.family in ("target_delay", "target_lag", "actuator_lag", "torque_lead"):
-            out[k] = sd
-        elif p.family == "viscous_friction":
-            out[k] = loop.kp[p.joint] * sd
-        elif p.family == "armature":
-            out[k] = loop.kd[p.joint] * sd
-        elif p.family == "kd_scale":
-            out[k] = loop.kp[p.joint] * sd / loop.kd[p.joint]
-    return out
+def loose(table: Sequence[Parameter]) -> Float[np.ndarray, " P"]:
+    """What a clock's phase adds to each delay's deviation [s]; how long the loop holds is a number of its own."""
+    late = "target_delay", "target_lag", "actuator_lag", "torque_lead", "target_low_pass"
+    return np.array([LOOSE_TIME / np.sqrt(3.0) * (p.family in late) for p in table])
 
 
 def without_touches(
@@ -206,5 +245,5 @@ def touch_note(records: Sequence[Record]) -> list[str]:
         return []
     return [
         f"several joints part from the replay together ({', '.join(spans)}): does the robot touch something there? "
-        "A replay knows of no contact, and the fit left these samples out; leave them out of the log"
+        "A replay has no contacts, and the fit left these samples out; leave them out of the log"
     ]

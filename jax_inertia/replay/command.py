@@ -18,7 +18,7 @@ from jaxtyping import Bool
 
 from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
 from jax_inertia.maths.finite_difference import derivative
-from jax_inertia.replay.fitting.errors import autocorrelation_time
+from jax_inertia.maths.sample_weight import autocorrelation_time
 from jax_inertia.replay.loop import Loop
 from jax_inertia.replay.record import feeds_forward
 

@@ -17,7 +17,8 @@ class Numbers(NamedTuple):
                    + damping q̇ + drag |q̇| q̇
         spring torque = wound − spring q
 
-    dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall torque over no-load speed.
+    of q and q̇ that are `hold` old. dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall
+    torque over no-load speed.
     """
 
     armature: Float[np.ndarray, " n"]
@@ -54,6 +55,16 @@ class Numbers(NamedTuple):
     """Stiffness beyond the model's own [N m/rad]."""
     wound: Float[np.ndarray, " n"]
     """Torque at the joint's zero of what that spring has beyond the model's own."""
+    hold: Float[np.ndarray, " n"]
+    """How old, on average, what the loop acts on is [s]."""
+    steps: Float[np.ndarray, " n"]
+    """Of what the model's own steps do to its inertia, so much is undone [s]: damping times this, and kd
+    (`step_of_kd`)."""
+    step_of_kd: Float[np.ndarray, " n"]
+    """1 where kd is taken implicitly, as damping is, −1 where it is taken explicitly."""
+    low_pass: Float[np.ndarray, " n"]
+    """Time constant of a low-pass that targets go through once a `low_pass_period` [s]."""
+    low_pass_period: Float[np.ndarray, " n"]
     mass: Mapping[str, float]
     """Added to bodies."""
     centres: Mapping[str, Float[np.ndarray, " 3"]]
@@ -79,9 +90,21 @@ class Numbers(NamedTuple):
 
     @property
     def at_joint(self) -> "Numbers":
-        """The same numbers as the joint feels them, every torque times the gain."""
+        """The same numbers as the joint feels them: every torque times the gain, by a loop that holds nothing.
+
+        −kp q(t − h) − kd q̇(t − h) = −kp q − (kd − kp h) q̇ + kd h q̈ to the first order in the hold h: so much less
+        kd, or damping where there is less kd than that, and armature; neither is less than none. What the model's own
+        steps do to its inertia (`Plant`), and `steps` undoes, is armature too.
+        """
         felt = {k: self.gain * getattr(self, k) for k in ("kp", "kd", "bias", "limit", "back")}
-        return self._replace(**felt, gain=np.ones_like(self.gain))
+        lost = felt["kp"] * self.hold
+        kd = np.maximum(felt["kd"] - lost, 0.0)
+        felt["damping"] = np.maximum(self.damping - (lost - (felt["kd"] - kd)), 0.0)
+        held = felt["kd"] * self.hold + self.steps * (self.damping + self.step_of_kd * kd)
+        felt["armature"] = np.where(held != 0, np.maximum(self.armature - held, 0.0), self.armature)
+        felt["delay"] = self.delay + self.steps
+        none = {"hold": np.zeros_like(self.hold), "steps": np.zeros_like(self.hold)}
+        return self._replace(**felt | none | {"kd": kd}, gain=np.ones_like(self.gain))
 
     @property
     def lumped(self) -> "Numbers":
@@ -133,13 +156,14 @@ COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque"
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
     "encoder_offset": "offset", "torque_bias": "bias", "target_delay": "delay", "target_lag": "lag",
-    "actuator_lag": "behind", "torque_lead": "lead", "spring_torque": "wound",
+    "actuator_lag": "behind", "torque_lead": "lead", "spring_torque": "wound", "loop_hold": "hold",
+    "own_steps": "steps",
 }  # fmt: skip
 _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
     "torque_speed": "back", "position_friction": "slant", "quadratic_viscous": "drag",
-    "joint_spring": "spring",
+    "joint_spring": "spring", "target_low_pass": "low_pass",
 }  # fmt: skip
 
 
@@ -152,13 +176,14 @@ def nominal_numbers(
     delay: Float[np.ndarray, " n"],
     lag: Float[np.ndarray, " n"],
     middle: Float[np.ndarray, " n"],
+    period: float = 0.02,
 ) -> Numbers:
-    """Those of a model and its loop: nothing is lacking."""
+    """Those of a model and its loop: nothing is lacking. `period` [s]: of a low-pass of targets, were there one."""
     none = np.zeros(len(loop.kp))
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
-        none + 0.1, none, middle, none, delay, lag, none, none, none + 1.0, none, none, none,
-        {}, {}, {}, {}, {}, np.zeros(2),
+        none + 0.1, none, middle, none, delay, lag, none, none, none + 1.0, none, none, none, none,
+        none, none + 1.0, none, none + period, {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -169,14 +194,12 @@ def decoded(
 
     `target_delay` is what torques have too, where these are logged, and `torque_lead` what motion has beyond that, so
     that torque tells the one alone. `viscous_friction` is of loop and joint in one, at `base`'s kd; what exceeds the
-    loop's part is the joint's. Where it has a least value, torque tells kd, and what is below kd is the hold of the
-    loop, which acts on the motion alone.
+    loop's part is the joint's, and a sum below it is less kd.
     """
     new = {k: np.array(x) for k, x in base._asdict().items() if k not in NOT_OF_JOINTS}
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
     mass, centres, shifts, heavier, forces, tilt = {}, {}, {}, {}, {}, np.zeros(2)
     whole = base.damping + base.kd
-    least = np.zeros_like(whole)
     for p, x in zip(table, theta, strict=True):
         if x == p.nominal:
             # Not there: another number may say something of the same place.
@@ -193,7 +216,6 @@ def decoded(
             new[p.family[:2]][at] *= np.exp(x)
         elif p.family == "viscous_friction":
             whole[p.joint] = x
-            least[p.joint] = min(p.low - base.kd[p.joint], 0.0) if p.low > 0 else 0.0
         elif p.family == "torque_saturation":
             new["limit"][at] = np.exp(x)
         elif p.family == "torque_gain":
@@ -215,8 +237,8 @@ def decoded(
     new["delay"] += new["lead"]
     new["lag"] += new["behind"]
     rest = whole - base.kd
-    new["kd"] = np.maximum(np.minimum(new["kd"], rest - least + new["kd"]), 0.0)
-    new["damping"] = np.maximum(rest, least)
+    new["kd"] = np.maximum(np.minimum(new["kd"], rest + new["kd"]), 0.0)
+    new["damping"] = np.maximum(rest, 0.0)
     return Numbers(
         **new, mass=mass, centres=centres, shifts=shifts, heavier=heavier, forces=forces, tilt=tilt
     )

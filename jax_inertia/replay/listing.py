@@ -1,30 +1,27 @@
-"""The effects of a fit as people have them: sizes with intervals, shares, ties; verdict and headline."""
+"""The effects of a fit as people have them: sizes with intervals, shares, probabilities, ties."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.replay import checks
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.loop import LOGARITHMIC, ORDINARY, UNITS, Loop, Parameter
-from jax_inertia.replay.result import Effect, Replayed, Size, Tie, Torques, total
+from jax_inertia.replay.result import Effect, Size, Tie
 from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
 from jax_inertia.replay.search.ties import IN_PART, effect_of, place_of, ties_of
 
-AT_FLOOR = 2.0
-"""Replays that err by no more than so many times what encoders and clocks leave show no gap."""
-_NEARLY, _SOME = 0.35, 0.8
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
 """Families whose effect is what is added to the model's own number."""
 PARAMETERS = {
     "armature": "armature", "viscous_friction": "damping", "coulomb_friction": "coulomb", "encoder_offset": "offset",
     "kp_scale": "scale", "kd_scale": "scale", "target_delay": "delay", "target_lag": "lag", "torque_bias": "bias",
+    "target_low_pass": "time_constant", "loop_hold": "hold", "own_steps": "time",
     "actuator_lag": "time_constant", "torque_saturation": "limit", "payload": "mass", "torque_speed": "slope",
     "dead_band": "half_width",
     "backlash": "width", "load_friction": "load_coefficient", "stribeck_friction": "stiction",
@@ -37,26 +34,26 @@ PARAMETERS = {
 """What the parameter of each family is called."""
 
 
-def distinct(found: Fit, rows: Rows, loop: Loop) -> bool:
+def distinct(found: Fit, rows: Rows) -> bool:
     """Whether the interval of an effect's first number leaves the nominal one out; it does where that is none.
 
     Of coordinates, any one's.
     """
     first = min(rows)
     for k in rows if found.table[first].family in COORDINATES else (first,):
-        x, sd = known(found, k, loop)
+        x, sd = known(found, k)
         if abs(x - found.table[k].nominal) > 1.96 * sd:
             return True
     return False
 
 
-def known(found: Fit, k: int, loop: Loop) -> tuple[float, float]:
-    """A number and its deviation, which what only the loop's own clock could tell widens.
+def known(found: Fit, k: int) -> tuple[float, float]:
+    """A number and its deviation, which a clock's phase widens.
 
     Of the delay of all targets: the motion's, with what its torque does not have.
     """
     rows = list(causal.late(found, k))
-    loose = checks.loose(found.table, loop)[k]
+    loose = checks.loose(found.table)[k]
     variance = float(found.covariance[np.ix_(rows, rows)].sum())
     return float(found.theta[rows].sum()), float(np.hypot(np.sqrt(max(variance, 0.0)), loose))
 
@@ -72,7 +69,7 @@ def whole(p: Parameter, x: float, loop: Loop) -> float:
 
 def size_of(found: Fit, k: int, loop: Loop) -> Size:
     """A number and its interval, which does not leave what is possible: no friction is negative, and no kd."""
-    p, (x, sd) = found.table[k], known(found, k, loop)
+    p, (x, sd) = found.table[k], known(found, k)
     low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
     ends = [whole(p, y, loop) for y in (x, low, high)]
     return Size(ends[0], ends[1], ends[2], UNITS[p.family])
@@ -83,6 +80,7 @@ def listed(
     search: Search,
     instead: Mapping[Rows, tuple[Instead, ...]],
     shares: Mapping[Rows, float],
+    probabilities: Mapping[Rows, float],
     loop: Loop,
     names: Sequence[str],
 ) -> tuple[Effect, ...]:
@@ -93,8 +91,9 @@ def listed(
     out, added = [], {o.rows: o for o in search.odd}
     for rows, share in sorted(shares.items(), key=lambda x: -x[1]):
         p = found.table[rows[0]]
+        sure = probabilities[rows]
         if rows in added:
-            effect = _odd(found, added[rows], share, loop, names)
+            effect = _odd(found, added[rows], share, sure, loop, names)
             out.append(_with_ties(effect, _instead(instead.get(rows, ()), loop, names)))
             continue
         family, size, nominal = _named(found, rows[0], loop)
@@ -102,7 +101,7 @@ def listed(
         ties = ties_of(family, place, found, rows[0], loop, names)
         is_ordinary = p.family in ORDINARY
         out.append(
-            Effect(family, *place, ((PARAMETERS[family], size),), nominal, min(share, 1.0), is_ordinary, ties)
+            Effect(family, *place, ((PARAMETERS[family], size),), nominal, min(share, 1.0), sure, is_ordinary, ties)
         )  # fmt: skip
         out[-1] = _with_ties(out[-1], _instead(instead.get(rows, ()), loop, names))
     dropped = [o.candidate for o in search.odd if o.rows not in shares]
@@ -120,7 +119,7 @@ def _with_ties(effect: Effect, more: Sequence[Tie]) -> Effect:
 
 def _instead(others: Sequence[Instead], loop: Loop, names) -> tuple[Tie, ...]:
     out = []
-    for p, x, bound in others:
+    for p, x, bound, _ in others:
         size = whole(p, x, loop) - (whole(p, p.nominal, loop) if p.family in CHANGES else 0.0)
         unit = "" if UNITS[p.family] == "1" else f" {UNITS[p.family]}"
         text = f"{size:.3g}{unit} of it instead, the others following, replays this motion as well"
@@ -165,12 +164,15 @@ def _named(found: Fit, k: int, loop: Loop) -> tuple[str, Size, float]:
         kd = float(loop.kd[p.joint])
         value, low, high = (1.0 + x / kd for x in (size.value, size.low, size.high))
         return "kd_scale", Size(value, low, high, UNITS["kd_scale"]), 1.0
+    if p.family == "viscous_friction":
+        # Of the sum, what is below kd is no damping.
+        size = Size(max(size.value, 0.0), max(size.low, 0.0), max(size.high, 0.0), size.unit)
     if p.family in CHANGES:
         size = Size(size.value - nominal, size.low - nominal, size.high - nominal, size.unit)
     return p.family, size, nominal
 
 
-def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
+def _odd(found: Fit, odd: Odd, share: float, sure: float, loop: Loop, names) -> Effect:
     family, rows = odd.candidate.family, odd.rows
     if family == "torque_speed" and found.theta[rows[1]] == found.table[rows[1]].nominal:
         # A limit that does not fall.
@@ -188,7 +190,7 @@ def _odd(found: Fit, odd: Odd, share: float, loop: Loop, names) -> Effect:
     ]  # fmt: skip
     nominal = whole(found.table[rows[0]], found.table[rows[0]].nominal, loop)
     return Effect(
-        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), False, tuple(ties)
+        family, *place, tuple(sizes.items()), nominal, min(share, 1.0), sure, False, tuple(ties)
     )  # fmt: skip
 
 
@@ -216,44 +218,3 @@ def _rest(sizes: dict[str, Size], found: Fit, rows: Rows) -> dict[str, Size]:
 def _rivals(rivals: Sequence[Candidate], names) -> tuple[Tie, ...]:
     text = "the replays of this motion are nearly as good with it"
     return tuple(Tie(c.family, *place_of(*c.place, names), text, False) for c in rivals)
-
-
-def at_floor(r: Replayed) -> bool:
-    """Whether nothing shows: no joint's replay or logged torque errs by more than encoders and clocks leave."""
-    quiet = np.all(r.before <= AT_FLOOR * r.floor)
-    return bool(quiet and (r.torques is None or _torque_is_as_said(r.torques)))
-
-
-def _torque_is_as_said(x: Torques) -> bool:
-    return bool(np.all(x.loop_before <= AT_FLOOR * x.floor))
-
-
-def verdict(replayed: Replayed, effects: Sequence[Effect]) -> tuple[Verdict, float]:
-    """Verdict and how sure it is, by the replays' error before, after, and what encoders and clocks leave."""
-    before, after, floor = (total(x) for x in (replayed.before, replayed.after, replayed.floor))
-    if at_floor(replayed):
-        return Verdict.NO_GAP, 0.9
-    sizes = [] if np.all(replayed.before <= AT_FLOOR * replayed.floor) else [(before, after, floor)]
-    x = replayed.torques
-    if x is not None and not _torque_is_as_said(x):
-        # Each joint in units of its own: a jaw's torque is a hundredth of a shoulder's.
-        own = np.maximum(x.floor, 1e-12)
-        sizes.append((total(x.loop_before / own), total(x.loop_after / own), 1.0))
-    if not effects or all(a > _SOME * b for b, a, _ in sizes):
-        return Verdict.UNKNOWN, 0.9
-    if all(a <= 1.5 * f or a <= _NEARLY * b for b, a, f in sizes):
-        left = max(np.sqrt(max(a**2 - f**2, 0.0)) / b for b, a, f in sizes)
-        return Verdict.EXPLAINED, float(np.clip(1.0 - left, 0.5, 0.97))
-    return Verdict.PARTLY, 0.8
-
-
-def headline(of: Verdict, r: Replayed) -> str:
-    """One line."""
-    before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
-    if of is Verdict.NO_GAP:
-        return f"replay error on {r.of}: {before:.2g} rad, no more than encoders and clocks leave ({floor:.2g} rad)"
-    torque = ""
-    if r.torques is not None:
-        was, now = total(r.torques.before), total(r.torques.after)
-        torque = f", of torque {was:.2g} → {now:.2g} N m"
-    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders and clocks){torque}"

@@ -63,7 +63,7 @@ def position_loop(
             if affine and model.actuator_biasprm[a, 1] < 0:
                 # Control is the joint's position where the gear is 1; with another one it is the motor's.
                 own[j] = -(gear**2) * model.actuator_biasprm[a, 1:3]
-    given = _one_each("--kp", kp, n), _one_each("--kd", kd, n)
+    given = one_each("--kp", kp, n), one_each("--kd", kd, n)
     whole = model_first and bool(np.all(own[:, 0] > 0))
     logged = (None, None) if whole else (log.kp, log.kd)
     source = "model" if given[0] is None and logged[0] is None else "log"
@@ -80,7 +80,8 @@ def position_loop(
     return Loop(gains[0], np.nan_to_num(np.maximum(gains[1], 0.0)), limit, source)
 
 
-def _one_each(name: str, values: Sequence[float] | None, n: int) -> np.ndarray | None:
+def one_each(name: str, values: Sequence[float] | None, n: int) -> np.ndarray | None:
+    """Values of an option or array `name`, one for each of n joints (n,); ValueError for another number, or below 0."""
     if values is None:
         return None
     out = np.asarray(values, float).ravel()
@@ -123,9 +124,12 @@ UNITS: Mapping[str, str] = {
     "encoder_offset": "rad",
     "kp_scale": "1",
     "target_delay": "s",
+    "loop_hold": "s",
+    "own_steps": "s",
     "torque_bias": "N m",
     "torque_saturation": "N m",
     "target_lag": "s",
+    "target_low_pass": "s",
     "actuator_lag": "s",
     "payload": "kg",
     "payload_x": "m",
@@ -166,13 +170,17 @@ ORDINARY = (
     "target_delay",
     "torque_lead",
 )
+CLOCK = "target_delay", "loop_hold", "own_steps"
+"""Families of all joints alike that clocks have: when a loop takes a target, how old what it acts on is, and how much
+of what a model's own steps do to its inertia the robot does not do."""
 OFF = "centre_x", "centre_y", "centre_z"
 SHARES = "mass_share", "inertia_share"
-TOLERANCES = *SHARES, *OFF
-"""Families of what every nominal model is off by: bodies' masses, inertias, centres. Always fitted and never listed."""
+TOLERANCES = *SHARES, *OFF, "loop_hold", "own_steps"
+"""Families of what every nominal model is off by: bodies' masses, inertias, centres, and how long its loop holds a
+torque. Always fitted and never listed."""
 COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
-    "dead_band", "torque_lead",
+    "dead_band", "torque_lead", "loop_hold", "own_steps", "target_low_pass",
 )  # fmt: skip
 """Families between what a joint is commanded and its torque; the others are between torque and motion."""
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.
@@ -181,10 +189,10 @@ _OFFSET, _DELAY = 0.05, 0.02
 _LONGEST_DELAY = 0.3
 # A model without friction or rotor is still one of a joint that has them.
 _DRY_SHARE = 0.3
-_HOLD = 1e-3
-"""Of a position loop [s]: half a period at 500 Hz."""
-# Of a link's inertia at most, or there is none left in some posture.
-_OWN = 0.2
+HALF_PERIOD = 1e-3
+"""Of a position loop [s]: of 500 Hz. What it acts on is older by as much on average, and a clock's phase is so
+uncertain."""
+_LONGEST_HOLD = 0.01
 # Settings of kd that part kd from viscous friction differ by so much of it.
 _APART = 0.05
 
@@ -196,21 +204,22 @@ def ordinary(
     friction: Float[np.ndarray, " n"],
     inertia: Float[np.ndarray, " n"],
     torque: Float[np.ndarray, " n"],
-    period: float,
     settings: Sequence[Loop] = (),
     *,
     torque_logged: bool = False,
     commanded: bool = False,
+    early: float = 0.0,
 ) -> tuple[Parameter, ...]:
-    """What every robot of this kind has: five numbers a joint and one delay of the targets.
+    """What every robot of this kind has: five numbers a joint, one delay of the targets, and how long the loop holds.
 
     A joint whose kd differs between `settings`, the loops of the logs, has a number for kd too, and every joint has
     where torque is logged, which says what the loop's part of damping is; the rest is the joint's, and not negative.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
-    model lacks may be. Stamps of targets may be up to one `period` of the log late. Torques that are `commanded` are
+    model lacks may be. No file holds a delay below 0. Torques that are `commanded` are
     what software made of targets, and nothing says that it was made of them when they got to the robot: how much
-    later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted.
+    later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted. What a
+    model's own steps act on is up to `early` [s] older than what a robot's loop may act on.
     """
     out = []
     said = _KP_GUESSED if loop.source == "model" else _KP_SAID
@@ -219,15 +228,11 @@ def ordinary(
         # Critical damping is what a designer aims at.
         typical = max(viscous, 0.5 * float(np.sqrt(loop.kp[j] * inertia[j])))
         dry = max(friction[j], _DRY_SHARE * torque[j])
-        # And kp · hold from the damping, which a log with torque knows to be no kd.
-        least = max(loop.kd[j] - loop.kp[j] * _HOLD, 1e-9)
-        held = min(_HOLD * loop.kd[j], _OWN * max(inertia[j] - armature[j], 0.0))
+        # Torque knows what is kd and what is damping.
+        least = loop.kd[j] if torque_logged else 0.0
         out += [
-            # A loop's own hold takes kd · hold from the inertia that it sees.
-            Parameter(
-                "armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), -held, np.inf
-            ),
-            Parameter("viscous_friction", j, viscous, typical, least * torque_logged, np.inf),
+            Parameter("armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), 0.0, np.inf),
+            Parameter("viscous_friction", j, viscous, typical, least, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
@@ -235,7 +240,10 @@ def ordinary(
         varies = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
         if varies or (torque_logged and loop.kd[j] > 0):
             out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
-    out.append(Parameter("target_delay", ALL, 0.0, _DELAY, -period, _LONGEST_DELAY))
+    out.append(Parameter("target_delay", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
+    out.append(Parameter("loop_hold", ALL, 0.0, HALF_PERIOD, -early, _LONGEST_HOLD))
+    if early:
+        out.append(Parameter("own_steps", ALL, 0.0, early, 0.0, early))
     if torque_logged and commanded:
         out.append(Parameter("torque_lead", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
     return tuple(out)

@@ -1,18 +1,22 @@
-"""From logs of targets and encoders, and torques where logged, to what the model lacks, proved by replays."""
+"""From logs of targets and encoders, and torques where logged, to what the model lacks, proved by replays of its
+file."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log
-from jax_inertia.model.mujoco_types import MjSpec
-from jax_inertia.replay import checks, listing, proof
+from jax_inertia.model.mujoco_types import MjModel, MjSpec
+from jax_inertia.model.write import changes
+from jax_inertia.replay import checks, handover, listing, proof
+from jax_inertia.replay.fitting.draws import Draws, drawn
+from jax_inertia.replay.fitting.errors import replay_errors
 from jax_inertia.replay.fitting.fit import Fit, Progress, fit
-from jax_inertia.replay.fitting.start import start as first_numbers
 from jax_inertia.replay.inputs import (
+    Parts,
     check_base,
     loops_of,
     ordinary_numbers,
@@ -20,26 +24,15 @@ from jax_inertia.replay.inputs import (
     tolerances,
     typical_torque,
 )
-from jax_inertia.replay.loop import TOLERANCES
-from jax_inertia.replay.record import Record
-from jax_inertia.replay.result import Diagnosis, Replayed, total
-from jax_inertia.replay.search import causal, odd, parsimony
-from jax_inertia.replay.search.exchange import exchanged
-from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
-from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
-from jax_inertia.replay.search.tries import AS_GOOD
+from jax_inertia.replay.loop import CLOCK, Loop
+from jax_inertia.replay.record import Record, target_period
+from jax_inertia.replay.remainder import resemblances
+from jax_inertia.replay.result import Correction, Diagnosis, Replayed, Size, rms, total
+from jax_inertia.replay.search import causal, choice, clock
 from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.text.words import number
 
-_FIRST = 6
-"""Rounds of the fits that say whether friction creeps."""
-_IDLE = 0.005
-_SPARSER = 1.01
-_DROPPED = 3
-"""Effects at most that are dropped because the held-out replay is worse for them."""
-
-_HARM = (
-    "numbers that fit the log replay the rest worse than the nominal model: none of them is kept"
-)
+_HARM = "numbers that fit the log replay its validation rows worse than the nominal model: none of them is kept"
 _LIKE_MUJOCO = "joints that friction should hold creep at rest, as MuJoCo's own friction lets them: it is left so"
 
 
@@ -48,244 +41,193 @@ def diagnose(
     spec: Callable[[], MjSpec],
     *,
     test_log: Log | None = None,
+    validation_log: Log | None = None,
     kp: Sequence[float] | None = None,
     kd: Sequence[float] | None = None,
     exclude: Sequence[str] = (),
+    write: handover.Writer = handover.in_memory,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
     """Find what the model lacks, from targets and positions; `spec` gives the nominal model anew at each call.
 
     Torques are a further output of the replays where every log has those of its loop (`command.of_the_loop`).
 
-    The fit sees `logs` (without a test log, the first 70 % of each); verdict, shares and gate are of replays of the
-    rest. Logs may be of different gains. Raises `LogError` where joints or gains are missing.
+    Numbers are fitted to most of `logs`, and chosen by `validation_log` or a stretch of each log; what is chosen is
+    fitted to both, written as a file (`write`), read back, and replayed by MuJoCo in the model's own steps. `test_log`,
+    or the last part of each log, is read then and not before: errors and verdict are of it. Logs may be of different
+    gains. Raises `LogError` where joints or gains are missing.
     """
     names = logs[0].joint_names
     check_base(spec().compile())
-    loops, test_loop, torque_logged = loops_of(logs, test_log, lambda: spec().compile(), kp, kd)
-    loop = loops[0]
+    loops = loops_of(logs, validation_log, test_log, lambda: spec().compile(), kp, kd)
+    loop = loops.fit[0]
     bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=True)
-    wholes, records, held, of = split_records(
-        plant, logs, loops, test_log, test_loop, torque_logged
-    )
-    progress("replaying the nominal model")
-    nothing = (), np.zeros(0)
-    nominal = proof.paths(bare, *nothing, held)
-    replayed = Replayed(held, nominal, nominal, checks.floor(held), of)
-    replayed = proof.with_torques(replayed, bare, nothing, nothing)
-    torque = typical_torque(plant, records)
-    own = ordinary_numbers(plant, records, torque, loops, logs)
+    parts = split_records(plant, logs, loops, validation_log, test_log)
+    for one in (plant, bare):
+        one.told_each(target_period(parts.whole))
+    torque = typical_torque(plant, parts.fit)
+    own = ordinary_numbers(plant, parts.fit, torque, loops.fit, logs)
     table = (*(p for p in own if p.family not in exclude), *tolerances(plant))
-    sound = listing.at_floor(replayed)
-    done = _fitted((plant, bare), table, records, held, torque, sound, exclude, progress)
-    plant, everything, found, shares = done.plant, done.everything, done.found, done.shares
-    harm = not sound and np.array_equal(found.theta, _nominal(found).theta)
-    sound = sound or harm
-    after = nominal if sound else proof.paths(plant, found.table, found.theta, held)
-    replayed = dataclasses.replace(replayed, corrected=after)
-    replayed = proof.with_torques(replayed, plant, nothing, (found.table, found.theta))
-    if not sound:
-        replayed = dataclasses.replace(replayed, fan=proof.fan(plant, found, held[replayed.shown]))
-    sizes = replayed.before, replayed.after, replayed.floor
-    odd_least = least_share(*(total(x) for x in sizes))
-    if harm or not sound:
-        wholes = checks.without_touches(plant, found, wholes, done.records)
-    if not sound and test_log is None:
-        progress("fitting all of it")
-        found = _on_all(plant, found, wholes)
-    least = {k: odd_least if max(k) >= len(table) else LISTED for k in shares}
-    large = {k for k, s in shares.items() if s > least[k]} | {*done.seen}
-    kept = {k: shares.get(k, 0.0) for k in large if listing.distinct(found, k, loop)}
-    effects = listing.listed(found, done.search, done.instead, kept, loop, names)
-    verdict, confidence = listing.verdict(replayed, effects)
-    said = dict.fromkeys(n for r in records for n in checks.objections(r, names))
-    notes = [*said, *causal.notes(done.stamps, found, loop, torque_logged)]
-    notes += [*checks.touch_note(wholes), *([_HARM] if harm else [])]
-    if not sound:
-        notes += proof.creeping(bare, found, replayed) if plant.holds else [_LIKE_MUJOCO]
-    numbers = plant.numbers(found.table, found.theta, None)
-    worse = () if sound else proof.worse(replayed, names)
-    return Diagnosis(
-        verdict, confidence, listing.headline(verdict, replayed), names, loop, effects, everything, found, numbers,
-        plant.nominal, proof.mean_friction(numbers, held), plant.holds, replayed, worse, tuple(notes),
-    )  # fmt: skip
+    rough = rms(replay_errors(bare, (), np.zeros((1, 0)), parts.whole)[0][:, : len(names)])
+    progress(f"as modelled: replay error {number(total(rough))} rad; now fitting")
+    timed = clock.fitted((plant, bare), table, parts.whole)
+    done = choice.chosen(
+        (plant, bare), table, parts.fit, parts.validation, torque, timed, exclude, progress
+    )
+    case = _Case(parts, loop, handover.nominal_model(spec(), names, loop), spec, write)
+    handed = _handed_over(case, done, bare, progress)
+    progress("replaying the test")
+    draws = drawn(handed.done.plant, handed.found) if handed.changed else None
+    replayed = _test(case, handed, draws)
+    found = _told(case, handed, replayed, timed, bare, loops.torque)
+    return dataclasses.replace(found, draws=draws)
 
 
-class _Fitted(NamedTuple):
-    plant: Plant
-    """Whose dry friction does at rest what the robot's does."""
-    stamps: Fit
-    """Ordinary numbers alone, their delay as the log would have it."""
-    everything: Fit
-    """With odd effects, and of a delay that a model can have."""
+class _Case(NamedTuple):
+    """What a file is made of and tried by."""
+
+    parts: Parts
+    loop: Loop
+    given: MjModel
+    """The model as it is."""
+    spec: Callable[[], MjSpec]
+    write: handover.Writer
+
+
+class _Handed(NamedTuple):
+    """What is handed over, and where it is from."""
+
+    done: choice.Chosen
     found: Fit
-    search: odd.Search
-    instead: Mapping[Rows, tuple[Instead, ...]]
-    shares: dict[Rows, float]
-    """Of the gap, by the rows of each number or odd effect."""
-    seen: Sequence[Rows]
-    """Odd effects that the fitted logs show."""
-    records: Sequence[Record]
-    """That were fitted, and in which samples the robot touches something."""
+    """Of fitted and validation rows."""
+    correction: Correction
+    file: handover.Written
+    whole: Sequence[Record]
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything beyond a clock is."""
+        return not self.done.sound and not self.done.harm
 
 
-def _fitted(plants, table, records, held, torque, sound, exclude, progress) -> _Fitted:
-    """All numbers at once, those that are needed, odd effects, what each takes, and what would do instead."""
-    bare = plants[1]
-    plant, everything, records, least = _ordinary_fit(plants, table, records, held, sound, progress)
-    if sound:
-        return _unchanged(plant, everything, records)
-    possible = causal.fitted(plant, everything, records, least, progress)
-    search = odd.Search(possible, (), (), ())
-    if "odd" not in exclude:
-        search = odd.add_odd(plant, possible, records, held, torque, least, exclude, progress)
-        search = exchanged(plant, search, records, held, least, progress)
-    found = _sparse(plant, search.found, len(table), records, held, least, progress)
-    progress("taking each effect back")
-    found, shares = _gated(plant, found, [o.rows for o in search.odd], held)
-    own = _nominal(found).theta
-    there = [o.rows for o in search.odd if np.any((found.theta != own)[list(o.rows)])]
-    if np.all(Unseen(plant, held).missed(found) > Unseen(bare, held).missed(_nominal(found))):
-        return _unchanged(bare, everything, records)
-    seen = shown_in(plant, found, there, records)
-    large = sorted((k for k, s in shares.items() if s > LISTED), key=lambda k: -shares[k])
-    others = in_place_of(plant, found, search.found.columns, large, search.pool, records)
-    told = causal.with_variance(search.found, everything)
-    return _Fitted(plant, everything, told, found, search, others, shares, seen, records)
+def _handed_over(case: _Case, done: choice.Chosen, bare: Plant, progress: Progress) -> _Handed:
+    """Fitted to validation rows too, written and read back; nothing, where the file replays these rows worse."""
+    found, whole = done.found, case.parts.whole
+    if not done.sound and not done.harm:
+        known = [*done.records, *case.parts.validation][: len(whole)]
+        whole = checks.without_touches(done.plant, found, whole, known)
+        progress("fitting all of it")
+        found = _on_all(done.plant, found, whole)
+    progress("writing, reading back and replaying what was found")
+    correction = _correction(done, found, case.loop, whole)
+    file = handover.written(correction, case.spec(), case.write)
+    if done.sound or not _harms(case, file.model, correction):
+        return _Handed(done, found, correction, file, whole)
+    done = choice.unchanged(bare, done.everything, done.records)
+    correction = _correction(done, done.found, case.loop, whole)
+    file = handover.written(correction, case.spec(), case.write)
+    return _Handed(done, done.found, correction, file, whole)
 
 
-def _nominal(found: Fit) -> Fit:
-    """The nominal model's numbers."""
-    return found._replace(theta=np.array([p.nominal for p in found.table]))
-
-
-def _unchanged(plant: Plant, everything: Fit, records: Sequence[Record]) -> _Fitted:
-    """Nothing that the nominal model lacks."""
-    none = odd.Search(everything, (), (), ())
-    same = _nominal(everything)
-    return _Fitted(plant, everything, everything, same, none, {}, {}, (), records)
-
-
-def _ordinary_fit(
-    plants: tuple[Plant, Plant], table, records, held, sound: bool, progress
-) -> tuple[Plant, Fit, Sequence[Record], Float[np.ndarray, " m"]]:
-    """(plant whose friction is the robot's, all ordinary numbers, records without touches, the errors' floor)."""
-    plant, bare = plants
-    least = checks.least(held, plant.loop)
-    progress("looking for kp and delay")
-    first = _first_numbers(plants, table, records)
-    everything = fit(plant, table, records, first, floor=least, rounds=_FIRST, progress=progress)
-    if sound:
-        return plant, everything, records, least
-    progress("the same with a friction that creeps at rest")
-    creeping = fit(
-        bare, table, records, everything.theta, floor=least, rounds=_FIRST, progress=progress
+def _test(case: _Case, handed: _Handed, draws: Draws | None) -> Replayed:
+    """The test rows, read here for the first time."""
+    names, test = handed.correction.names, case.parts.test
+    before, after = (
+        tuple(handover.replayed(m, names, case.loop, r) for r in test)
+        for m in (case.given, handed.file.model)
     )
-    if _creeps(plants, everything, creeping, held, least):
-        plant, everything = bare, creeping
-    records = checks.without_touches(plant, everything, records)
-    touched = any(r.touched is not None for r in records)
-    least = np.hypot(least, checks.step_error(plant, everything, records))
-    near = None if touched else (everything.error, everything.columns)
-    everything = fit(
-        plant, table, records, everything.theta, floor=least, known=near, exact=True, progress=progress
+    replayed = Replayed(test, before, after, checks.floor(test), case.parts.of)
+    plant, found = handed.done.plant, handed.found
+    numbers = found.table, found.theta
+    replayed = proof.with_torques(replayed, plant, ((), np.zeros(0)), numbers)
+    if draws is None:
+        return replayed
+    fan = proof.fan(plant, found, draws, test[replayed.shown])
+    return dataclasses.replace(replayed, fan=fan)
+
+
+def _told(
+    case: _Case, handed: _Handed, replayed: Replayed, timed: clock.Timed, bare: Plant, torque: bool
+) -> Diagnosis:
+    """Everything in words."""
+    done, found, correction, file, whole = handed
+    names, loop, test = correction.names, case.loop, case.parts.test
+    # What is less likely than not is handed over and has no name.
+    kept = {
+        k: s
+        for k, s in done.shares.items()
+        if listing.distinct(found, k) and done.probabilities[k] >= Settings.likely
+    }
+    effects = listing.listed(
+        found, done.search, done.instead, kept, done.probabilities, loop, names
+    )
+    discrepancy = checks.discrepancy(correction.numbers, whole, timed.steps)
+    told = proof.judgement(replayed, effects, discrepancy, done)
+    notes = [*dict.fromkeys(n for r in whole for n in checks.objections(r, names))]
+    notes += [*causal.notes(found, loop, torque), *checks.touch_note(whole)]
+    notes += [_HARM] if done.harm else []
+    if handed.changed:
+        notes += _of_friction(done, found, bare, case.parts.validation)
+    left = [x.name for x in told.left if x.name in names]
+    return Diagnosis(
+        told.verdict, told.confidence, proof.headline(told, replayed), effects, done.everything, found,
+        correction, file.text, changes(case.given, file.model), _clock(found, effects, loop), replayed,
+        discrepancy, told.left, resemblances(names, left, replayed.corrected, test), told.impossible,
+        proof.worse(replayed, names), (*notes, *file.remarks),
     )  # fmt: skip
-    return plant, everything, records, least
 
 
-def _first_numbers(plants: Sequence[Plant], table, records) -> Float[np.ndarray, " P"]:
-    """Where a fit starts; the plants' steps are as long as the loops that were found allow."""
-    plant = plants[0]
-    first = first_numbers(plant, table, records, plant.loop.source == "model")
-    scale = np.array(
-        [np.exp(x) for p, x in zip(table, first, strict=True) if p.family == "kp_scale"]
+def _correction(
+    done: choice.Chosen, found: Fit, loop: Loop, records: Sequence[Record]
+) -> Correction:
+    """What is handed over of a fit."""
+    plant = done.plant
+    numbers = plant.numbers(found.table, found.theta, None)
+    changed = bool(np.any(found.theta != choice.nominal_fit(found).theta))
+    friction = proof.mean_friction(numbers, records) if numbers.varies else numbers.dry
+    holds = changed and plant.holds
+    return Correction(plant.names, loop, numbers, plant.nominal, friction, holds)
+
+
+def _harms(case: _Case, model: MjModel, c: Correction) -> bool:
+    """Whether the file replays the validation rows worse than the model as given."""
+    errors, rows = [], case.parts.validation
+    for one in (case.given, model):
+        paths = tuple(handover.replayed(one, c.names, c.loop, r) for r in rows)
+        errors.append(total(Replayed(rows, paths, paths, np.zeros(0), "").before))
+    return errors[1] > errors[0]
+
+
+def _of_friction(done: choice.Chosen, found: Fit, bare: Plant, validation) -> list[str]:
+    """What is to be said of friction at rest."""
+    if not done.plant.holds:
+        return [_LIKE_MUJOCO]
+    return proof.creeping(done.plant, bare, found, validation)
+
+
+def _clock(found: Fit, effects, loop: Loop) -> tuple[tuple[str, Size], ...]:
+    """Numbers of the loop's clock that are handed over and are no effect."""
+    listed = {e.family for e in effects if e.kind == "global"}
+    return tuple(
+        (p.family, listing.size_of(found, k, loop))
+        for k, p in enumerate(found.table)
+        if p.family in CLOCK
+        and p.joint < 0
+        and p.family not in listed
+        and found.theta[k] != p.nominal
     )
-    if len(scale) == len(plant.names):
-        for one in plants:
-            one.retime(one.loop.kp * np.minimum(2.0 * scale, 1.0))
-    return first
 
 
-def _creeps(
-    plants: tuple[Plant, Plant],
-    holding: Fit,
-    creeping: Fit,
-    held: Sequence[Record],
-    least: Float[np.ndarray, " m"],
-) -> bool:
-    """Whether dry friction lets joints creep at rest, as MuJoCo's own does: by fitted logs and replays of others.
-
-    Both are one evidence (`Unseen.likelier`): a log whose joints never rest does not tell, and another motion may.
-    ln p(log) of a fit is −Σ_j N/T_j ln σ_j, σ_j the rms of output j's error and N/T_j its independent samples.
-    """
-    rms = [np.maximum(np.sqrt(np.mean(f.error**2, axis=0)), least) for f in (holding, creeping)]
-    samples = len(holding.error) / holding.weights.correlated
-    runs = [Unseen(plant, held) for plant in plants]
-    holds, creeps = (run.errors(f) for run, f in zip(runs, (holding, creeping), strict=True))
-    evidence = 2.0 * np.sum(samples * np.log(rms[0] / rms[1]))
-    return bool(evidence + runs[0].likelier(creeps, holds, holding.weights) > AS_GOOD)
-
-
-def _on_all(plant: Plant, found: Fit, wholes: Sequence[Record]) -> Fit:
-    """The numbers that are in, fitted to what was held back too, once it has said which those are."""
-    nominal = np.array([p.nominal for p in found.table])
-    free = found.free & (found.theta != nominal)
-    least = checks.least(wholes, plant.loop)
+def _on_all(plant: Plant, found: Fit, records: Sequence[Record]) -> Fit:
+    """The numbers that are in, fitted to the validation rows too, once these have said which those are."""
+    least = checks.least(records, plant.loop)
     return fit(
-        plant, found.table, wholes, found.theta, free=free, floor=least, rounds=3, exact=True
+        plant,
+        found.table,
+        records,
+        found.theta,
+        free=found.moved,
+        floor=least,
+        rounds=3,
+        exact=True,
     )
-
-
-def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
-    """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it.
-
-    What a clock leaves open of the others they stay free by, as a nominal model's tolerances are.
-    """
-    asked = [k for k in range(ordinaries) if full.table[k].family not in TOLERANCES]
-    keep = parsimony.needed(full, plant.loop, asked)
-    given_up = np.isin(np.arange(len(full.table)), np.setdiff1d(asked, keep))
-    loose = checks.loose(full.table, plant.loop)
-    free = full.free & ~(given_up & (loose == 0))
-    by_clock = np.where(given_up & free, loose, 0.0)
-    table = tuple(
-        p._replace(sd=sd) if sd else p for p, sd in zip(full.table, by_clock.tolist(), strict=True)
-    )
-    nominal = np.array([p.nominal for p in full.table])
-    start = np.where(given_up, nominal, np.where(free, full.theta, nominal))
-    few = fit(
-        plant, table, records, start, free=free, floor=least, rounds=5, exact=True, progress=progress
-    )  # fmt: skip
-    whole, fewer = Unseen(plant, held).misses(full.table, np.stack([full.theta, few.theta]))
-    return few if np.all(fewer <= _SPARSER**2 * whole) else full
-
-
-def _gated(
-    plant, found: Fit, odd_rows: Sequence[tuple[int, ...]], held
-) -> tuple[Fit, dict[tuple[int, ...], float]]:
-    """Without the numbers that make the held-out replay worse, and what share of its error each other one takes.
-
-    Numbers of one effect come and go together. Where torque is logged, an effect's share is that of positions or of
-    torques, whichever is larger: what a loop does to the torque, a stiff joint may hardly show. What changes neither by
-    as much as sensors resolve has no share.
-    """
-    nominal = np.array([p.nominal for p in found.table])
-    groups = [*odd_rows, *(x for k in range(len(nominal)) if len(x := causal.late(found, k)) > 1)]
-    run = Unseen(plant, held)
-    energy = run.misses(found.table, nominal[None])[0]
-    grouped, dropped = {k for rows in groups for k in rows}, 0
-    grouped |= {k for k, p in enumerate(found.table) if p.family in TOLERANCES}
-    while True:
-        away = set(np.flatnonzero(found.theta != nominal).tolist())
-        units = [(k,) for k in sorted(away - grouped)]
-        units += [rows for rows in groups if not away.isdisjoint(rows)]
-        errors = run.taken_back(found, units)
-        square = run.missed_by(errors)
-        each = (square[1:] - square[0]) / energy
-        sums = each.sum(axis=1)
-        if dropped == _DROPPED or not np.any(sums < -_IDLE):
-            break
-        theta, worst = found.theta.copy(), list(units[int(np.argmin(sums))])
-        theta[worst] = nominal[worst]
-        found, dropped = found._replace(theta=theta), dropped + 1
-    shares = zip(units, each.max(axis=1, initial=-np.inf).tolist(), run.shown(errors), strict=True)
-    return found, {rows: share for rows, share, shown in shares if shown}

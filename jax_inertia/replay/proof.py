@@ -1,28 +1,32 @@
-"""Replays that prove or disprove the numbers of a fit, and what is to be said of them."""
+"""Replays that prove or disprove the numbers of a fit, the verdict of them, and what is to be said."""
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
+from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.verdict import Errors, Left, judged
+from jax_inertia.maths.sample_weight import odds_within
 from jax_inertia.replay import checks
+from jax_inertia.replay.fitting.draws import Draws
+from jax_inertia.replay.fitting.errors import replay_errors
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record, step_means
-from jax_inertia.replay.result import Replayed, Torques, rms, total
+from jax_inertia.replay.result import Effect, Fan, Replayed, Torques, rms, total
+from jax_inertia.replay.search.choice import Chosen
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import misses, replay
 
 Numbered = tuple[Sequence[Parameter], np.ndarray]
-_DRAWN = 32
+_REPLAYED = 32
+"""Of the draws: a decision; the band's ends are the second and the 31st."""
 _CREEPS = 1.1
-
-
-def paths(plant: Plant, table, theta, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    """Positions (T, n) of each record, replayed."""
-    return tuple(replay(plant, table, theta[None], r)[0] for r in records)
 
 
 def with_torques(r: Replayed, plant: Plant, nominal: Numbered, corrected: Numbered) -> Replayed:
@@ -45,16 +49,12 @@ def _torque_error(plant: Plant, of: Numbered, records: Sequence[Record]) -> np.n
     return rms(np.concatenate(parts))
 
 
-def fan(plant: Plant, found: Fit, record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Between which positions (T, n) nine tenths of replays lie, of numbers drawn as the fit knows them."""
-    low, high = (np.array([getattr(p, side) for p in found.table]) for side in ("low", "high"))
-    size, way = np.linalg.eigh(found.covariance)
-    rng = np.random.default_rng(0)
-    off = rng.normal(size=(_DRAWN, len(size))) * np.sqrt(np.maximum(size, 0.0)) @ way.T
-    away = found.theta != np.array([p.nominal for p in found.table])
-    thetas = np.clip(np.where(away, found.theta + off, found.theta), low, high)
-    lower, upper = np.percentile(replay(plant, found.table, thetas, record), (5.0, 95.0), axis=0)
-    return lower, upper
+def fan(plant: Plant, found: Fit, draws: Draws, record: Record) -> Fan:
+    """Where replays of draws lie, and by how much each errs."""
+    paths = replay(plant, found.table, draws.vectors[:_REPLAYED], record)
+    low, high = np.percentile(paths, (5.0, 95.0), axis=0)
+    off = (paths - record.q)[:, record.settled]
+    return Fan(low, high, np.sqrt(np.mean(off**2, axis=(1, 2))))
 
 
 def worse(r: Replayed, names: Sequence[str]) -> tuple[str, ...]:
@@ -63,14 +63,19 @@ def worse(r: Replayed, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(n for n, a, top in zip(names, r.after, limits, strict=True) if a > top)
 
 
-def creeping(bare: Plant, found: Fit, r: Replayed) -> list[str]:
+def creeping(plant: Plant, bare: Plant, found: Fit, records: Sequence[Record]) -> list[str]:
     """What is to be said where friction has to hold joints at rest."""
-    creeping = total(r.error(paths(bare, found.table, found.theta, r.records)))
-    if creeping <= _CREEPS * total(r.after):
+    holds, creeps = (
+        float(
+            np.sqrt(np.mean(rms(replay_errors(p, found.table, found.theta[None], records)[0]) ** 2))
+        )
+        for p in (plant, bare)
+    )
+    if creeps <= _CREEPS * holds:
         return []
     return [
         "friction that holds a joint at rest (solimpfriction in corrected.xml) matters: with MuJoCo's own, which "
-        f"creeps, the same numbers err by {creeping:.2g} rad"
+        f"creeps, the same numbers err by {creeps:.2g} rad"
     ]
 
 
@@ -87,3 +92,78 @@ def mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " 
         q = r.q - x.offset
         sizes.append(x.friction(x.torque(commanded, q, v), q, v))
     return np.mean(np.concatenate(sizes), axis=0)
+
+
+class Told(NamedTuple):
+    """A verdict, how probable it is, and what stands against a better one."""
+
+    verdict: Verdict
+    confidence: float
+    left: tuple[Left, ...]
+    impossible: tuple[str, ...]
+
+
+def judgement(
+    r: Replayed, effects: Sequence[Effect], discrepancy: Float[np.ndarray, " n"], done: Chosen
+) -> Told:
+    """By the test rows, every joint's position and logged torque (`diagnosis.verdict`).
+
+    Where nothing but a clock was found, the model as given is the one with that clock: no gap is forgiven for it, and
+    none is seen in it.
+    """
+    errors = _errors(r, discrepancy, done)
+    found = judged(errors, bool(effects), done.impossible)
+    within = _chances(r, errors)
+    sure = [e.probability for e in effects]
+    if found.verdict is Verdict.NO_GAP:
+        confidence = float(within.min())
+    elif found.verdict is Verdict.EXPLAINED:
+        confidence = float(within.min()) * min(sure, default=1.0)
+    elif found.against:
+        confidence = max(sure, default=1.0)
+    else:
+        short = float((1.0 - within).max())
+        confidence = short * (max(sure) if found.verdict is Verdict.PARTLY else 1.0)
+    return Told(found.verdict, confidence, found.left, found.against)
+
+
+def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen) -> Errors:
+    moves = checks.moving(r.records)
+    rows = [np.stack([r.floor, r.before, r.after, moves, stated])]
+    names = done.plant.names
+    if (x := r.torques) is not None:
+        names = (*names, *(f"torque of {n}" for n in names))
+        # What clocks do to a torque is in its floor; as said is within twice that.
+        rows.append(
+            np.stack([x.floor, x.loop_before, x.loop_after, moves, np.sqrt(0.78) * x.floor])
+        )
+    floor, before, after, moves, stated = np.concatenate(rows, axis=1)
+    errors = Errors(names, floor, before, after, moves > 0, stated)
+    return errors.as_given() if done.sound else errors
+
+
+def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:
+    """How probable it is that the error of each joint that moves is within its limit."""
+    pairs = zip(r.corrected, r.records, strict=True)
+    e = np.concatenate([(p - x.q)[x.settled] for p, x in pairs])
+    moves = errors.moves[: e.shape[1]]
+    return np.where(moves, expit(odds_within(e, errors.limit[: e.shape[1]])), 1.0)
+
+
+def headline(told: Told, r: Replayed) -> str:
+    """One line."""
+    before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
+    if told.verdict is Verdict.NO_GAP:
+        clock = f", {after:.2g} rad with the loop's clock" if np.any(r.before != r.after) else ""
+        return f"replay error on {r.of}: {before:.2g} rad{clock}, no more than encoders leave ({floor:.2g} rad)"
+    torque = ""
+    if r.torques is not None:
+        was, now = total(r.torques.before), total(r.torques.after)
+        torque = f", of torque {was:.2g} → {now:.2g} N m"
+    left = ""
+    if told.left:
+        x = told.left[0]
+        left = f"; {x.name} is left with {x.after:.2g} ({x.floors:.2g} floors)"
+    elif told.impossible:
+        left = f"; not possible together: {told.impossible[0]}"
+    return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders){torque}{left}"

@@ -1,5 +1,6 @@
 """What a replay needs of a log: positions, and commands of the joints as means over the steps of a simulation."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,11 +8,12 @@ from jaxtyping import Bool, Float
 from scipy.signal import lfilter
 
 from jax_inertia.logs.log import Log
+from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Loop
 
 SETTLING = 0.2
 """Of a replay's start, what does not count at least [s]."""
-_LATE_AT_MOST = 1e-4
+_LATE_AT_MOST = 1e-6
 _IS_THE_LOOPS = 0.2
 
 
@@ -161,19 +163,66 @@ def step_means(
     return out
 
 
+def low_passed(
+    time: Float[np.ndarray, " S"],
+    held: Float[np.ndarray, "S n"],
+    period: float,
+    constant: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "S n"]:
+    """What is held from stamp to stamp, y ← y + (1 − exp(−T/τ)) (x − y) once a `period` T from the first stamp on."""
+    if not constant.any():
+        return held
+    due = np.floor((time - time[0]) / period + 1e-6)
+    updates = np.diff(due, prepend=-1.0) > 0
+    out, which = np.array(held, float), np.cumsum(updates) - 1
+    for j in np.flatnonzero(constant):
+        keep = np.exp(-period / constant[j])
+        x = held[updates, j]
+        out[:, j] = lfilter([1 - keep], [1, -keep], x, zi=[keep * x[0]])[0][which]
+    return out
+
+
+def target_period(records: Sequence["Record"]) -> float:
+    """How often targets change [s]: the median time between two changes of any; the log's period at least."""
+    gaps = []
+    for r in records:
+        changed = np.any(np.diff(r.commanded.position, axis=0) != 0, axis=1)
+        gaps.append(np.diff(r.commanded.time[1:][changed]))
+    every = np.concatenate(gaps)
+    return max(float(np.median(every)), records[0].period) if len(every) else records[0].period
+
+
+def filtered_parts(
+    delay: Float[np.ndarray, " n"], lag: Float[np.ndarray, " n"], whole: float, h: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """(delay, lag) in steps h of what has a delay and a lag in steps `whole` H, whose parts no buffer can hold.
+
+    A filter that acts at once, y ← y + (1 − a)(x − y), is late by h a / (1 − a); with a = exp(−H/T) by H / (exp(H/T)
+    − 1). A delay below H is a filter's.
+    """
+    part = delay < whole
+    lagged = np.where(lag > 0, whole / np.expm1(whole / np.maximum(lag, 0.01 * whole)), 0.0)
+    late = np.maximum(delay + lagged, 1e-12)
+    return np.where(part, 0.0, delay), np.where(part, h / np.log1p(h / late), lag)
+
+
 def controls(
-    record: Record,
-    h: float,
-    steps: int,
-    delay: Float[np.ndarray, " n"],
-    lag: Float[np.ndarray, " n"],
-    kp: Float[np.ndarray, " n"],
-    kd: Float[np.ndarray, " n"],
+    record: Record, h: float, steps: int, x: Numbers, late: float = 0.0, whole: float = 0.0
 ) -> Float[np.ndarray, "K n"]:
-    """What a position loop is commanded at each step: q* + (kd q̇* + τ_ff)/kp, each as late as the targets."""
+    """What a position loop is commanded at each step: q* + (kd q̇* + τ_ff)/kp, each as late as the targets and `late`.
+
+    `whole`: the steps that delays are of (`filtered_parts`); 0 where a delay of any length is one.
+    """
     commanded = record.commanded
-    out = step_means(commanded.time, commanded.position, h, steps, delay, lag)
-    for more, gain in ((commanded.velocity, kd / kp), (commanded.torque, 1.0 / kp)):
+    targets = low_passed(
+        commanded.time, commanded.position, float(x.low_pass_period[0]), x.low_pass
+    )
+    delay, lag = x.delay + x.steps, x.lag
+    if whole:
+        delay, lag = filtered_parts(delay, lag, whole, h)
+    delay = delay + late
+    out = step_means(commanded.time, targets, h, steps, delay, lag)
+    for more, gain in ((commanded.velocity, x.kd / x.kp), (commanded.torque, 1.0 / x.kp)):
         if more is not None:
             out += gain * step_means(commanded.time, more, h, steps, delay, lag)
     return out

@@ -7,6 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.verdict import Left
+from jax_inertia.model.write import Change
+from jax_inertia.replay.fitting.draws import Draws
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Loop
@@ -35,7 +38,9 @@ class Effect:
     nominal: float
     """Of the first."""
     share: float
-    """Of the nominal replay's squared error on the checked run: what returns when it alone is left out."""
+    """Of the nominal replay's squared error on validation rows: what returns when it alone is left out."""
+    probability: float
+    """That it, or one that it is tied with by an equation, is there, given this log (`search/probability.py`)."""
     ordinary: bool
     ties: tuple["Tie", ...]
 
@@ -76,13 +81,24 @@ class Torques(NamedTuple):
     """And of the replay's, which is at positions that are off by theirs."""
 
 
-OTHER_RUN = "the other run"
+class Fan(NamedTuple):
+    """Replays of one run by draws of the corrected robot."""
+
+    low: Float[np.ndarray, "T n"]
+    """5 % of the draws' positions are below it [rad]."""
+    high: Float[np.ndarray, "T n"]
+    """5 % of the draws' positions are above it [rad]."""
+    errors: Float[np.ndarray, " D"]
+    """Of each draw, rms over joints and samples that count [rad]."""
+
+
+OTHER_RUN = "the test log"
 """What a replayed test log is called."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replayed:
-    """Replays of runs that played no part in the fit."""
+    """Replays of the test rows: of the model as given and of the corrected file, each in its own steps."""
 
     records: tuple[Record, ...]
     nominal: tuple[np.ndarray, ...]
@@ -90,9 +106,9 @@ class Replayed:
     corrected: tuple[np.ndarray, ...]
     floor: Float[np.ndarray, " n"]
     of: str
-    """Which: "the other run", "the rest of the log" or "the rest of the logs"."""
-    fan: tuple[np.ndarray, np.ndarray] | None = None
-    """Of the shown run: between which positions nine tenths of replays lie, of numbers drawn as the fit knows them."""
+    """Which: "the test log", "the last part of the log" or "the last parts of the logs"."""
+    fan: Fan | None = None
+    """Of the shown run, where anything was changed."""
     torques: Torques | None = None
     """Where they are logged."""
 
@@ -132,28 +148,86 @@ def total(per_joint: Float[np.ndarray, " n"]) -> float:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Correction:
+    """What is handed over: every number of loop and joints as the model has it and as it is put in its place."""
+
+    names: tuple[str, ...]
+    loop: Loop
+    numbers: Numbers
+    original: Numbers
+    friction: Float[np.ndarray, " n"]
+    """Dry friction's mean along the fitted runs [N m], which is what a file has of one that varies."""
+    holds: bool
+    """Whether dry friction holds a joint at rest; else it creeps there, as MuJoCo's own does."""
+
+
+class Resemblance(NamedTuple):
+    """What a joint's remaining replay error is like."""
+
+    joint: str
+    shape: str
+    """The generic form that goes with it best; empty where none goes with a tenth of it."""
+    share: float
+    """Of the remaining error's variance, what that shape takes."""
+    frequency: float
+    """At which most of it is [Hz]."""
+
+    def __str__(self) -> str:
+        like = f"{self.shape} ({100 * self.share:.0f} %)" if self.shape else "no generic shape"
+        return f"{self.joint}: {like}, mostly at {self.frequency:.2g} Hz"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Verdict, effects, every joint's numbers, and the replays that prove or disprove them."""
 
     verdict: Verdict
     confidence: float
     headline: str
-    names: tuple[str, ...]
-    loop: Loop
     effects: tuple[Effect, ...]
     everything: Fit
     """All ordinary numbers at once, with their intervals: what is known of each joint, listed as an effect or not."""
     found: Fit
     """Those that are needed, the others at the nominal model's."""
-    numbers: Numbers
-    """Of every joint of the corrected model."""
-    original: Numbers
-    """Of every joint of the nominal one."""
-    friction: Float[np.ndarray, " n"]
-    """Dry friction's mean along the checked run [N m]."""
-    holds: bool
-    """Whether dry friction holds a joint at rest; else it creeps there, as MuJoCo's own does."""
+    correction: Correction
+    """What is handed over."""
+    text: str
+    """The corrected model's file, whose replays `replayed` has."""
+    changes: tuple[Change, ...]
+    """Every number of the model that it changes, read back."""
+    clock: tuple[tuple[str, Size], ...]
+    """What of it is the loop's clock and no gap."""
     replayed: Replayed
+    discrepancy: Float[np.ndarray, " n"]
+    """What no number of the model can take up of each joint's error, as it is stated, rms [rad]."""
+    left: tuple[Left, ...]
+    """Joints whose replay still errs by more than is explained."""
+    resembles: tuple[Resemblance, ...]
+    """What the remainder of each of them is like."""
+    impossible: tuple[str, ...]
+    """Why the numbers cannot be, taken together."""
     worse: tuple[str, ...]
     """Joints that the corrected model replays worse than the nominal one."""
     notes: tuple[str, ...]
+    draws: Draws | None = None
+    """Of the corrected robot; none where nothing but a clock was changed."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the log's joints."""
+        return self.correction.names
+
+    @property
+    def loop(self) -> Loop:
+        """As it is said to be."""
+        return self.correction.loop
+
+    @property
+    def numbers(self) -> Numbers:
+        """Of every joint of the corrected model."""
+        return self.correction.numbers
+
+    @property
+    def holds(self) -> bool:
+        """Whether dry friction holds a joint at rest."""
+        return self.correction.holds

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.maths.sample_weight import autocorrelation_time
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant
@@ -47,15 +48,3 @@ def weights(error: Float[np.ndarray, "N m"], floor: float | Float[np.ndarray, " 
     """From an error as it is."""
     sigma = np.maximum(np.sqrt(np.mean(error**2, axis=0)), floor)
     return Weights(sigma, np.array([autocorrelation_time(e) for e in error.T]))
-
-
-def autocorrelation_time(x: Float[np.ndarray, " N"]) -> float:
-    """1 + 2 Σ ρ_k up to the first k where ρ is not positive, as in Geyer 1992, of x about its mean [samples]."""
-    n, x = len(x), x - np.mean(x)
-    power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
-    rho = np.fft.irfft(power)[: n // 2]
-    if not rho[0] > 0:
-        return 1.0
-    rho = rho / rho[0]
-    last = int(np.argmax(rho <= 0)) if np.any(rho <= 0) else len(rho)
-    return float(1.0 + 2.0 * np.sum(rho[1:last]))

@@ -50,6 +50,11 @@ class Fit(NamedTuple):
         """Which numbers were fitted."""
         return np.diagonal(self.covariance) > 0
 
+    @property
+    def moved(self) -> Bool[np.ndarray, " P"]:
+        """Which numbers were fitted and differ from the nominal model's."""
+        return self.free & (self.theta != np.array([p.nominal for p in self.table]))
+
 
 Progress = Callable[[str], None]
 

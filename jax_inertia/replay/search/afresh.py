@@ -44,7 +44,7 @@ def from_nominal(
     """
     theta = np.where(found.free, nominal(found), found.theta)
     start = fit(plant, found.table, records, theta, free=found.free, floor=floor, rounds=0)
-    about = Parabola(start, plant.loop, start.samples)
+    about = Parabola(start, start.samples)
     bare = about.worth().total
     linear = [c for c in pool if c.scales]
     ranked = [
@@ -72,7 +72,7 @@ def gains_as_said(
     gains, and a model's gains are no one's word.
     """
     gains = np.array([p.family in ("kp_scale", "kd_scale") for p in found.table])
-    about = Parabola(found, plant.loop, found.samples)
+    about = Parabola(found, found.samples)
     needed = gains[about.go] & (about.worth().off != 0)
     if records[0].torque is not None or plant.loop.source == "model" or not needed.any():
         return None
@@ -99,8 +99,8 @@ def simpler(
         rounds=ROUNDS,
         exact=True,
     )
-    was = Parabola(found, plant.loop, found.samples).worth()
-    now = Parabola(new, plant.loop, found.samples, found.weights).worth()
+    was = Parabola(found, found.samples).worth()
+    now = Parabola(new, found.samples, found.weights).worth()
     return new if now.total < was.total - AS_GOOD else found
 
 

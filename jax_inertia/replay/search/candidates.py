@@ -59,6 +59,8 @@ _PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
 """Of a load from its body's centre of mass [m]."""
 _TRIED = 0.3
 """Of a prior deviation, where a number is first tried whose column grows with it."""
+_LACKS = 0.3
+"""Of a body's mass, what of it a robot lacks at most: covers, a battery."""
 _FORCE_SHARE, _GRAVITY = 0.2, 9.81
 _SHIFT_SHARE = 0.3
 """Of a body's radius of gyration, by which covers, cables and batteries that CAD leaves out move its centre."""
@@ -102,6 +104,7 @@ def candidates(
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         # A lag of all motors alike is the hold of their loop, too, and no candidate.
         out.append(_lag("target_lag", ALL))
+    out.append(_lag("target_low_pass", ALL))
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
     return out + _masses(plant) + _shifts(plant) + _forces(plant)
@@ -199,7 +202,7 @@ def _masses(plant: Plant) -> list[Candidate]:
     for b in moved_bodies(model):
         mass = float(model.body_mass[b])
         sd = max(_MASS_SHARE * mass, 0.02 * float(model.body_mass.sum()))
-        p = Parameter("payload", NO_JOINT, 0.0, sd, -0.9 * mass, np.inf, model.body(b).name)
+        p = Parameter("payload", NO_JOINT, 0.0, sd, -_LACKS * mass, np.inf, model.body(b).name)
         out.append(Candidate("payload", (p,), ((0.2 * sd,),), True))
     return out
 
@@ -216,11 +219,14 @@ def _shifts(plant: Plant) -> list[Candidate]:
 
 
 def _forces(plant: Plant) -> list[Candidate]:
-    """Of cables, hoists and balancers, in units of the robot's weight."""
+    """Of cables, hoists and balancers, in units of the weight of all that moves, which none exceeds."""
     model = plant.model
-    sd = _FORCE_SHARE * _GRAVITY * float(model.body_mass.sum())
-    names = [model.body(b).name for b in moved_bodies(model)]
-    return [_several("constant_force", FORCE, NO_JOINT, b, sd, np.inf) for b in names]
+    moved = moved_bodies(model)
+    weight = _GRAVITY * float(model.body_mass[list(moved)].sum())
+    names = [model.body(b).name for b in moved]
+    return [
+        _several("constant_force", FORCE, NO_JOINT, b, _FORCE_SHARE * weight, weight) for b in names
+    ]
 
 
 def centre_of(c: Candidate, plant: Plant) -> Candidate | None:

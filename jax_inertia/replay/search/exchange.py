@@ -31,7 +31,7 @@ def exchanged(
     progress: Callable[[str], None],
 ) -> Search:
     """The same search, with whatever is likelier in the place of an effect that has rivals and was not the last."""
-    run = Unseen(plant, held_out)
+    run = Unseen(plant, held_out, floor)
     for i in range(len(search.odd) - 1):
         # Of the search as it is now: an exchange moves the numbers of all others.
         o = search.odd[i]
@@ -69,7 +69,7 @@ def _others(found: Fit, o: Odd) -> list[int]:
 
 def _likelier(plant: Plant, found: Fit, o: Odd, rival: Candidate, tried: Fit, run: Unseen) -> bool:
     """By S, prices paid, and the runs that played no part."""
-    now = Parabola(found, plant.loop, found.samples).worth()
+    now = Parabola(found, found.samples).worth()
     fell = fall(plant, found, now, rival, tried)[0] + price(found, o.candidate)
     return fell + run.likelier(run.errors(tried), run.errors(found), found.weights) > 0
 

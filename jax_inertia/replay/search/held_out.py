@@ -6,8 +6,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jax_inertia.maths.sample_weight import autocorrelation_time
 from jax_inertia.replay import checks
-from jax_inertia.replay.fitting.errors import Weights, autocorrelation_time, replay_errors
+from jax_inertia.replay.fitting.errors import Weights, replay_errors
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
@@ -27,15 +28,20 @@ class Unseen:
     very different strength, and what a clock does to a torque is no merit of a model.
     """
 
-    def __init__(self, plant: Plant, records: Sequence[Record]):
-        self._plant, self._records, self._floor = plant, records, None
+    def __init__(
+        self, plant: Plant, records: Sequence[Record], least: Float[np.ndarray, " m"] | None = None
+    ):
+        """`least`: what replays err by for no reason, next to what encoders leave; none where nobody looked."""
+        self._plant, self._records, self._floor, self._least = plant, records, None, least
         if records[0].torque is not None:
             self._floor = checks.torque_floor(records, plant.loop)
 
     @cached_property
     def floor(self) -> Float[np.ndarray, " m"]:
-        """What encoders and clocks leave of each output, rms."""
+        """What encoders, the steps of the simulation and the clocks of torques leave of each output, rms."""
         least = checks.floor(self._records)
+        if self._least is not None:
+            least = np.maximum(least, self._least[: len(least)])
         return least if self._floor is None else np.concatenate([least, self._floor])
 
     def missed(self, found: Fit) -> Float[np.ndarray, " k"]:
@@ -54,7 +60,13 @@ class Unseen:
 
     def errors(self, found: Fit) -> Float[np.ndarray, "N m"]:
         """Of the replays of a fit."""
-        return replay_errors(self._plant, found.table, found.theta[None], self._records)[0]
+        return self.errors_of(found.table, found.theta)
+
+    def errors_of(
+        self, table: Sequence[Parameter], theta: Float[np.ndarray, " P"]
+    ) -> Float[np.ndarray, "N m"]:
+        """Of the replays of a vector."""
+        return replay_errors(self._plant, table, theta[None], self._records)[0]
 
     def likelier(
         self, new: Float[np.ndarray, "N m"], old: Float[np.ndarray, "N m"], fitted: Weights
@@ -63,7 +75,7 @@ class Unseen:
 
             Σ_j N/T_j ln(σ_j² / σ'_j²)
 
-        σ_j: rms of output j's error, at least what encoders and clocks leave; N/T_j: its independent samples, T_j the
+        σ_j: rms of output j's error, at least its `floor`; N/T_j: its independent samples, T_j the
         longest autocorrelation time of its errors here and as `fitted`. What a fit brings to its own logs and this are
         one evidence: p(logs, runs) = p(logs) p(runs | logs).
         """
@@ -120,13 +132,17 @@ def least_share(before: float, after: float, floor: float) -> float:
 
 
 def shown_in(
-    plant: Plant, found: Fit, effects: Sequence[tuple[int, ...]], records: Sequence[Record]
+    plant: Plant,
+    found: Fit,
+    effects: Sequence[tuple[int, ...]],
+    records: Sequence[Record],
+    floor: Float[np.ndarray, " m"],
 ) -> list[tuple[int, ...]]:
     """Which odd effects show in the runs that were fitted, by what sensors resolve and by their share of the gap there.
 
     Another motion may have no occasion for one that this log asks for: a limit, at which it hardly is.
     """
-    run = Unseen(plant, records)
+    run = Unseen(plant, records, floor)
     energy = run.misses(found.table, np.array([[p.nominal for p in found.table]]))[0]
     errors = run.taken_back(found, effects)
     square = run.missed_by(errors)

@@ -22,6 +22,7 @@ from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.tries import AS_GOOD, LOG_ODDS, column, tried_errors
 from jax_inertia.replay.search.undecided import open_between
 from jax_inertia.replay.simulation.plant import Plant
@@ -38,6 +39,8 @@ class Instead(NamedTuple):
     parameter: Parameter
     value: float
     bound: str = ""
+    cost: float = 0.0
+    """By how much the log is less likely with it, in twice nats, validation rows included."""
 
 
 class _Try(NamedTuple):
@@ -53,8 +56,12 @@ def in_place_of(
     units: Sequence[Rows],
     pool: Sequence[Candidate],
     records: Sequence[Record],
+    run: Unseen,
 ) -> Mapping[Rows, tuple[Instead, ...]]:
-    """By the rows of each effect, the largest first; `columns`: derivatives of the error by all of the table."""
+    """By the rows of each effect, the largest first; `columns`: derivatives of the error by all of the table.
+
+    `run`: the validation rows.
+    """
     if not units:
         return {}
     every, units = units, units[:_LARGEST]
@@ -87,7 +94,8 @@ def in_place_of(
         room = limit + each * (len(unit) - 1)
         kept += [_Try(unit, k, new) for cost, k, new in ranked[:_MOST] if cost <= room]
     by_load = {u: x for u in units if (x := _by_load(plant, found, u, pool)) is not None}
-    proved = _proved(plant, records, costs, away, kept, limit, each)
+    held = _Held(run, found)
+    proved = _proved(plant, records, costs, away, kept, limit, each, held)
     falling = _falling(plant, about, columns, away, every, pool, records)
     return {u: (*by_load.get(u, ()), *proved.get(u, ()), *falling.get(u, ())) for u in every}
 
@@ -111,7 +119,7 @@ def _falling(
         p = c.parameters[0]
         odds, size = open_between([b for b, _ in each], [a for _, a in each], p.sd)
         if odds > -LOG_ODDS:
-            out[plain[p.joint]] = (Instead(p, size),)
+            out[plain[p.joint]] = (Instead(p, size, cost=-2.0 * odds),)
     return out
 
 
@@ -128,12 +136,25 @@ def _by_load(
     mass = float(body.mass[0]) * (1.0 / scale - 1.0)
     text = (
         f"{mass:.3g} kg more at {body.name}, with friction, rotor and kd {1.0 / scale:.3g} times these, is the same "
-        "motion: kp / (mass of what moves) is one number; torque parts them"
+        "motion: kp / (mass of what moves) is one number; torque distinguishes them"
     )
     return tuple(Instead(x, mass, text) for x in loads if x.family == "payload")
 
 
-def _proved(plant, records, costs: "_Costs", away, tries: Sequence[_Try], limit, each):
+class _Held:
+    """Validation rows, by what is found and by something else."""
+
+    def __init__(self, run: Unseen, found: Fit):
+        self._run, self._weights = run, found.weights
+        self._own = run.errors(found)
+
+    def loses(self, table, theta: np.ndarray) -> float:
+        """By how much they are less likely by other numbers, in twice nats."""
+        errors = self._run.errors_of(table, theta)
+        return self._run.likelier(self._own, errors, self._weights)
+
+
+def _proved(plant, records, costs: "_Costs", away, tries: Sequence[_Try], limit, each, held: _Held):
     """Those whose replays are as good."""
     out: dict[Rows, tuple[Instead, ...]] = {}
     if not tries:
@@ -141,9 +162,12 @@ def _proved(plant, records, costs: "_Costs", away, tries: Sequence[_Try], limit,
     thetas = np.array([t.theta for t in tries])
     for t, error in zip(tries, replay_errors(plant, costs.table, thetas, records), strict=True):
         free = np.append(np.setdiff1d(away, t.unit), t.option)
-        if costs.least(error, t.theta, free) <= limit + each * (len(t.unit) - 1):
-            p = costs.table[t.option]
-            out[t.unit] = (*out.get(t.unit, ()), Instead(p, float(t.theta[t.option])))
+        saved = each * (len(t.unit) - 1)
+        least = costs.least(error, t.theta, free) - saved
+        if least <= limit:
+            p, more = costs.table[t.option], least - (limit - AS_GOOD)
+            more += held.loses(costs.table, t.theta)
+            out[t.unit] = (*out.get(t.unit, ()), Instead(p, float(t.theta[t.option]), cost=more))
     return out
 
 

@@ -86,7 +86,7 @@ def add_odd(
     """The fit with odd effects added one by one, for as long as evidence and held-out replays both ask for them."""
     numbers = plant.numbers(found.table, found.theta, None)
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
-    run, torque_logged = unseen.Unseen(plant, held_out), records[0].torque is not None
+    run, torque_logged = unseen.Unseen(plant, held_out, floor), records[0].torque is not None
     out, possible, afresh = [], [], True
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
@@ -116,7 +116,7 @@ def add_odd(
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
             fits += afresh_fits.as_said(plant, found, said, here, records, floor) if said else []
-            passed, more = _judged(plant, found, fits, run, before)
+            passed, more = _settled_too(plant, found, fits, records, floor, run, before)
             possible, afresh = [*possible, *more], False
         if not passed:
             break
@@ -141,7 +141,7 @@ def _judged(
 
     `before`: errors of the held-out runs by what is found.
     """
-    now, best = Parabola(found, plant.loop, found.samples).worth(), run.missed_by(before[None])[0]
+    now, best = Parabola(found, found.samples).worth(), run.missed_by(before[None])[0]
     passed: Passed = {}
     untold: Passed = {}
     possible = []
@@ -166,6 +166,40 @@ def _judged(
     return {c: sorted(x, key=lambda y: -y[0]) for c, x in passed.items()}, possible
 
 
+def _settled_too(
+    plant: Plant, found: Fit, fits, records, floor: np.ndarray, run: unseen.Unseen, before
+) -> tuple[Passed, list[Candidate]]:
+    """As `_judged`; where none passes, the promising ones are judged again once they settle."""
+    passed, possible = _judged(plant, found, fits, run, before)
+    if passed:
+        return passed, possible
+    near = dict(_promising(plant, found, fits, run, before))
+    gone_on = [(c, settled(plant, x, records, floor)) for c, x in near.items()]
+    passed, more = _judged(plant, found, gone_on, run, before)
+    return passed, [*[c for c in possible if c not in near], *more]
+
+
+def _promising(
+    plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, before
+) -> list[tuple[Candidate, Fit]]:
+    """Fits that came part of the way: the likeliest of those by which validation rows err less.
+
+    Evidence that is short of being enough is short of what the same fit has where it settles.
+    """
+    now, best = Parabola(found, found.samples).worth(), run.missed_by(before[None])[0]
+    near = {}
+    for c, tried in fits:
+        after = run.errors(tried)
+        if not unseen.carries_over(run.missed_by(after[None])[0], best, 1.0 - _GAIN):
+            continue
+        evidence = fall(plant, found, now, c, tried)[0]
+        evidence += run.likelier(after, before, found.weights)
+        if c not in near or evidence > near[c][0]:
+            near[c] = evidence, tried
+    order = sorted(near, key=lambda c: -near[c][0])
+    return [(c, near[c][1]) for c in order[:_SETTLED]]
+
+
 def _below_what_is_seen(
     run: unseen.Unseen, found: Fit, tried: Fit, after: np.ndarray, best: np.ndarray
 ) -> bool:
@@ -183,7 +217,7 @@ def _below_what_is_seen(
 
 def fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
     """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
-    new = Parabola(tried, plant.loop, found.samples, found.weights).worth()
+    new = Parabola(tried, found.samples, found.weights).worth()
     return now.total - new.total - price(found, c), new.kept
 
 
@@ -217,7 +251,7 @@ def _first(
     out = {c: fits[0] for c, fits in passed.items()}
     order = sorted(out, key=lambda c: -out[c][0])
     near = [c for c in order[:_SETTLED] if out[c][0] >= _CONTENDERS * out[order[0]][0]]
-    now = Parabola(found, plant.loop, found.samples).worth()
+    now = Parabola(found, found.samples).worth()
     for c in tuple(near):
         fits = [settled(plant, x, records, floor) for _, x in passed[c][:_STARTS]]
         tried = _simplest(plant, fits, found.samples)
@@ -234,7 +268,7 @@ def _first(
 def _simplest(plant: Plant, fits: Sequence[Fit], samples: float) -> Fit:
     """Of fits of the same numbers, the one of least S, by the errors that the closest leaves."""
     closest = min(fits, key=lambda f: np.sum(np.log(f.weights.sigma) / f.weights.correlated))
-    return min(fits, key=lambda f: Parabola(f, plant.loop, samples, closest.weights).worth().total)
+    return min(fits, key=lambda f: Parabola(f, samples, closest.weights).worth().total)
 
 
 def _finalists(

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.replay import checks
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
-from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
+from jax_inertia.replay.loop import ALL, ORDINARY, Parameter
 
 
 class Simplest(NamedTuple):
@@ -58,12 +58,12 @@ def simplest(
     return Simplest(kept, off, risen + each * float(left.sum()))
 
 
-def needed(found: Fit, loop: Loop, rows: Sequence[int]) -> list[int]:
+def needed(found: Fit, rows: Sequence[int]) -> list[int]:
     """Which of the numbers in `rows` differ from the nominal model's for a reason, the surest first."""
     free, chosen = found.free, np.isin(np.arange(len(found.table)), rows)
     go = np.flatnonzero(free)
     covariance = np.linalg.inv(found.hessian[np.ix_(go, go)])
-    covariance += np.diag(checks.loose(found.table, loop)[go] ** 2)
+    covariance += np.diag(checks.loose(found.table)[go] ** 2)
     off = (found.theta - nominal(found))[go]
     least = simplest(covariance, off, chosen[go], float(np.log(max(found.samples, 2.0))))
     kept = [i for i in np.flatnonzero(least.kept & chosen[go]) if off[i] != 0]
@@ -96,7 +96,7 @@ class Worth(NamedTuple):
 class Parabola:
     """S as a function of a replay's error, the numbers of a fit following on the cost's parabola about it."""
 
-    def __init__(self, found: Fit, loop: Loop, samples: float, weights=None):
+    def __init__(self, found: Fit, samples: float, weights=None):
         w = found.weights if weights is None else weights
         self.found, self.root, self.go = found, w.root, np.flatnonzero(found.free)
         self.flat = (found.columns[self.go] * w.root).reshape(len(self.go), -1)
@@ -106,7 +106,7 @@ class Parabola:
         self.pull = (found.theta[self.go] - mean) / sd**2
         self.prior = float(np.sum(((found.theta[self.go] - mean) / sd) ** 2))
         self.off = (found.theta - nominal(found))[self.go]
-        self.loose = np.diag(checks.loose(found.table, loop)[self.go] ** 2)
+        self.loose = np.diag(checks.loose(found.table)[self.go] ** 2)
         self.may_go = np.array([_may_go(found.table[k]) for k in self.go], bool)
         self.each = float(np.log(max(samples, 2.0)))
 

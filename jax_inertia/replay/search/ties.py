@@ -12,35 +12,33 @@ _EFFECTS = {
     **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
     **dict.fromkeys(FORCE, "constant_force"), "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
 }  # fmt: skip
-_LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart part them"
-_SUM = (
-    "kd and damping: their sum is what a replay knows; torque parts them, or a second setting of kd"
-)
+_LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart distinguish them"
+_SUM = "a replay shows only the sum of kd and damping; torque distinguishes them, or a second setting of kd"
 _EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "kp_scale": (("torque_gain", "kp, strength of the motor and supply voltage are one product; torque parts them"),),
+    "kp_scale": (("torque_gain", "only the product of kp, torque gain and voltage shows; torque distinguishes them"),),
     "viscous_friction": (("kd_scale", _SUM),),
     "torque_bias": (("asymmetric_coulomb", "dry friction F + d one way and F − d the other is F and a torque of −d; "
-                     "torque parts them"),),
-    "torque_saturation": (("torque_gain", "limit and strength of the motor: torque parts them"),),
-    "torque_speed": (("torque_gain", "stall torque and strength of the motor: torque parts them"),),
+                     "torque distinguishes them"),),
+    "torque_saturation": (("torque_gain", "limit and torque gain: torque distinguishes them"),),
+    "torque_speed": (("torque_gain", "stall torque and torque gain: torque distinguishes them"),),
 }  # fmt: skip
 IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "dead_band": (("coulomb_friction", "friction stops a joint within F / kp of its target too; slow motion parts "
-                   "them, and loads held at rest"),),
+    "dead_band": (("coulomb_friction", "friction stops a joint within F / kp of its target too; slow motion and "
+                   "loads held at rest distinguish them"),),
     "backlash": (("dead_band", "both leave a joint within a width of its target"),),
     "load_friction": (("coulomb_friction", "where the load hardly changes F + μ |τ| is one number; other loads or "
-                       "postures part them"),),
-    "stribeck_friction": (("coulomb_friction", "at one speed it is one number; slow and fast motion part them"),),
-    "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range parts "
-                           "them"),),
+                       "postures distinguish them"),),
+    "stribeck_friction": (("coulomb_friction", "at one speed one number; slow and fast motion distinguish them"),),
+    "position_friction": (("coulomb_friction", "near one posture it is one number; motion over the whole range "
+                           "distinguishes them"),),
     "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
-    "quadratic_viscous": (("viscous_friction", "at one speed it is one number; slow and fast motion part them"),),
-    "asymmetric_coulomb": (("joint_spring", "wound up far a spring is a torque too; wide motion parts them"),),
+    "quadratic_viscous": (("viscous_friction", "at one speed one number; slow and fast motion distinguish them"),),
+    "asymmetric_coulomb": (("joint_spring", "a far spring is a torque too; wide motion distinguishes them"),),
     "encoder_offset": (("torque_bias", _LEANS),),
     "torque_bias": (("encoder_offset", _LEANS),),
     "torque_saturation": (("torque_speed", "a limit that falls with speed, where the joint is always as fast there"),),
 }  # fmt: skip
-"""What an effect is like in part, by its family: family, and what parts them."""
+"""What an effect is like in part, by its family: family, and what distinguishes them."""
 
 
 def effect_of(p: Parameter) -> str:
@@ -86,12 +84,13 @@ def ties_of(
         damps = (
             f"1 ms of delay damps like kp · 1 ms = {1e-3 * loop.kp[max(p.joint, 0)]:.3g} N m s/rad"
         )
-        out.append(Tie(_LATE[family], *place, f"in part: {damps}; fast and slow motion part them", False))  # fmt: skip
+        out.append(Tie(_LATE[family], *place, f"in part: {damps}; fast and slow motion tell which", False))  # fmt: skip
     return tuple(out)
 
 
 _LATE = {
     "target_delay": "viscous_friction", "viscous_friction": "target_delay", "target_lag": "target_delay",
+    "target_low_pass": "target_lag",
     "actuator_lag": "target_lag",
     "kd_scale": "target_delay",
 }  # fmt: skip

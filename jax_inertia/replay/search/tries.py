@@ -98,7 +98,7 @@ def ranked(
     """Candidates by what they promise beyond their price, the best first: (by how much S falls, candidate, sizes)."""
     if not pool:
         return []
-    about = Parabola(found, plant.loop, found.samples)
+    about = Parabola(found, found.samples)
     now = about.worth().total
     best: dict[tuple, tuple] = {}
     for c, worth, sizes in at_best(plant, about, pool, records):

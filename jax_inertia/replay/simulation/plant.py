@@ -30,7 +30,8 @@ from jax_inertia.replay.simulation.spec_edits import (
 )
 
 STEP = 1e-3
-"""The longest step [s]; a stiff loop on a light joint gets a shorter one.
+"""A model's own steps are taken where they are no shorter [s]; one with shorter steps is replayed in these, or in
+shorter ones where a stiff loop moves a light joint.
 
 One for all structures of a model: what another step does to a replay is not to count for or against play.
 """
@@ -86,14 +87,43 @@ class Compiled(NamedTuple):
     """To be set to one variant each."""
 
 
+class Own(NamedTuple):
+    """What a model's own steps H do to its motion, to the second order (`Plant`)."""
+
+    step: float
+    """H [s]."""
+    early: float
+    """How much earlier a control acts than without steps [s]."""
+    of_damping: float
+    """Of each joint's damping, what its inertia has more [s]."""
+    of_kd: float
+    """The same of kd."""
+    integrator: int
+
+
+def own_step(spec: MjSpec) -> Own:
+    """Of a spec as it is.
+
+    Positions of MuJoCo's implicit steps are those of the leapfrog, velocities half a step before them: a control that
+    is set at a position acts from H/2 before it to H/2 after it. (M + H D) (v' − v)/H = f − D v is the midpoint rule
+    with D H/2 too much inertia; kd taken explicitly, by Euler's integrator, is at the speed half a step before, with
+    kd H/2 too little. A Runge–Kutta step does neither.
+    """
+    h, of = float(spec.option.timestep), mujoco.mjtIntegrator
+    if spec.option.integrator == of.mjINT_RK4:
+        return Own(h, 0.0, 0.0, 0.0, int(spec.option.integrator))
+    sign = -1.0 if spec.option.integrator == of.mjINT_EULER else 1.0
+    return Own(h, 0.5 * h, 0.5 * h, sign * 0.5 * h, int(spec.option.integrator))
+
+
 class Plant:
     """A model with position actuators at a log's joints, to be replayed with other numbers than its own.
 
     The spec is changed. `holds`: dry friction holds a joint at rest, which MuJoCo's own figures let creep.
 
-    Steps h are of second order. MuJoCo's implicit damping D solves (M + h D) (v' − v)/h = f − D v, which is the
-    midpoint rule with D h/2 too much inertia: models get so much less armature (`_lighter`). Positions are then those
-    of the leapfrog, and velocities half a step before them. Of a leg with friction in 4 s, against steps of 0.1 ms:
+    The numbers are those of the model in its own steps H (`own_step`): a file that holds them replays in MuJoCo as the
+    plant does. Other steps h are of second order: to a model's armature is added what steps H do and taken what steps h
+    do (`_lighter`), and controls are as early as in steps H. Of a leg with friction in 4 s, against steps of 0.1 ms:
 
         h = 1 ms: 0.59 mrad with D h, 0.04 mrad with D h/2; h = 4 ms: 2.4 and 0.21 mrad
     """
@@ -101,6 +131,7 @@ class Plant:
     def __init__(self, spec: MjSpec, names: Sequence[str], loop: Loop, *, holds: bool = False):
         if loop.source != "model":
             with_loop(spec, names, loop)
+        self.own = own_step(spec)
         # Delay and lag of the model are of the targets, which get them before they get there.
         delay, lag = np.zeros((2, len(names)))
         for j, name in enumerate(names):
@@ -109,6 +140,8 @@ class Plant:
             a.delay, a.nsample = 0.0, 0
             if a.dyntype in _FILTERS:
                 lag[j] = a.dynprm[0]
+                # What is filtered acts a step later, or at once.
+                delay[j] += 0.0 if a.actearly else self.own.step
                 a.dyntype = mujoco.mjtDyn.mjDYN_NONE
         self.names, self.loop, self.holds = tuple(names), loop, holds
         self.step, self._room = 0.0, np.zeros(len(names))
@@ -127,6 +160,8 @@ class Plant:
             lag,
             middles(model, self.names),
         )
+        if self.own.of_kd < 0:
+            self.nominal = self.nominal._replace(step_of_kd=-np.ones(len(names)))
         coupled = model.neq > 0 or not without_contacts(model)
         trees = model.dof_treeid[m.dof]
         self.trees = np.zeros_like(trees) if coupled else trees
@@ -145,15 +180,33 @@ class Plant:
         scale = 1.0 / np.sqrt(damping)
         longest = max(float(np.linalg.eigvalsh(whole * np.outer(scale, scale))[0]), 0.0)
         stable = min(stiff, max(2.0 * _TAKEN * longest, _SHORTEST))
-        for plant, most in ((self, STEP), (self.quick, QUICK if self.holds else CREEPING)):
+        own = self.own.step if self.own.early and self.own.step >= STEP else min(STEP, stable)
+        longest_quick = QUICK if self.holds else CREEPING
+        for plant, h in ((self, own), (self.quick, max(min(longest_quick, stable), own))):
             plant._room = longest * damping
-            plant._take(float(min(most, stable)))
+            plant._take(float(h))
+
+    def told_each(self, period: float) -> None:
+        """Say how often targets change [s], which is how often a low-pass of theirs is asked."""
+        for plant in (self, self.quick):
+            each = np.full(len(self.names), period)
+            plant.nominal = plant.nominal._replace(low_pass_period=each)
 
     def _take(self, h: float) -> None:
         self.step = h
         for m in self._compiled.values():
             for one in (m.model, *m.copies):
-                one.opt.timestep = h
+                self._set_step(one)
+
+    @property
+    def _as_the_model(self) -> bool:
+        """Whether steps are the model's own, which then do to its motion what they do."""
+        return self.step == self.own.step and self.own.early > 0
+
+    def _set_step(self, model: MjModel) -> None:
+        model.opt.timestep = self.step
+        implicit = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        model.opt.integrator = self.own.integrator if self._as_the_model else implicit
 
     def halve(self) -> bool:
         """Take steps half as long; False where they are as short as they may be."""
@@ -185,7 +238,7 @@ class Plant:
             add_force(spec, body, self.model.body_ipos[self.model.body(body).id], np.zeros(3))
         model = spec.compile()
         if self.step:
-            model.opt.timestep = self.step
+            self._set_step(model)
         joints = [model.joint(name).id for name in self.names]
         dead = None
         if structure.dead:
@@ -294,6 +347,18 @@ class Plant:
         model.dof_armature[m.dof] = armature - self._lighter(x, armature, model.opt.timestep)
 
     def _lighter(self, x: Numbers, armature: np.ndarray, h: float) -> Float[np.ndarray, " n"]:
-        """D h/2 of the damping that MuJoCo takes implicitly, and no more than a share of the inertia that is there."""
+        """D h/2 of the damping that is taken implicitly, less what the model's own steps do; nothing in those.
+
+        No more than a share of the inertia that is there.
+        """
+        if self._as_the_model:
+            return np.zeros_like(armature)
         own = np.where(x.play > 0, armature, self._room + armature - self.nominal.armature)
-        return np.clip(0.5 * h * (x.damping + x.kd), 0.0, _TAKEN * np.maximum(own, 0.0))
+        here = 0.5 * h * (x.damping + x.kd)
+        there = self.own.of_damping * x.damping + self.own.of_kd * x.kd
+        return np.minimum(here - there, _TAKEN * np.maximum(own, 0.0))
+
+    @property
+    def shift(self) -> float:
+        """By how much later controls are given than they act, a step's mean being about its middle [s]."""
+        return 0.5 * self.step - self.own.early

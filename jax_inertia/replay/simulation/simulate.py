@@ -20,7 +20,7 @@ from mujoco import rollout
 
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
-from jax_inertia.replay.record import Record, controls, step_means
+from jax_inertia.replay.record import Record, controls, low_passed, step_means
 from jax_inertia.replay.simulation.plant import Compiled, Plant
 from jax_inertia.replay.simulation.stepped import PARTS, cores, limited_at, stepped_at, stepwise
 
@@ -34,7 +34,7 @@ _FINE = 1e-3
 """Steps in which targets are delayed and lag [s]."""
 _SLOPE = 4e-3
 """Half of what a velocity that decides on a limit is taken over [s]."""
-_LAW = ("kp", "kd", "bias", "limit", "back", "dead", "delay", "lag", "lead")
+_LAW = ("kp", "kd", "bias", "limit", "back", "dead", "delay", "lag", "lead", "low_pass")
 
 
 def replay(
@@ -69,14 +69,19 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     cache: dict[bytes, np.ndarray] = {}
     data = mujoco.MjData(m.model)
     for b, x in enumerate(some):
-        key = np.concatenate([x.delay, x.lag, x.kp, x.kd]).tobytes()
+        key = np.concatenate([x.delay + x.steps, x.lag, x.low_pass, x.kp, x.kd]).tobytes()
         if record.commanded.velocity is None and record.commanded.torque is None:
-            key = np.concatenate([x.delay, x.lag]).tobytes()
+            key = np.concatenate([x.delay + x.steps, x.lag, x.low_pass]).tobytes()
         if key not in cache:
             cache = dict(list(cache.items())[-2:])
-            # What acts on a step from h/2 before its position to h/2 after it.
+            # What acts on a step from h/2 before its position to h/2 after it, as early as in the model's own steps.
             of_parts = controls(
-                record, h / parts, steps * parts, x.delay + 0.5 * h, x.lag, x.kp, x.kd
+                record,
+                h / parts,
+                steps * parts,
+                x,
+                plant.shift,
+                plant.own.step if plant.own.early else 0.0,
             )
             cache[key] = of_parts.reshape(steps, parts, -1)
         commanded.append(cache[key] - x.offset)
@@ -89,7 +94,10 @@ def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.nda
     if varies:
         joints = np.flatnonzero(np.any([stepped_at(plant, x) for x in some], axis=0))
         own = np.array([x[:, :, joints] for x in commanded])
-        path = stepwise(m, joints, limited[:, joints], models, some, state, control, own, h)
+        lacking = 0.5 * h - plant.own.of_kd
+        path = stepwise(
+            m, joints, limited[:, joints], models, some, state, control, own, h, lacking
+        )
     else:
         path = _at_once(m, models, state, control)
     q = np.concatenate([state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
@@ -167,10 +175,11 @@ def _miss(record: Record, windows: Windows, x: Numbers, j: int) -> Float[np.ndar
     miss = aim - q
     miss = miss - np.clip(miss, -x.dead[j], x.dead[j])
     asked = kp * miss + x.bias[j]
+    fed = x._replace(low_pass=np.zeros_like(x.low_pass))
     if targets.velocity is not None:
-        asked = asked + kd * _held(record, targets.velocity[:, j], x, j)
+        asked = asked + kd * _held(record, targets.velocity[:, j], fed, j)
     if targets.torque is not None:
-        asked = asked + _held(record, targets.torque[:, j], x, j)
+        asked = asked + _held(record, targets.torque[:, j], fed, j)
     if record.velocity is None:
         v, mean_v = windows.slope(q, _SLOPE), windows.slope(q)
     else:
@@ -187,8 +196,10 @@ def _held(record: Record, what: Float[np.ndarray, " S"], x: Numbers, j: int) -> 
     period = record.period
     h = min(period, _FINE)
     steps = int(np.ceil((record.time[-1] + period) / h)) + 1
-    delay, lag = (x.delay - x.lead)[j : j + 1], x.lag[j : j + 1]
-    fine = step_means(record.commanded.time, what[:, None], h, steps, delay, lag)[:, 0]
+    delay, lag, smooth = (y[j : j + 1] for y in (x.delay - x.lead, x.lag, x.low_pass))
+    time = record.commanded.time
+    targets = low_passed(time, what[:, None], float(x.low_pass_period[0]), smooth)
+    fine = step_means(time, targets, h, steps, delay, lag)[:, 0]
     area, edges = np.append(0.0, np.cumsum(fine)) * h, np.arange(steps + 1) * h
     ends = (np.interp(record.time + late, edges, area) for late in (period, 0.0))
     return (next(ends) - next(ends)) / period

@@ -18,8 +18,12 @@ _STOP = np.array([0.004, 1.0]), np.array([0.99, 0.999, 1e-4, 0.5, 2.0])
 def with_loop(spec: MjSpec, names: Sequence[str], loop: Loop) -> None:
     """Give every named joint one position actuator with the loop's gains, in place of whatever acts on it.
 
-    Actuators keep the name of the one that they replace; those of other joints stay.
+    Actuators keep the name of the one that they replace; those of other joints stay. Where the spec has MuJoCo's
+    default integrator, Euler's, which takes kd explicitly, it gets the one that does not (implicitfast): a stiff loop
+    on a light joint diverges else.
     """
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for j, name in enumerate(names):
         old = [
             a for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT and a.target == name
@@ -112,3 +116,11 @@ def add_play(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
     half = 0.5 * width * (180.0 / np.pi if degrees else 1.0)
     new.range = np.array([-half, half])
     new.solref_limit, new.solimp_limit = _STOP
+
+
+def without_play(spec: MjSpec) -> None:
+    """Take joints of play out of a spec: a log has the motor's side of each, and no other."""
+    names = {j.name for j in spec.joints}
+    for joint in list(spec.joints):
+        if joint.name.endswith(PLAY) and joint.name.removesuffix(PLAY) in names:
+            spec.delete(joint)

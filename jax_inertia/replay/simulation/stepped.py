@@ -28,9 +28,12 @@ def stepped_at(plant: Plant, x: Numbers) -> Bool[np.ndarray, " n"]:
 
 
 def limited_at(plant: Plant, x: Numbers) -> Bool[np.ndarray, " n"]:
-    """Joints with a limit that the model does not have, where steps are so long that it matters how it is reached."""
+    """Joints with a limit that the model does not have, where steps are so long that it matters how it is reached.
+
+    In the model's own steps it is reached as MuJoCo has it.
+    """
     own = np.isfinite(x.limit) & (x.limit != plant.loop.limit) & (x.dead == 0)
-    return own & (plant.step > _SHORT)
+    return own & (plant.step > max(_SHORT, plant.own.step))
 
 
 def stepwise(
@@ -43,8 +46,12 @@ def stepwise(
     control: Float[np.ndarray, "B K u"],
     commanded: Float[np.ndarray, "B K p j"],
     h: float,
+    lacking: float,
 ) -> Float[np.ndarray, "B K s"]:
-    """States after each step h; `commanded`: what `joints` are, in parts of a step, without the encoders' offset."""
+    """States after each step h; `commanded`: what `joints` are, in parts of a step, without the encoders' offset.
+
+    `lacking`: of kd, what inertia a plant lacks for its steps [s].
+    """
     lagging = any(np.any(x.behind > 0) for x in some)
     every = 1 if limited.any() or lagging else max(round(_EVERY / h), 1)
     steps, nq = control.shape[1], m.model.nq
@@ -58,7 +65,7 @@ def stepwise(
     losses, dofs = [model.dof_frictionloss for model in models], m.dof[joints]
     varies = any(x.varies for x in some)
     lag = _Lag(m, joints, stacked, h) if lagging else None
-    limits = _Limits(m, joints, limited, models, stacked, h) if limited.any() else None
+    limits = _Limits(m, joints, limited, models, stacked, lacking) if limited.any() else None
     # A thread is worth its wake-up for several models, each of a step or two; one alone only waits for another.
     threads = min(cores() // 2, len(models) // _A_THREAD)
     threads = threads if threads > 1 else 0
@@ -111,13 +118,13 @@ class _Lag:
 class _Limits:
     """Actuators that are at their limit or not, to the second order in the step h.
 
-    MuJoCo cuts off what is asked on a step's average, at the speed half a step before, and adds h kd to the inertia of
-    an actuator that is not at its limit; `Plant` takes h kd/2 from all. A limit of 2.2 N m came out as 2.1 N m so, at
-    4 ms. Here each part of a step is cut off by itself, at v + h/2 · (the last step's acceleration), and an actuator
-    that is at its limit has its inertia.
+    MuJoCo cuts off what is asked on a step's average, at the speed half a step before, and adds h kd to the inertia
+    of an actuator that is not at its limit; `Plant` takes `lacking` kd from all, h/2 or less. A limit of 2.2 N m came
+    out as 2.1 N m so, at 4 ms. Here each part of a step is cut off by itself, at v + h/2 · (the last step's
+    acceleration), and an actuator that is at its limit has its inertia.
     """
 
-    def __init__(self, m: Compiled, joints, limited, models, x: Numbers, h: float):
+    def __init__(self, m: Compiled, joints, limited, models, x: Numbers, lacking: float):
         # In each part of a step alike.
         of_parts = {k: getattr(x, k)[:, None] for k in Numbers._fields if k not in NOT_OF_JOINTS}
         self._x = x._replace(**of_parts)
@@ -127,7 +134,7 @@ class _Limits:
         self._limit = np.where(limited, x.limit, np.inf)[:, None]
         self._to_actuator = x.gain / m.gear[joints]
         self._models, self._rotors = models, np.stack([o.dof_armature[self._dofs] for o in models])
-        self._lacking = 0.5 * h * np.maximum(x.gain * (x.kd - x.back), 0.0)
+        self._lacking = lacking * np.maximum(x.gain * (x.kd - x.back), 0.0)
 
     def set(
         self,

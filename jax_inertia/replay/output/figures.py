@@ -32,7 +32,7 @@ def replays(names, r: Replayed, *, both: bool = True) -> Figure:
         for j, axes in enumerate(grid.ravel()[:n]):
             axes.step(t, record.target[rows, j], where="post", color=GREY, lw=0.9, label="target")
             if both and r.fan is not None:
-                low, high_ = (x[rows, j] for x in r.fan)
+                low, high_ = (x[rows, j] for x in r.fan[:2])
                 axes.fill_between(
                     t, low, high_, color=BLUE, alpha=0.22, lw=0, label="its 90 % band"
                 )

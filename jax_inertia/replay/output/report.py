@@ -1,6 +1,7 @@
 """report.json, report.html and the figure of replays."""
 
 import base64
+import dataclasses
 import io
 from typing import Any
 
@@ -8,76 +9,117 @@ import numpy as np
 
 from jax_inertia.replay.command import Half
 from jax_inertia.replay.command import to_report as measured
-from jax_inertia.replay.corrected import policy
-from jax_inertia.replay.figures import replays
 from jax_inertia.replay.listing import PARAMETERS, size_of
 from jax_inertia.replay.loop import COMMAND, UNITS, Loop
-from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Effect, Replayed, total
-from jax_inertia.replay.varying_friction import law
+from jax_inertia.replay.output.figures import replays
+from jax_inertia.replay.output.policy import policy
+from jax_inertia.replay.result import OTHER_RUN, Diagnosis, Effect, Replayed, Size, total
+from jax_inertia.replay.step_law import law
 from jax_inertia.text.report_page import rendered
 from jax_inertia.text.words import chance, number, percent, plain, unit
 
 
 def to_report(found: Diagnosis, *, quality=(), halves: tuple[Half, ...] = ()) -> dict[str, Any]:
     """The diagnosis in the contract's form, schema 1, in JSON's own types, no NaN; `halves`: loops by torque alone."""
-    r = found.replayed
-    energy = np.maximum(r.before**2 - r.floor**2, 0.0)
-    rest = np.maximum(r.after**2 - r.floor**2, 0.0)
+    out = clean(
+        _verdict(found)
+        | _joints(found)
+        | _replays(found)
+        | {
+            "effects": [_effect(e) for e in found.effects],
+            "loop": loop_report(found.names, found.loop),
+            "command": None,
+            "step_law": law(found.names, found.numbers),
+            "clock": {name: _size(size) for name, size in found.clock},
+            "changes": [x._asdict() for x in found.changes],
+            "policy": policy(found),
+            "when": [],
+            "undetectable_below": [],
+            "suggested_motion": {},
+            "data_quality": [
+                {"severity": str(q.severity), "check": q.check, "message": q.message}
+                for q in quality
+            ],
+            "doubts": [
+                *found.impossible,
+                *(
+                    f"the corrected model replays {name!r} worse than the nominal one"
+                    for name in found.worse
+                ),
+            ],
+            "notes": list(found.notes),
+        }
+    )
+    if halves:
+        out["command"] = clean(command_report(halves, found.loop, out))
+    return out
+
+
+def _verdict(found: Diagnosis) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "verdict": str(found.verdict),
+        "confidence": found.confidence,
+        "headline": found.headline,
+    }
+
+
+def _joints(found: Diagnosis) -> dict[str, Any]:
+    """Every ordinary number, listed as an effect or not."""
     joints: dict[str, dict] = {name: {} for name in found.names}
     shared: dict[str, dict] = {}
     for k, p in enumerate(found.everything.table):
         size = size_of(found.everything, k, found.loop)
         if p.body:
             continue
+        if p.family == "viscous_friction":
+            joints[found.names[p.joint]] |= _damping(size, float(found.loop.kd[p.joint]))
+            continue
         (joints[found.names[p.joint]] if p.joint >= 0 else shared)[p.family] = _size(size)
-    out = clean(
-        {
-            "schema": 1,
-            "verdict": str(found.verdict),
-            "confidence": found.confidence,
-            "headline": found.headline,
-            "gap": {
-                "unit": "rad",
-                "chi2": float(np.mean((r.before / np.maximum(r.floor, 1e-12)) ** 2)),
-                "noise_floor": total(r.floor),
-                "per_joint_rms": dict(zip(found.names, r.before, strict=True)),
-                "share": dict(zip(found.names, energy / max(energy.sum(), 1e-300), strict=True)),
-            },
-            "effects": [_effect(e) for e in found.effects],
-            "joints": joints,
-            "all_joints": shared,
-            "shrink": {
-                "heldout": None if r.of == OTHER_RUN else torque_report(found.names, r),
-                "test_log": torque_report(found.names, r) if r.of == OTHER_RUN else None,
-                "rollout": None,
-                "replay": replay_report(found.names, r),
-            },
-            "explained_share": 1.0 - float(rest.sum() / max(energy.sum(), 1e-300)),
-            "remainder": {
-                "share": float(rest.sum() / max(energy.sum(), 1e-300)),
-                "where": dict(zip(found.names, rest / max(rest.sum(), 1e-300), strict=True)),
-                "resembles": "",
-            },
-            "loop": loop_report(found.names, found.loop),
-            "command": None,
-            "friction_law": law(found),
-            "policy": policy(found),
-            "when": [],
-            "undetectable_below": [],
-            "suggested_motion": {},
-            "data_quality": [
-                {"severity": str(q.severity), "check": q.check, "message": q.message} for q in quality
-            ],
-            "doubts": [f"the corrected model replays {name!r} worse than the nominal one" for name in found.worse],
-            "notes": list(found.notes),
-        }
-    )  # fmt: skip
-    if halves:
-        out["command"] = clean(command_report(halves, found.loop, out))
+    return {"joints": joints, "all_joints": shared}
+
+
+def _replays(found: Diagnosis) -> dict[str, Any]:
+    """Errors of the test rows, and the remainder of the gap."""
+    r = found.replayed
+    energy = np.maximum(r.before**2 - r.floor**2, 0.0)
+    rest = np.maximum(r.after**2 - r.floor**2, 0.0)
+    left = float(rest.sum() / max(energy.sum(), 1e-300))
+    return {
+        "gap": {
+            "unit": "rad",
+            "chi2": float(np.mean((r.before / np.maximum(r.floor, 1e-12)) ** 2)),
+            "noise_floor": total(r.floor),
+            "per_joint_rms": dict(zip(found.names, r.before, strict=True)),
+            "share": dict(zip(found.names, energy / max(energy.sum(), 1e-300), strict=True)),
+        },
+        "shrink": {
+            "heldout": None if r.of == OTHER_RUN else torque_report(found.names, r),
+            "test_log": torque_report(found.names, r) if r.of == OTHER_RUN else None,
+            "rollout": None,
+            "replay": replay_report(found.names, r, found.discrepancy),
+        },
+        "explained_share": 1.0 - left,
+        "remainder": {
+            "share": left,
+            "where": dict(zip(found.names, rest / max(rest.sum(), 1e-300), strict=True)),
+            "resembles": "; ".join(str(x) for x in found.resembles),
+            "joints": [dataclasses.asdict(x) for x in found.left],
+        },
+    }
+
+
+def _damping(size: Size, kd: float) -> dict[str, dict[str, Any]]:
+    """A sum of damping and kd, less kd, as two numbers that are possible: a sum below kd is less kd and no damping."""
+    ends = size.value, size.low, size.high
+    damping, less = ([f(x, 0.0) for x in ends] for f in (max, min))
+    out = {"viscous_friction": _size(Size(damping[0], damping[1], damping[2], size.unit))}
+    if kd > 0 and less[0] < 0:
+        out["kd"] = _size(Size(kd + less[0], kd + less[1], kd + less[2], size.unit))
     return out
 
 
-def replay_report(names, r: Replayed) -> dict[str, Any]:
+def replay_report(names, r: Replayed, discrepancy: np.ndarray) -> dict[str, Any]:
     """What replays say, over all joints and each."""
     before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
     return {
@@ -87,8 +129,8 @@ def replay_report(names, r: Replayed) -> dict[str, Any]:
         "unit": "rad",
         "of": r.of,
         "per_joint": {
-            name: {"before": b, "after": a, "floor": f}
-            for name, b, a, f in zip(names, r.before, r.after, r.floor, strict=True)
+            name: {"before": b, "after": a, "floor": f, "discrepancy": d}
+            for name, b, a, f, d in zip(names, r.before, r.after, r.floor, discrepancy, strict=True)
         },
     }
 
@@ -142,6 +184,7 @@ def _effect(e: Effect) -> dict[str, Any]:
         "ordinary": e.ordinary,
         "parameters": {name: _size(size) for name, size in e.sizes},
         "share": e.share,
+        "probability": e.probability,
         "explained_heldout": e.share,
         "equivalent": [
             {

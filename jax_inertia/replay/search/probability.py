@@ -1,0 +1,57 @@
+"""How probable an effect is, given this log: by Laplace's approximation of the evidence, against all that would do.
+
+    L = −ln(exp(−E/2) + Σ_a exp(−c_a/2)),
+
+E, in twice nats, is by how much the log is likelier with the effect's numbers than without, all others following: on
+the cost's parabola θᵀ C⁻¹ θ of its numbers θ from the model's own, C their covariance, less ln N for each (BIC, N
+independent samples) and the odds against an odd one; and less what validation rows lose by it, if they do. c_a,
+likewise, is what alternative a costs more than the effect, on the fitted rows and on the validation rows together.
+What is the same by an equation is no alternative. L is calibrated as by torque (`diagnosis.certainty.probability`).
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.diagnosis.certainty.probability import log_odds, probability
+from jax_inertia.replay.fitting.fit import Fit
+from jax_inertia.replay.joint_numbers import COORDINATES
+from jax_inertia.replay.search.held_out import Unseen
+from jax_inertia.replay.search.instead import Instead, Rows
+from jax_inertia.replay.search.tries import LOG_ODDS
+
+
+def probabilities(
+    found: Fit,
+    units: Sequence[Rows],
+    odd: Sequence[Rows],
+    instead: Mapping[Rows, tuple[Instead, ...]],
+    run: Unseen,
+) -> dict[Rows, float]:
+    """Of the effects of some rows; `odd`: those that few robots have, `run`: the validation rows."""
+    if not units:
+        return {}
+    errors = run.taken_back(found, units)
+    out = {}
+    for rows, without in zip(units, errors[1:], strict=True):
+        evidence = _evidence(found, rows) - 2.0 * LOG_ODDS * (rows in odd)
+        more = run.likelier(errors[0], without, found.weights)
+        endless = not np.isfinite([found.table[k].nominal for k in rows]).all()
+        evidence += more if endless else min(more, 0.0)
+        others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
+        out[rows] = probability(log_odds([0.5 * x for x in (evidence, *others)]))
+    return out
+
+
+def _evidence(found: Fit, rows: Rows) -> float:
+    """In twice nats, ln N for each number taken off."""
+    off = np.array([found.theta[k] - found.table[k].nominal for k in rows])
+    known = np.array(
+        [found.covariance[k, k] > 0 and np.isfinite(x) for k, x in zip(rows, off, strict=True)]
+    )
+    kept = np.array(rows)[known]
+    own: Float[np.ndarray, "k k"] = found.covariance[np.ix_(kept, kept)]
+    risen = float(off[known] @ np.linalg.solve(own, off[known])) if known.any() else 0.0
+    paid = sum(found.table[k].family not in COORDINATES for k in rows)
+    return risen - max(paid, 1) * float(np.log(max(found.samples, 2.0)))
