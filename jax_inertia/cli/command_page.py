@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from jax_inertia.logs.log import Log
 from jax_inertia.replay import command
-from jax_inertia.replay.figures import BLUE, GREY, ORANGE
 from jax_inertia.replay.loop import Loop
+from jax_inertia.replay.output.figures import BLUE, GREY, ORANGE
 from jax_inertia.text.report_page import rendered
 from jax_inertia.text.words import number
 
@@ -38,7 +38,7 @@ def _with_spread(value: float, sd: float) -> str:
 
 
 def figure(halves: tuple[command.Half, ...], log: Log, loop: Loop | None) -> Figure:
-    """Each joint's torque over the error of its position, and the lines of kp as said and as found."""
+    """Each joint's torque over the error of its position, and the lines of kp as stated and as fitted."""
     rows = command.rows_of(log, loop)
     wide = min(len(halves), 3)
     high = -(-len(halves) // wide)
@@ -53,9 +53,9 @@ def figure(halves: tuple[command.Half, ...], log: Log, loop: Loop | None) -> Fig
             axes.plot(miss[::every], torque[::every], ".", ms=2, color=GREY, rasterized=True)
             ends = np.array([np.min(miss), np.max(miss)])
             if loop is not None:
-                axes.plot(ends, loop.kp[j] * ends, color=ORANGE, lw=1.1, label="kp as said")
+                axes.plot(ends, loop.kp[j] * ends, color=ORANGE, lw=1.1, label="kp as stated")
             law = half.kp * (ends - np.clip(ends, -half.dead_band, half.dead_band))
-            axes.plot(ends, law, "--", color=BLUE, lw=1.1, label="as found")
+            axes.plot(ends, law, "--", color=BLUE, lw=1.1, label="as fitted")
             for limit in () if half.limit is None else (half.limit, -half.limit):
                 axes.axhline(limit, color=BLUE, lw=0.7, ls=":")
             axes.set_title(half.joint, fontsize=8.5, loc="left")

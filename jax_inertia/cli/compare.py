@@ -51,22 +51,33 @@ def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line for what is no report."""
     import json
 
-    from jax_inertia.cli.console import output_folder
-    from jax_inertia.fleet.numbers import read_report
-    from jax_inertia.fleet.page import Column, page, to_json
+    from jax_inertia.cli.console import output_folder, warn
+    from jax_inertia.fleet.page import Column, Refused, page, to_json
+    from jax_inertia.fleet.report_file import read_report
 
     if len(args.reports) < 2:
         raise ValueError("one report is nothing to compare; give two or more")
     names = args.names or _names(args.reports)
     if len(names) != len(args.reports):
         raise ValueError(f"--names: {len(names)} names for {len(args.reports)} reports")
-    columns = [
-        Column(name, read_report(path)) for name, path in zip(names, args.reports, strict=True)
-    ]
-    found = to_json(columns)
+    columns, refused = [], []
+    for name, path in zip(names, args.reports, strict=True):
+        try:
+            columns.append(Column(name, read_report(path)))
+        except ValueError as error:
+            refused.append(Refused(name, str(error)))
+    if len(columns) < 2:
+        raise ValueError(refused[0].reason)
+    for one in refused:
+        warn(f"left out: {one.reason}")
+    found = to_json(columns, refused=refused)
     with output_folder(args.out, "compare") as folder:
-        (folder / "compare.html").write_text(page(" · ".join(names), columns))
-        (folder / "compare.json").write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
+        (folder / "compare.html").write_text(
+            page(" · ".join(names), columns, refused=refused), encoding="utf-8"
+        )
+        (folder / "compare.json").write_text(
+            json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
     if args.json:
         print(json.dumps(found, indent=1, allow_nan=False))
     else:

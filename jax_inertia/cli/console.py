@@ -1,35 +1,50 @@
-"""What the commands share: progress on the terminal, and output that appears whole or not at all."""
+"""What the commands share: one-line messages, and output that appears whole or not at all."""
 
+import _thread
 import contextlib
 import glob
+import io
 import os
 import shutil
 import sys
 import tempfile
+import threading
+import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
+from jax_inertia.fleet.running import ENDS_WITH_INPUT, GRACE
 from jax_inertia.logs.atomic_files import held
+from jax_inertia.text.remedies import usable
 
 
-@contextlib.contextmanager
-def stages() -> Iterator[Callable[[str], None]]:
-    """Say what is being done, with the time it has taken, while the block runs; silent where nobody watches."""
-    console = Console(stderr=True)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    watched = console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=not watched) as progress:
-        task = progress.add_task("starting", total=None)
-        yield lambda text: progress.reset(task, description=text, total=None)
+def in_utf_8() -> None:
+    """Write UTF-8 to files and pipes whatever the locale says; on a terminal, a mark for what it cannot show."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding=None if stream.isatty() else "utf-8", errors="replace")
+
+
+def end_with_input() -> None:
+    """Be interrupted when the standard input ends, where the environment asks for it: who started this has gone."""
+    if not os.environ.pop(ENDS_WITH_INPUT, ""):
+        return
+
+    def wait() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 4096):
+                pass
+        _thread.interrupt_main()
+        time.sleep(GRACE)
+        os._exit(130)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def warn(message: str) -> None:
     """One line on stderr."""
-    print(f"jax-inertia: warning: {one_line(message)}", file=sys.stderr)
+    print(f"jax-inertia: warning: {usable(one_line(message))}", file=sys.stderr)
 
 
 def one_line(message: object) -> str:
@@ -67,12 +82,14 @@ def folder_for(log: Path) -> Path:
 
 
 @contextlib.contextmanager
-def output_folder(out: Path, of: str = "report") -> Iterator[Path]:
+def output_folder(out: Path, of: str = "report", products: Sequence[str] = ()) -> Iterator[Path]:
     """A temporary folder inside `out` whose files move up to `out` at the end, if all went well.
 
     Made before the work starts, so that a place that cannot be written is known at once. One run at a time writes one
-    thing (`of`) there, so that no report is of two; what one that was killed has left is removed. Raises ValueError
-    for a place that cannot be written, or where another run is writing.
+    thing (`of`) there, so that no report is of two; what one that was killed has left is removed, and at the end what
+    an earlier run has left of the `products` that this one did not make. Whoever is killed leaves the files of the
+    earlier run, or of this one, or no JSON. Raises ValueError for a place that cannot be
+    written, or where another run is writing.
     """
     made = [p for p in (out, *out.parents) if not p.exists()]
     try:
@@ -98,7 +115,13 @@ def output_folder(out: Path, of: str = "report") -> Iterator[Path]:
                 if alone and orphan.name != part.name:
                     shutil.rmtree(orphan, ignore_errors=True)
             yield part
-            for file in sorted(part.iterdir()):
+            new = sorted(part.iterdir(), key=lambda file: (file.suffix == ".json", file.name))
+            names, told = {f.name for f in new}, {f.name for f in new if f.suffix == ".json"}
+            # JSON says what the other files are: the earlier run's goes first and this one's comes last, so that it is
+            # never among files of two runs.
+            for name in sorted({*products} - names | told, key=lambda x: not x.endswith(".json")):
+                (out / name).unlink(missing_ok=True)
+            for file in new:
                 os.replace(file, out / file.name)
     finally:
         for folder in made:

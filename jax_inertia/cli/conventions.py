@@ -1,7 +1,8 @@
-"""Options that say where a log means something else than its model, and what becomes of both."""
+"""Options that several commands have: where a log means something else than its model, and gains of a position loop."""
 
 import argparse
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,9 +13,7 @@ if TYPE_CHECKING:
 
 def add_conventions(parser: argparse.ArgumentParser, *, gains: bool = False) -> None:
     """Add the options to a command that takes a log and a model; `gains` where it has no such option of its own."""
-    add = parser.add_argument_group(
-        "where the log means something else than the model"
-    ).add_argument
+    add = parser.add_argument_group("if the log means something else than the model").add_argument
     add_time_unit(add)
     unit_help = (
         "unit of the log's torques, whatever the file says: N m, A, mA, PWM, or a word of your own"
@@ -26,27 +25,68 @@ def add_conventions(parser: argparse.ArgumentParser, *, gains: bool = False) -> 
     add(
         "--gravity-compensated",
         action="store_true",
-        help="the controller took gravity out of the log's torque: add the model's",
+        help="the controller subtracted gravity from the log's torque: add the model's gravity",
     )
     mount_help = (
         "how the base is mounted, turned about x, y (and z) of an upright world [degrees], or a quaternion W,X,Y,Z; "
         "with a minus first: --mount=-90,0"
     )
     add("--mount", type=_mount, metavar="RX,RY[,RZ]", help=mount_help)
-    shift_help = "put the log's torque so much later against its positions (negative: earlier)"
+    shift_help = "shift the log's torque by S seconds to later times (negative: earlier)"
     add("--shift-torque", type=_seconds, metavar="S", help=shift_help)
     fix_help = "hold a joint of the model, where the log lacks it, at this position [rad, m]"
     add("--fix", nargs="+", action="extend", type=_fixed, metavar="JOINT=VALUE", help=fix_help)
-    joints_help = (
-        "joints of the log that count; its others must stand still, and are held where they are"
-    )
+    joints_help = "joints of the log to use; the others must stand still, and are held there"
     add("--joints", nargs="+", metavar="J", help=joints_help)
+
+
+def add_model(
+    add: Callable[..., object], what: str, *, name: str = "--model", required: bool = True
+) -> None:
+    """Add the model and where it may include files from, by a parser's `add_argument`."""
+    if name.startswith("-"):
+        add(name, type=Path, required=required, help=what)
+    else:
+        add(name.lower(), type=Path, metavar=name, help=what)
+    root_help = "folder below which the model may include files (default: the model's own)"
+    add("--include-root", type=Path, metavar="DIR", help=root_help)
 
 
 def add_time_unit(add: Callable[..., object]) -> None:
     """Add --time-unit to a parser, by its `add_argument`: an option of every command that reads a log."""
-    help_text = "unit of the log's stamps (default: s, or another where it is unmistakable)"
+    help_text = "unit of the log's time stamps (default: s, or another unit if it is obvious)"
     add("--time-unit", choices=("s", "ms", "us", "ns"), help=help_text)
+
+
+def add_prior_mass(add: Callable[..., object]) -> None:
+    """Add --prior-mass to a parser, by its `add_argument`: an option of every command that estimates loads."""
+    help_text = "expected load (default: a tenth of the robot's mass)"
+    add("--prior-mass", type=positive, metavar="KG", help=help_text)
+
+
+def add_gains(add: Callable) -> None:
+    """Add --kp, --kd and --fix-base to a parser, by its `add_argument`."""
+    kp_help = "gain of the position loop, one for all joints or one each [N m/rad]"
+    add("--kp", nargs="+", type=float, metavar="KP", help=kp_help)
+    add("--kd", nargs="+", type=float, metavar="KD", help="damping of the loop [N m s/rad]")
+    fix_help = "the robot hangs: remove the free joint and the contacts from the model"
+    add("--fix-base", action="store_true", help=fix_help)
+
+
+def number(text: str) -> float:
+    """An option's value as a number, infinite ones included; argparse says in one line what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+
+
+def positive(text: str) -> float:
+    """An option's value as a finite number above zero."""
+    value = number(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
 
 
 def met(
@@ -94,10 +134,7 @@ def _unit(text: str) -> str:
 
 
 def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+    value = number(text)
     if not abs(value) < 1e6:
         raise argparse.ArgumentTypeError(f"{text} is no number that can be used")
     return value

@@ -5,13 +5,13 @@ import dataclasses
 import textwrap
 from pathlib import Path
 
-from jax_inertia.cli.conventions import add_conventions
-from jax_inertia.cli.gains import add_gains
+from jax_inertia.cli.conventions import add_conventions, add_gains, add_model
+from jax_inertia.trainers import SIMULATORS
 
 _DESCRIPTION = """
-Find what MODEL lacks of the robot that LOG was recorded on: the effect, its place, its size, and how far the gap
-shrinks once it is added. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added); of a URDF whose inertials are at fault corrected.urdf too. A LOG of a position-controlled robot, with
+Find what MODEL lacks, compared with the robot of LOG: each effect, its place, its size, and how far the error shrinks
+with it. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
+effects added), and for a URDF with wrong inertials corrected.urdf. A LOG of a position-controlled robot, with
 the torque of its loop or without, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
 """
 _EXAMPLES = """
@@ -28,6 +28,9 @@ examples:
   a position-controlled robot, no torque in the log
     jax-inertia diagnose log.npz --model arm.xml --test-log other.npz --kp 20 --kd 0.5
 
+  the same, with files to train a policy with
+    jax-inertia diagnose log.npz --model arm.xml --export isaaclab playground
+
   the same from several motions
     jax-inertia diagnose a.npz --more-logs b.npz c.npz --model arm.xml --test-log other.npz
 
@@ -35,6 +38,12 @@ No log at hand? jax-inertia demo --out demo   makes one, and diagnoses it.
 """
 
 _LOG_HELP = ".npz, .csv, .parquet, ROS bag or MCAP (what needs options: see jax-inertia convert)"
+
+
+_PRODUCTS = (
+    "report.json", "report.html", "corrected.xml", "corrected.urdf", "policy.json", "draws.npz",
+    *(f"{name}.py" for name in SIMULATORS),
+)  # fmt: skip
 
 
 def add_parser(subparsers) -> None:
@@ -48,9 +57,15 @@ def add_parser(subparsers) -> None:
     )
     add = parser.add_argument
     add("log", metavar="LOG", type=Path, help=_LOG_HELP)
-    add("--model", type=Path, required=True, help="MJCF or URDF, the robot as modelled")
-    test_help = "another motion of the same robot, used to validate only"
+    add_model(add, "MJCF or URDF, the robot as modelled")
+    test_help = (
+        "another motion of the robot: quotes the error of what is handed over, and decides nothing"
+    )
     add("--test-log", type=Path, metavar="LOG2", help=test_help)
+    validation_help = (
+        "another motion, by which effects are chosen (default: rows of LOG that are held out)"
+    )
+    add("--validation-log", type=Path, metavar="LOG3", help=validation_help)
     more_help = "further logs of targets, fitted with LOG; their gains may be others"
     add(
         "--more-logs",
@@ -61,13 +76,17 @@ def add_parser(subparsers) -> None:
         metavar="LOG",
         help=more_help,
     )
-    exclude_help = "families of effects that are out of the question"
+    exclude_help = "effects that cannot be (see docs/effects.md)"
     add("--exclude", nargs="+", action="extend", default=[], metavar="FAMILY", help=exclude_help)
-    effects_help = "look for so many odd effects at most (default: as many as LOG supports)"
+    effects_help = "largest number of odd effects (default: as many as LOG supports)"
     add("--max-effects", type=_count, metavar="N", help=effects_help)
+    export_help = (
+        "also write files to train a policy with, from a log of targets (see docs/training.md)"
+    )
+    add("--export", nargs="+", action="extend", default=[], choices=SIMULATORS, help=export_help)
     uncertain_help = (
         "standard deviations of the model's masses (relative), centres of mass [m] and inertias (relative); "
-        "default: what drawings of built arms are off by"
+        "default: typical errors of drawings of built arms"
     )
     add(
         "--nominal-uncertainty",
@@ -86,18 +105,22 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where log or model cannot be used."""
     from jax_inertia.cli import diagnose_run as pipeline
-    from jax_inertia.cli.console import folder_for, output_folder, stages
+    from jax_inertia.cli.console import folder_for, output_folder
+    from jax_inertia.cli.running.stages import stages
 
     gains = pipeline.Gains(args.kp, args.kd, args.fix_base)
     out = args.out if args.out is not None else folder_for(args.log)
     with stages() as stage:
         inputs = pipeline.read(
-            args.model, args.log, args.test_log, args.exclude, args, gains, args.more_logs
-        )
+            args.model, args.log, args.test_log, args.exclude, args, gains, args.more_logs,
+            args.validation_log,
+        )  # fmt: skip
         if args.nominal_uncertainty is not None:
             inputs = dataclasses.replace(inputs, uncertainty=tuple(args.nominal_uncertainty))
-        with output_folder(out) as folder:
-            show = pipeline.diagnosed(folder, inputs, args.exclude, args.max_effects, stage, gains)
+        with output_folder(out, products=_PRODUCTS) as folder:
+            show = pipeline.diagnosed(
+                folder, inputs, args.exclude, args.max_effects, stage, gains, args.export
+            )
     show(out, as_json=args.json)
     return 0
 

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jax_inertia.cli import estimate_wrench
-from jax_inertia.cli.conventions import add_conventions
+from jax_inertia.cli.conventions import add_conventions, add_model, add_prior_mass, number, positive
 from jax_inertia.cli.estimate_wrench import add_wrench
 
 if TYPE_CHECKING:
+    from jax_inertia.control.payload import Frame
     from jax_inertia.estimation.estimate_inputs import Inputs
 
+DRIVERS = ("ur", "franka", "kuka", "xarm")
 CHARTS = ("log-cholesky-uut", "log-cholesky", "relative", "linear")
 
 _DESCRIPTION = """
@@ -50,7 +52,7 @@ def add_parser(subparsers) -> None:
     )
     add = parser.add_argument
     add("log", metavar="LOG", type=Path, help=_LOG_HELP)
-    add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
+    add_model(add, "MJCF or URDF with the bodies as known beforehand")
     add("--bodies", nargs="+", metavar="B", help="bodies to estimate, by name")
     add(
         "--out",
@@ -66,14 +68,26 @@ def add_parser(subparsers) -> None:
     add("--write-model", action="store_true", help=write_help)
     add("--json", action="store_true", help="print report.json instead of the tables")
 
+    _add_driver(parser.add_argument_group("a line for the robot's driver").add_argument)
     _add_torques(
         parser.add_argument_group("torques that are not in N m (motor currents, PWM)").add_argument
     )
+    _add_unknown(parser.add_argument_group("what the model lacks").add_argument)
     _add_filter(parser.add_argument_group("filter").add_argument)
     _add_signals(parser.add_argument_group("signals").add_argument)
     add_wrench(parser.add_argument_group("a wrist's force/torque sensor").add_argument)
     add_conventions(parser)
     parser.set_defaults(run=lambda args: run(args, parser))
+
+
+def _add_driver(add) -> None:
+    driver_help = (
+        "print what the body carries beyond the model as the line that sets a payload: of a Universal Robot "
+        "(URScript), Franka (libfranka), KUKA (KRL) or xArm (its SDK)"
+    )
+    add("--driver", choices=DRIVERS, help=driver_help)
+    flange_help = "site or link of the model in whose frame the driver takes it (default: the body's own frame)"
+    add("--flange", metavar="FRAME", help=flange_help)
 
 
 def _add_torques(add) -> None:
@@ -86,22 +100,41 @@ def _add_torques(add) -> None:
     add("--calibrate", nargs="+", type=Path, metavar="LOG", help=calibrate_help)
     add(
         "--gain-sigma",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="relative uncertainty of the gains to calibrate (default: 1, or 0.5 with --gains)",
     )
 
     trust_help = (
-        "how well the model is known, for --calibrate: masses in parts, centres of mass in m (default 0.1 0.05). "
-        "Currents have no scale of torque but this, so a load weighed with fitted gains hangs on it"
+        "for --calibrate: standard deviations of masses (relative) and centres of mass [m] (default 0.1 0.05). "
+        "Currents alone have no torque scale, so a load that is weighed with fitted gains depends on it"
     )
     add(
         "--trust",
         nargs=2,
-        type=_positive,
+        type=positive,
         default=(0.1, 0.05),
         metavar=("MASS", "COM"),
         help=trust_help,
+    )
+
+
+def _add_unknown(add) -> None:
+    friction_help = (
+        "estimate every joint's viscous and dry friction and its torque's offset with the bodies (default: where the "
+        "log's own residual shows them)"
+    )
+    add("--friction", action=argparse.BooleanOptionalAction, default=None, help=friction_help)
+    tolerance_help = (
+        "how well links are known: masses in parts, centres of mass in m, radii of gyration in parts (default: as a "
+        "corrected.xml says itself, else 0.02 0.001 0.05; 0 0 0: exactly); intervals contain it"
+    )
+    add(
+        "--tolerance",
+        nargs=3,
+        type=_not_negative,
+        metavar=("MASS", "COM", "RADIUS"),
+        help=tolerance_help,
     )
 
 
@@ -118,56 +151,57 @@ def _add_filter(add) -> None:
     )
     add(
         "--reopen-after",
-        type=_positive,
+        type=positive,
         metavar="S",
-        help="a gate that rejects everything for so long meets a new load (default 0.5 s)",
+        help="a gate that rejects everything for S seconds reopens for a new load (default 0.5 s)",
     )
     add(
         "--iterations",
         type=_count,
         metavar="N",
-        help="of each update (default 5; 1 is the paper's extended Kalman filter)",
+        help="iterations of each update (default 5; 1 is the paper's extended Kalman filter)",
     )
     add(
         "--sigma-tau",
         nargs="+",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="noise of one filtered sample [N m], one for all rows or one each (default: from residuals)",
     )
+    add_prior_mass(add)
     add(
-        "--prior-mass",
-        type=_positive,
-        metavar="KG",
-        help="load to expect (default: a tenth of the robot)",
-    )
-    add(
-        "--prior-reach", type=_positive, default=0.2, metavar="M", help="and within (default 0.2 m)"
+        "--prior-reach",
+        type=positive,
+        default=0.2,
+        metavar="M",
+        help="distance from the body's origin within which to expect it (default 0.2 m)",
     )
     add(
         "--drift-time",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="time in which bodies may drift by the expected load (default 3600; 3 without gate)",
     )
 
 
 def _add_signals(add) -> None:
+    ignore_help = "leave an optional channel out: qvel, where positions are better differentiated"
+    add("--ignore", nargs="+", choices=("qvel",), default=(), metavar="CHANNEL", help=ignore_help)
     add(
         "--cutoff",
-        type=_positive,
+        type=positive,
         metavar="HZ",
-        help="low-pass (default 10 Hz, at most a fifth of the log's rate)",
+        help="cutoff of the low-pass (default 10 Hz, at most a fifth of the log's rate)",
     )
     add(
         "--rate",
-        type=_positive,
+        type=positive,
         metavar="HZ",
-        help="grid (default: ten times the cutoff, or the log's)",
+        help="rate of the resampled log (default: ten times the cutoff, or the log's rate)",
     )
     add(
         "--bias-window",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="take the mean residual of the first S seconds, when nothing is carried, as torque offset",
     )
@@ -180,9 +214,11 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if not args.bodies:
         raise ValueError("no body to estimate; give --bodies, or the sensor's with --wrench")
     if args.wrench_axes is not None or args.flip_wrenches:
-        raise ValueError("--wrench-axes and --flip-wrenches are of --wrench BODY; give that too")
+        raise ValueError("--wrench-axes and --flip-wrenches need --wrench BODY")
     from jax_inertia.cli import estimate_output as output
-    from jax_inertia.cli.console import folder_for, output_folder, stages
+    from jax_inertia.cli.console import folder_for, output_folder
+    from jax_inertia.cli.running.stages import stages
+    from jax_inertia.control.payload import payload_report
     from jax_inertia.estimation import pipeline
     from jax_inertia.model.write import write_with_inertials
 
@@ -190,10 +226,13 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     written = []
     with stages() as stage:
         inputs = read(args)
+        frame = _flange(args)
         with output_folder(out) as folder:
             found = pipeline.run(inputs, stage)
             stage("writing")
             report = output.report(args, found)
+            if args.driver is not None:
+                report["payload"] = payload_report(found, args.driver, frame, args.flange)
             output.write(folder, found, report)
             if args.write_model:
                 written = write_with_inertials(
@@ -206,9 +245,22 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
                 )
     output.show(found, report, out, as_json=args.json)
     if not args.json:
+        if args.driver is not None:
+            print("\n".join(report["payload"]["said"]))
         for file in written:
             print(f"The model with what was estimated: {out / file.name}")
     return 0
+
+
+def _flange(args: argparse.Namespace) -> "Frame | None":
+    """The frame that a driver takes a load in, None for the body's own."""
+    from jax_inertia.control.payload import frame_of
+
+    if args.driver is not None and len(args.bodies) != 1:
+        raise ValueError(f"--driver {args.driver} takes one load: give one of --bodies")
+    if args.flange is not None and args.driver is None:
+        raise ValueError(f"--flange {args.flange} needs --driver {{{','.join(DRIVERS)}}}")
+    return None if args.flange is None else frame_of(args.model, args.flange, args.bodies[0])
 
 
 def read(args: argparse.Namespace) -> "Inputs":
@@ -257,22 +309,15 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+def _not_negative(text: str) -> float:
+    value = number(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a number from zero up")
     return value
 
 
 def _probability(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0 < value <= 1:
         raise argparse.ArgumentTypeError(
             f"{text} is no probability; it must lie above 0, and not above 1 (no gate)"

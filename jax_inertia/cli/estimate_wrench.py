@@ -8,7 +8,7 @@ from pathlib import Path
 
 # Options of `estimate` that mean something here; others with a value of their own are refused.
 _USED = ("wrench", "wrench_axes", "flip_wrenches", "prior_mass", "prior_reach", "cutoff", "rate")
-_USED += ("log", "model", "out", "json", "time_unit", "fix", "joints", "mount", "run")
+_USED += ("log", "model", "out", "json", "time_unit", "fix", "joints", "mount", "run", "no_cache")
 
 
 def add_wrench(add: Callable[..., object]) -> None:
@@ -26,13 +26,14 @@ def add_wrench(add: Callable[..., object]) -> None:
 
 def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     """Do it; raises ValueError with one line where log, model or settings cannot be used."""
-    from jax_inertia.cli.console import folder_for, output_folder, stages
+    from jax_inertia.cli.console import folder_for, output_folder
+    from jax_inertia.cli.running.stages import stages
     from jax_inertia.estimation.wrist_sensor import sensed_load
 
     for name, value in vars(args).items():
         if name not in _USED and value != parser.get_default(name):
             option = f"--{name.replace('_', '-')}"
-            raise ValueError(f"{option} does not go with --wrench, which looks at no joint torques")
+            raise ValueError(f"{option} does not go with --wrench, which uses no joint torques")
     out = args.out if args.out is not None else folder_for(args.log) / "estimate"
     asked = {name: getattr(args, name) for name in ("prior_mass", "prior_reach", "cutoff", "rate")}
     with stages() as stage:
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
             }
             report |= dataclasses.replace(found, notes=notes).to_report()
             text = json.dumps(report, indent=1, allow_nan=False)
-            (folder / "wrench.json").write_text(text + "\n")
+            (folder / "wrench.json").write_text(text + "\n", encoding="utf-8")
     if args.json:
         print(text)
     else:

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jax_inertia.cli.conventions import add_model
+
 if TYPE_CHECKING:
     from jax_inertia.fleet.jobs import Outcome, Task
     from jax_inertia.fleet.page import Column
@@ -47,10 +49,16 @@ def add_parser(subparsers) -> None:
     )
     add = parser.add_argument
     add("logs", metavar="LOG", nargs="+", type=Path, help="what jax-inertia diagnose reads")
-    add("--model", type=Path, required=True, help="MJCF or URDF, of all of them")
-    tests_help = "other runs, which only validate: a log takes its robot's of the same date, else its robot's only one"
+    add_model(add, "MJCF or URDF, one for all robots")
+    tests_help = "other runs that test the results: a log takes its robot's run of the same date, else the only one"
     add("--test-logs", type=Path, nargs="+", default=[], metavar="LOG", help=tests_help)
-    add("--jobs", type=_count, default=1, metavar="N", help="logs at a time (default 1)")
+    add(
+        "--jobs",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="number of logs diagnosed at the same time (default 1)",
+    )
     add("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, instead of --jobs")
     pattern_help = "regular expression with the groups robot and date, searched in a log's path"
     add("--pattern", type=_pattern, default=_pattern(PATTERN), metavar="P", help=pattern_help)
@@ -74,13 +82,18 @@ def run(args: argparse.Namespace) -> int:
     if not args.model.exists() and ":" not in str(args.model):
         raise ValueError(f"{args.model}: no such file")
     if args.out.exists() and not args.out.is_dir():
-        raise ValueError(f"cannot write to {args.out}: it is no folder; give another with --out")
+        raise ValueError(f"cannot write to {args.out}: it is not a folder; give another with --out")
     named = [robot_and_date(log, args.pattern) for log in args.logs]
     todo = tasks(args, named)
     told = _Told(len(todo))
-    if args.dask is not None:
-        return write(args, jobs.run_on_dask(todo, args.dask, told), named)
-    return write(args, jobs.run_here(todo, args.jobs, told), named)
+    try:
+        if args.dask is not None:
+            return write(args, jobs.run_on_dask(todo, args.dask, told), named)
+        return write(args, jobs.run_here(todo, args.jobs, told), named)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "finished logs are kept, and the same command continues from there"
+        ) from None
 
 
 def tasks(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "list[Task]":
@@ -90,6 +103,7 @@ def tasks(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "list
     from jax_inertia.fleet.jobs import Task
 
     model = args.model.resolve() if args.model.exists() else args.model
+    root = None if args.include_root is None else args.include_root.resolve()
     out, taken = args.out.resolve(), {}
     own, options, tests = version("jax-inertia"), tuple(args.options), validating(args, named)
     for log, (robot, _) in zip(args.logs, named, strict=True):
@@ -99,7 +113,9 @@ def tasks(args: argparse.Namespace, named: "Sequence[tuple[str, str]]") -> "list
                 f"{taken[folder].log} and {log} are both {folder.name} of {robot}; give them names of their own"
             )
         test = tests[log]
-        taken[folder] = Task(log.resolve(), model, folder, options, own, test_log=test)
+        taken[folder] = Task(
+            log.resolve(), model, folder, options, own, test_log=test, include_root=root
+        )
     return list(taken.values())
 
 
@@ -156,26 +172,32 @@ def write(
 
     from jax_inertia.cli.compare import show
     from jax_inertia.cli.console import output_folder, warn
-    from jax_inertia.fleet.numbers import read_report
     from jax_inertia.fleet.page import Column, Refused, page, to_json
+    from jax_inertia.fleet.report_file import read_report
 
     columns, refused = [], []
     for outcome, (robot, date) in sorted(zip(ended, named, strict=True), key=lambda x: x[1]):
         folder = outcome.task.out
-        if outcome.status in ("refused", "lost"):
-            refused.append(Refused(outcome.task.log.name, outcome.message))
-            warn(f"{outcome.task.log.name}: {outcome.message}")
-        else:
-            link = f"{robot}/{folder.name}/report.html"
-            columns.append(Column(folder.name, read_report(folder), robot, date, link))
+        try:
+            if outcome.status in ("refused", "lost"):
+                raise ValueError(outcome.message)
+            report = read_report(folder)
+        except ValueError as error:
+            refused.append(Refused(outcome.task.log.name, str(error)))
+            warn(f"{outcome.task.log.name}: {error}")
+            continue
+        link = f"{robot}/{folder.name}/report.html"
+        columns.append(Column(folder.name, report, robot, date, link))
     if not columns:
         raise ValueError("none of the logs could be diagnosed")
     drifting = _drifts(columns)
     found = to_json(columns, drifting, refused)
     with output_folder(args.out, "fleet") as folder:
         html = page(f"Fleet of {args.model.name}", columns, drifting, refused)
-        (folder / "fleet.html").write_text(html)
-        (folder / "fleet.json").write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
+        (folder / "fleet.html").write_text(html, encoding="utf-8")
+        (folder / "fleet.json").write_text(
+            json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
     if args.json:
         print(json.dumps(found, indent=1, allow_nan=False))
         return 0

@@ -14,7 +14,6 @@ from typing import NoReturn
 
 from jax_inertia.cli import (
     compare,
-    convert,
     diagnose,
     estimate,
     fleet,
@@ -22,7 +21,9 @@ from jax_inertia.cli import (
     suggest_motion,
     watch,
 )
+from jax_inertia.cli.conversion import command as convert
 from jax_inertia.cli.demo import command as demo_command
+from jax_inertia.text.remedies import of_command, usable
 
 _COMMANDS = (
     convert,
@@ -41,9 +42,9 @@ _EPILOG = """
 start with:
   jax-inertia demo
 
-exit status: 0 where the work was done, whatever it found; 2 for a log, model or option that cannot be used (one line
-on stderr); 130 after Ctrl-C. Where it is not 0, nothing is left half written. With --json stdout holds JSON and nothing
-else; warnings and progress go to stderr.
+exit status: 0 if the command did its work, whatever it found; 2 for a log, model or option that it cannot use (one
+line on stderr); 130 after Ctrl-C. If it is not 0, no file is half written. With --json, stdout holds JSON and nothing
+else; warnings and progress go to stderr (a bar on a terminal, else a line for each stage).
 """
 
 
@@ -68,7 +69,7 @@ class _PrintCompletion(argparse.Action):
         try:
             import shtab
         except ImportError:
-            parser.error(f"{option_string} needs shtab: pip install 'jax-inertia[completion]'")
+            parser.error(f"{option_string} needs shtab: pip install shtab")
         for action in _actions(parser):
             if action.type is Path:
                 folder = action.metavar == "DIR"
@@ -102,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     parser = _Parser(
         prog="jax-inertia",
-        description="Masses, centres of mass and inertias of a robot's bodies from its logs, never unphysical.",
+        description="What a robot's model lacks, and what its bodies weigh, from logs of its motion.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -112,26 +113,46 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument(
         "--print-completion", action=_PrintCompletion, choices=shells, help=completion_help
     )
-    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    cache_help = (
+        "compile everything anew: neither read nor write compiled programs in the user's cache folder (at most 512 MB; "
+        "JAX_INERTIA_CACHE=off does the same for every command, JAX_INERTIA_CACHE=DIR uses another folder)"
+    )
+    parser.add_argument("--no-cache", action="store_true", help=cache_help)
+    subparsers = parser.add_subparsers(
+        title="commands", required=True, metavar="COMMAND", dest="command"
+    )
     for command in _COMMANDS:
         command.add_parser(subparsers)
     args = parser.parse_args(arguments)
-    from jax_inertia.cli.console import one_line, warnings_as_lines
+    with of_command(args.command, subparsers.choices):
+        return _done(args)
+
+
+def _done(args: argparse.Namespace) -> int:
+    """The command's exit status, once it has run."""
+    from jax_inertia.cli.console import end_with_input, in_utf_8, one_line, warnings_as_lines
+    from jax_inertia.cli.running.compiled import keep_compiled
+    from jax_inertia.model.file_safety import includes_below
+
+    in_utf_8()
+    end_with_input()
 
     try:
         import jax
 
         # Logs last minutes and covariances span twelve decades: single precision is for the library's users to choose.
         jax.config.update("jax_enable_x64", True)
-        with warnings_as_lines():
+        if not args.no_cache:
+            keep_compiled()
+        with warnings_as_lines(), includes_below(getattr(args, "include_root", None)):
             return args.run(args)
     except BrokenPipeError:
         raise
-    except KeyboardInterrupt:
-        print("jax-inertia: interrupted; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as stopped:
+        print(f"jax-inertia: interrupted; {stopped or 'nothing was written'}", file=sys.stderr)
         return 130
     except (ValueError, OSError) as error:
-        print(f"jax-inertia: error: {one_line(error)}", file=sys.stderr)
+        print(f"jax-inertia: error: {usable(one_line(error))}", file=sys.stderr)
         return 2
 
 

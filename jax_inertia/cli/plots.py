@@ -9,11 +9,12 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from jax_inertia.estimation.excitation import Suggestion
 from jax_inertia.estimation.inertial_filter import Trace
 from jax_inertia.estimation.log_estimate import LogEstimate
-from jax_inertia.estimation.motion_limits import Limits
+from jax_inertia.estimation.suggest.excitation import Suggestion
+from jax_inertia.estimation.suggest.motion_limits import Limits
 from jax_inertia.maths.inertial_parameters import PI_NAMES
+from jax_inertia.text.words import from_start
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
     "#0072B2",
@@ -29,7 +30,8 @@ _AXES = ((BLUE, "-", "x"), (VERMILION, "--", "y"), (GREEN, "-.", "z"))
 
 def estimate_figure(found: LogEstimate) -> Figure:
     """Mass, centre of mass and inertia with ±2 σ of every body, physical check, NIS with gate, residuals."""
-    bodies, e, time = len(found.bodies), found.trace.estimate, found.time
+    bodies, e = len(found.bodies), found.trace.estimate
+    time, axis_of_time = from_start(found.time)
     figure = Figure(figsize=(max(9.5, 4.6 * bodies), 12.0), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[3.4, 1.6]))
     grid = top.subplots(
@@ -56,9 +58,9 @@ def estimate_figure(found: LogEstimate) -> Figure:
             legend_above(axes, 3)
         physical_strip(strip, time, [found.physical[:, i]], [""])
         strip.set_ylabel("physical" if i == 0 else "", rotation=0, ha="right", va="center")
-        strip.set_xlabel("time [s]")
+        strip.set_xlabel(axis_of_time)
     left, right = bottom.subplots(1, 2, gridspec_kw={"width_ratios": [1.4, 1]})
-    nis_axes(left, time, found.trace)
+    nis_axes(left, time, found.trace, axis_of_time)
     _residual_marks(right, found)
     return figure
 
@@ -102,33 +104,38 @@ def physical_strip(
     )
 
 
-def nis_axes(axes: Axes, time: Float[np.ndarray, " T"], trace: Trace) -> None:
+def nis_axes(
+    axes: Axes, time: Float[np.ndarray, " T"], trace: Trace, axis_of_time: str = "time [s]"
+) -> None:
     """Normalised innovation squared of every sample, with the gate and what it rejected."""
-    nis, rows, accepted = (
+    nis, rows, accepted, rejected = (
         np.asarray(x)
-        for x in (trace.innovation.nis, trace.innovation.rows, trace.innovation.accepted)
+        for x in (
+            trace.innovation.nis,
+            trace.innovation.rows,
+            trace.innovation.accepted,
+            trace.innovation.rejected,
+        )
     )
     threshold, reopened = np.asarray(trace.threshold), np.asarray(trace.reopened)
     floor = 1e-2
     shown = np.maximum(nis, floor)
     axes.semilogy(time[accepted], shown[accepted], ".", ms=3, color=BLUE, label="accepted")
-    if np.any(~accepted):
-        axes.semilogy(
-            time[~accepted], shown[~accepted], "x", ms=5, color=VERMILION, label="rejected"
-        )
+    if np.any(rejected):
+        axes.semilogy(time[rejected], shown[rejected], "x", ms=5, color=VERMILION, label="rejected")
     for k, at in enumerate(time[reopened]):
         axes.axvline(at, color=PURPLE, lw=1, ls=":", label="gate reopened" if k == 0 else None)
     if np.any(np.isfinite(threshold)):
         axes.semilogy(time, threshold, color="black", lw=1, label="gate")
     axes.semilogy(time, np.maximum(rows, floor), color=GREY, ls="--", lw=1, label="expected mean")
-    axes.set(xlabel="time [s]", ylabel="NIS of a sample [–]")
+    axes.set(xlabel=axis_of_time, ylabel="NIS of a sample [–]")
     legend_above(axes, 5)
 
 
 def _mass(axes: Axes, found: LogEstimate, i: int, model: float) -> None:
     e = found.trace.estimate
     pi, sigma = np.asarray(e.pi)[:, i, 0], np.asarray(e.sigma_pi)[:, i, 0]
-    band(axes, found.time, pi, sigma, BLUE, "-", "filter, ± 2 σ")
+    band(axes, from_start(found.time)[0], pi, sigma, BLUE, "-", "filter, ± 2 σ")
     axes.axhline(model, color=GREY, ls=":", lw=1.2, label="model")
     if not found.changed:
         whole = float(found.fit.estimate.pi[i, 0])

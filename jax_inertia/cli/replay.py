@@ -7,7 +7,7 @@ from pathlib import Path
 _DESCRIPTION = """
 Replay LOG's position targets through MODEL in MuJoCo, closed loop, over the whole motion: the error
 of every joint in rad, as a table, replay.json and a figure (replay.png). Nothing is fitted. MODEL's position actuators
-are the loop; where it has none, kp and kd of LOG or of the options.
+are the loop; if it has none, kp and kd come from LOG or from the options.
 """
 _EXAMPLES = """
 examples:
@@ -24,12 +24,11 @@ examples:
 
 def add_parser(subparsers) -> None:
     """Add `replay` to the command line."""
-    from jax_inertia.cli.conventions import add_time_unit
-    from jax_inertia.cli.gains import add_gains
+    from jax_inertia.cli.conventions import add_gains, add_model, add_time_unit
 
     parser = subparsers.add_parser(
         "replay",
-        help="a log's targets through a model, closed loop",
+        help="replay a log's targets through a model, closed loop",
         description=textwrap.dedent(_DESCRIPTION),
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -37,7 +36,7 @@ def add_parser(subparsers) -> None:
     add = parser.add_argument
     kinds = ".npz, .csv, .parquet or a LeRobot dataset, with qpos and qpos_target"
     add("log", metavar="LOG", type=Path, help=kinds)
-    add("--model", type=Path, required=True, help="MJCF or URDF")
+    add_model(add, "MJCF or URDF")
     add_time_unit(add)
     add_gains(add)
     add("--out", type=Path, metavar="DIR", help="where to write (default: out/<name of LOG>)")
@@ -50,13 +49,14 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from jax_inertia.cli import replay_run
-    from jax_inertia.cli.console import folder_for, output_folder, stages
+    from jax_inertia.cli.console import folder_for, output_folder
+    from jax_inertia.cli.running.stages import stages
 
     out = args.out if args.out is not None else folder_for(args.log)
     gains = replay_run.Gains(args.kp, args.kd, args.fix_base)
     with stages() as stage:
         stage("reading")
-        log, _ = replay_run.read(args.model, args.log, args.fix_base, args.time_unit)
+        log, _ = replay_run.read(args.model, args.log, gains, args.time_unit)
         with output_folder(out, "replay") as folder:
             stage("replaying")
             loop, done = replay_run.replay(args.model, log, gains)

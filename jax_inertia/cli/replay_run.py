@@ -19,20 +19,19 @@ from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import compile_spec, load_model, load_spec
-from jax_inertia.model.write import loadable
 from jax_inertia.preflight.preflight import Finding, Severity
-from jax_inertia.replay import command, report
-from jax_inertia.replay.checks import floor, objections
-from jax_inertia.replay.corrected import corrected
-from jax_inertia.replay.entry import nominal_spec, usable
-from jax_inertia.replay.figures import replays
+from jax_inertia.replay import checks, command, handover
+from jax_inertia.replay.entry import known_loop, nominal_spec, usable
 from jax_inertia.replay.loop import Loop, position_loop
+from jax_inertia.replay.output import report
+from jax_inertia.replay.output.figures import replays
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.result import Diagnosis, Effect, Replayed, total
-from jax_inertia.replay.simulation import simulate
 from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.spec_edits import without_play
 from jax_inertia.text.report_page import with_section
 from jax_inertia.text.words import chance, number, percent, plain, unit
+from jax_inertia.trainers import exports as trainers
 
 
 class Gains(NamedTuple):
@@ -48,13 +47,17 @@ SILENT = Gains()
 
 
 def read(
-    model: Path, log: Path, fix_base: bool, time_unit: str | None = None
+    model: Path, log: Path, gains: Gains, time_unit: str | None = None
 ) -> tuple[Log, tuple[Finding, ...]]:
     """A log with targets and what is to be said of it; raises `LogError` with one line, names the file."""
-    robot = load_model(compile_spec(nominal_spec(model, fix_base), model))
+    spec = nominal_spec(model, gains.fix_base)
+    without_play(spec)
+    compiled = compile_spec(spec, model)
+    robot = load_model(compiled)
     one = read_log(log, names=robot, options=Options(time_unit=time_unit))
+    loop = known_loop(one, compiled, gains.kp, gains.kd, model_first=True)
     try:
-        findings = usable(one, robot)
+        one, findings = usable(one, robot, loop)
     except LogError as error:
         raise LogError(f"{log}: {error}") from None
     for finding in findings:
@@ -64,13 +67,14 @@ def read(
 
 
 def replay(model: Path, log: Log, gains: Gains) -> tuple[Loop, Replayed]:
-    """The log's targets through the model as it is."""
+    """The log's targets through the model as it is, in its own steps."""
     spec = nominal_spec(model, gains.fix_base)
-    compiled = compile_spec(spec, model)
-    loop = position_loop(log, compiled, gains.kp, gains.kd, model_first=True)
-    plant, record = Plant(spec, log.joint_names, loop), record_of(log, loop)
-    path = simulate.replay(plant, (), np.zeros((1, 0)), record)[0]
-    return loop, Replayed((record,), (path,), (path,), floor((record,)), "the log")
+    loop = position_loop(log, compile_spec(spec, model), gains.kp, gains.kd, model_first=True)
+    plant = Plant(spec, log.joint_names, loop)
+    (record,) = checks.settling(plant, [record_of(log, loop)])
+    given = handover.nominal_model(nominal_spec(model, gains.fix_base), log.joint_names, loop)
+    path = handover.replayed(given, log.joint_names, loop, record)
+    return loop, Replayed((record,), (path,), (path,), checks.floor((record,)), "the log")
 
 
 def write_replay(folder: Path, log: Log, loop: Loop, done: Replayed) -> dict:
@@ -88,10 +92,12 @@ def write_replay(folder: Path, log: Log, loop: Loop, done: Replayed) -> dict:
             },
         },
         "loop": report.loop_report(names, loop),
-        "notes": list(objections(done.records[0], names)),
+        "notes": list(checks.objections(done.records[0], names)),
     }
     out = report.clean(out)
-    (folder / "replay.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+    (folder / "replay.json").write_text(
+        json.dumps(out, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
     figure = replays(names, done, both=False)
     FigureCanvasAgg(figure).print_png(str(folder / "replay.png"))
     return out
@@ -106,7 +112,7 @@ def show_replay(out: dict, where: Path) -> None:
     """The table of a replay."""
     console, whole = Console(), out["error"]
     table = Table(title="replay of the targets, rad", title_justify="left")
-    for name in ("joint", "error, rms", "largest", "encoders and clocks leave", "kp", "kd"):
+    for name in ("joint", "error, rms", "largest", "encoders leave", "kp", "kd"):
         table.add_column(name)
     for name, own in whole["per_joint"].items():
         gains = out["loop"]["joints"][name]
@@ -125,28 +131,31 @@ def written(
     paths: tuple[Path, Path],
     found: Diagnosis,
     log: Log,
-    gains: Gains,
     quality: Sequence[Finding],
+    exports: Sequence[str] = (),
 ) -> Callable[..., None]:
     """Write all that replays found; what prints it. `paths`: first log and model."""
     source, model = paths
-    spec = nominal_spec(model, gains.fix_base)
-    remarks = corrected(spec, found)
     halves = command.command_half(log, found.loop) if found.replayed.torques else ()
     out = report.to_report(found, quality=quality, halves=halves)
-    out["notes"] += remarks
-    (folder / "report.json").write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
-    (folder / "policy.json").write_text(json.dumps(out["policy"], indent=1) + "\n")
-    text = loadable(spec, model, folder.parent)
+    (folder / "report.json").write_text(
+        json.dumps(out, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
+    (folder / "policy.json").write_text(
+        json.dumps(out["policy"], indent=1) + "\n", encoding="utf-8"
+    )
+    text = found.text
     if said := distrust(found):
         text = f"<!-- {said} -->\n{text}"
         warn(said)
-    (folder / "corrected.xml").write_text(text)
+    (folder / "corrected.xml").write_text(text, encoding="utf-8")
+    if nothing := trainers.written(folder, found, exports, source.name, model.name):
+        warn(nothing)
     page = report.page(found, out, (source.name, model.name))
     if halves:
         loop_effects = out["command"]["effects"]
         page = with_section(page, command_page.part(halves, log, found.loop, loop_effects))
-    (folder / "report.html").write_text(page)
+    (folder / "report.html").write_text(page, encoding="utf-8")
     return functools.partial(show, found, out)
 
 
@@ -161,8 +170,16 @@ def distrust(found: Diagnosis) -> str:
                 "--", "- -"
             )
         )
+    if found.impossible:
+        return (
+            f"the numbers in this model are not possible together: {found.impossible[0]}".replace(
+                "--", "- -"
+            )
+        )
     if found.verdict is Verdict.UNKNOWN:
-        return "verdict unknown: the numbers in this model are the nearest ones, and no correction"
+        return (
+            "verdict unknown: the numbers in this model are only the nearest ones, not a correction"
+        )
     return ""
 
 
@@ -178,10 +195,12 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
     console.print(escape(found.headline), highlight=False, soft_wrap=True)
     if found.effects:
         table = Table()
-        for name in ("effect", "where", "size, 95 % interval", "returns without it"):
+        for name in ("effect", "where", "size, 95 % interval", "returns without it", "probability"):
             table.add_column(name)
         for e in found.effects:
-            table.add_row(plain(e.family), escape(e.name), sizes(e), percent(e.share))
+            table.add_row(
+                plain(e.family), escape(e.name), sizes(e), percent(e.share), chance(e.probability)
+            )
         console.print(table)
     joints = Table(title="replay error of each joint [rad]", title_justify="left")
     for name in ("joint", "nominal", "corrected", "floor"):
@@ -189,6 +208,14 @@ def show(found: Diagnosis, out: dict, where: Path, *, as_json: bool) -> None:
     for name, own in out["shrink"]["replay"]["per_joint"].items():
         joints.add_row(escape(name), *(number(own[k]) for k in ("before", "after", "floor")))
     console.print(joints)
+    for name, x in found.clock:
+        text = f"{plain(name)} {1e3 * x.value:.2g} ms [{1e3 * x.low:.2g}, {1e3 * x.high:.2g}]"
+        console.print(f"clock of the loop, no gap: {text}", highlight=False, soft_wrap=True)
+    for x in found.resembles:
+        console.print(f"remainder: {escape(str(x))}", highlight=False, soft_wrap=True)
+    if found.changes:
+        text = f"corrected.xml changes {len(found.changes)} numbers of the model: `changes` of report.json has each"
+        console.print(text, highlight=False, soft_wrap=True)
     if (x := found.replayed.torques) is not None:
         said = [number(v) for v in (total(x.before), total(x.after), total(x.replay_floor))]
         console.print(f"torque of the replays: {said[0]} → {said[1]} N m (floor {said[2]})")
@@ -224,7 +251,7 @@ def add_command(
         return show_rest
     half = report.clean(command.to_report(halves, kp, kd, log.joint_names))
     path = folder / "report.json"
-    out = json.loads(path.read_text())
+    out = json.loads(path.read_text(encoding="utf-8"))
     out["command"] = half
     added = [e | {"half": "command", "ordinary": True, "equivalent": []} for e in half["effects"]]
     out["effects"] = [*out["effects"], *added]
@@ -232,17 +259,17 @@ def add_command(
     if lines and out["verdict"] == "no_gap":
         out["verdict"] = "explained"
         out["headline"] = f"torque and motion agree; between targets and torque: {'; '.join(lines)}"
-    path.write_text(json.dumps(out, indent=1, allow_nan=False) + "\n")
+    path.write_text(json.dumps(out, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     page = folder / "report.html"
     drawn = command_page.part(halves, log, loop, half["effects"])
-    page.write_text(with_section(page.read_text(), drawn))
+    page.write_text(with_section(page.read_text(encoding="utf-8"), drawn), encoding="utf-8")
 
     def show_both(where: Path, *, as_json: bool) -> None:
         if as_json:
             print(json.dumps(out, indent=1, allow_nan=False))
             return
         show_rest(where, as_json=False)
-        shown = "; ".join(lines) or "the position loop is as said"
+        shown = "; ".join(lines) or "the position loop is as stated"
         Console().print(f"targets → torque: {escape(shown)}", highlight=False, soft_wrap=True)
         if lines:
             # What stands above is of torque and motion alone.

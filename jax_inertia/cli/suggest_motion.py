@@ -5,6 +5,8 @@ import json
 import textwrap
 from pathlib import Path
 
+from jax_inertia.cli.conventions import add_model
+
 _DESCRIPTION = """
 Optimise the motion most informative about BODIES, within the joints' ranges, velocities and torques, free of
 collisions of the model's geoms. Writes a CSV to play (time, qpos.JOINT, qvel.JOINT, qacc.JOINT, tau_command.JOINT: what
@@ -30,10 +32,10 @@ def add_parser(subparsers) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("model", metavar="MODEL", type=Path, help="MJCF or URDF")
+    add_model(add, "MJCF or URDF", name="MODEL")
     add("--bodies", nargs="+", required=True, metavar="B", help="bodies to estimate, by name")
     add("--out", type=Path, default=Path("motion.csv"), metavar="CSV", help="default: motion.csv")
-    velocity_help = "most speed, one for all joints or one each [rad/s, m/s] (default 1.5)"
+    velocity_help = "largest speed, one for all joints or one each [rad/s, m/s] (default 1.5)"
     add("--velocity", nargs="+", type=float, default=[1.5], metavar="V", help=velocity_help)
     range_help = "range of a joint (default: the model's, or 1 rad to each side of its reference)"
     add(
@@ -44,11 +46,13 @@ def add_parser(subparsers) -> None:
         metavar=("JOINT", "LOW", "HIGH"),
         help=range_help,
     )
-    share_help = "use so much of ranges and torques (default 0.9; less leaves room for a load)"
+    share_help = (
+        "share of ranges and torques to use (default 0.9; a smaller one leaves room for a load)"
+    )
     add("--share", type=float, default=0.9, metavar="S", help=share_help)
     add("--period", type=float, default=10.0, metavar="S", help="length (default 10 s)")
     add("--rate", type=float, default=100.0, metavar="HZ", help="samples a second (default 100)")
-    mass_help = "load to expect (default: a tenth of the robot)"
+    mass_help = "expected load (default: a tenth of the robot's mass)"
     add("--prior-mass", type=float, metavar="KG", help=mass_help)
     add("--seed", type=int, default=0, metavar="N", help="other starts (default 0)")
     add("--json", action="store_true", help="print numbers for scripts instead of the table")
@@ -60,20 +64,23 @@ def run(args: argparse.Namespace) -> int:
     import mujoco
     import numpy as np
 
-    from jax_inertia.cli.console import output_folder, stages
-    from jax_inertia.estimation.excitation import suggest_motion
-    from jax_inertia.estimation.motion_limits import Limits, collision_free
+    from jax_inertia.cli.console import output_folder
+    from jax_inertia.cli.running.stages import stages
     from jax_inertia.estimation.priors import Load
+    from jax_inertia.estimation.suggest.excitation import suggest_motion
+    from jax_inertia.estimation.suggest.motion_limits import Limits, collision_free
+    from jax_inertia.logs.plain_file import require_replaceable
     from jax_inertia.model.load import compile_spec, load_model, load_spec
 
     if args.out.suffix.lower() != ".csv":
         raise ValueError(f"--out {args.out}: a motion is written as .csv")
+    require_replaceable(args.out)
     for name in ("period", "rate", "share", "prior_mass"):
         value = getattr(args, name)
         if value is not None and not 0 < value < float("inf"):
             raise ValueError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0")
     if args.share > 1:
-        raise ValueError(f"--share is {args.share:g}; it is a part of the limits, at most 1")
+        raise ValueError(f"--share is {args.share:g}; it is a share of the limits, at most 1")
     with stages() as stage:
         robot = load_model(args.model)
         model: mujoco.MjModel = compile_spec(load_spec(args.model), args.model)
@@ -152,6 +159,7 @@ def _numbers(found) -> dict:
         }
 
     return {
+        "schema": 1,
         "nats": {"suggested": found.log_det, "random": found.random.log_det},
         "sigma": {
             "prior": by_name(found.known.prior_sigma),

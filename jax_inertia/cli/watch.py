@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jax_inertia.cli.conventions import add_model, add_prior_mass, positive
+
 if TYPE_CHECKING:
     from jax_inertia.estimation.stream import Part, Stream
     from jax_inertia.logs.log import Log
@@ -46,14 +48,14 @@ def add_parser(subparsers) -> None:
     )
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help=".csv, being written or whole")
-    add("--model", type=Path, required=True, help="MJCF or URDF, the bodies as known beforehand")
+    add_model(add, "MJCF or URDF with the bodies as known beforehand")
     add("--bodies", nargs="+", required=True, metavar="B", help="bodies to estimate, by name")
-    learn_help = "learn the noise from so many seconds at the start (default 3)"
-    add("--learn", type=_positive, default=3.0, metavar="S", help=learn_help)
-    add("--prior-mass", type=_positive, metavar="KG", help="load to expect (default: a tenth)")
-    add("--every", type=_positive, default=1.0, metavar="S", help="between lines (default 1 s)")
-    idle_help = "end when the file has not grown for so long (default 10 s)"
-    add("--idle", type=_positive, default=10.0, metavar="S", help=idle_help)
+    learn_help = "estimate the noise from the first S seconds (default 3)"
+    add("--learn", type=positive, default=3.0, metavar="S", help=learn_help)
+    add_prior_mass(add)
+    add("--every", type=positive, default=1.0, metavar="S", help="time between lines (default 1 s)")
+    idle_help = "end when the file has not grown for S seconds (default 10)"
+    add("--idle", type=positive, default=10.0, metavar="S", help=idle_help)
     add("--show", action="store_true", help="draw mass and NIS in a window")
     add("--json", action="store_true", help="a line of JSON for each line")
     parser.set_defaults(run=run)
@@ -83,19 +85,27 @@ def run(args: argparse.Namespace) -> int:
 
 
 def parts(robot: "Robot", chunks: "Iterator[Log]", args: argparse.Namespace) -> "Iterator[Part]":
-    """The stream's parts as the chunks come, from its first sample on; ValueError where too little has come."""
-    from jax_inertia.estimation.stream import joined
+    """The stream's parts as the chunks come, from its first sample on.
+
+    ValueError where too little has come, or what has come is not of this robot and in its units.
+    """
+    from jax_inertia.cli.console import warn
+    from jax_inertia.estimation.stream import joined, looked_at, looked_at_again
+    from jax_inertia.preflight.mended import unmeasured
 
     first = next(chunks)
     for chunk in chunks:
         first = joined(first, chunk)
         if first.duration >= args.learn:
             break
+    for finding in looked_at(first, robot).findings:
+        warn(f"{args.file}: {finding.message}")
+    first, _ = unmeasured(first)
     stream = learned(robot, first, args)
     state, part = stream.feed(stream.start(), first)
     if part is not None:
         yield part
-    for chunk in chunks:
+    for chunk in looked_at_again(first, chunks, robot):
         state, part = stream.feed(state, chunk)
         if part is not None:
             yield part
@@ -118,7 +128,12 @@ def learned(robot: "Robot", log: "Log", args: argparse.Namespace) -> "Stream":
 
     def stream(noise: np.ndarray) -> Stream:
         # A quarter of a second at a time: later than that nobody wants to know, and calls have a cost of their own.
-        return Stream(log_filter.online(robot, args.bodies, noise, prior=prior), window, block=25)
+        return Stream(
+            log_filter.online(robot, args.bodies, noise, prior=prior),
+            window,
+            block=25,
+            look=args.learn,
+        )
 
     observation = stream(np.ones(robot.nv)).observed(log)
     fit = batch_fit.fit(robot, [observation], args.bodies, prior=prior)
@@ -133,7 +148,7 @@ def _line(args: argparse.Namespace, part: "Part") -> str:
 
     now, innovation = part.trace.estimate, part.trace.innovation
     nis, gate = float(np.mean(innovation.nis)), float(part.trace.threshold[-1])
-    rejected = int(np.sum(~np.asarray(innovation.accepted)))
+    rejected = int(np.sum(np.asarray(innovation.rejected)))
     bodies = {
         name: (float(now.pi[-1, i, 0]), 1.96 * float(now.sigma_pi[-1, i, 0]), now.com[-1, i])
         for i, name in enumerate(args.bodies)
@@ -144,7 +159,7 @@ def _line(args: argparse.Namespace, part: "Part") -> str:
             for name, (mass, half, com) in bodies.items()
         }
         more = {"nis": nis, "gate": gate, "rejected": rejected, "of": len(part.time)}
-        return json.dumps({"time_s": float(part.time[-1]), "bodies": told, **more})
+        return json.dumps({"schema": 1, "time_s": float(part.time[-1]), "bodies": told, **more})
     said = "; ".join(
         f"{name} {mass:.3f} ± {half:.3f} kg, centre {', '.join(f'{1e3 * x:.0f}' for x in com)} mm"
         for name, (mass, half, com) in bodies.items()
@@ -183,13 +198,3 @@ class _Window:
         self.axes[1].semilogy(time, gate, "k-", lw=1)
         self.axes[1].set(xlabel="time [s]", ylabel="NIS, and its gate")
         self.plt.pause(0.001)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value

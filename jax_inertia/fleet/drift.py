@@ -12,6 +12,8 @@ FALSE_ALARM = 0.01
 """Probability that a table in which nothing changes marks anything (Bonferroni over its numbers)."""
 MONTH = 30.0
 """Days to which a drift is referred."""
+# Of shares that are summed up less than this is nothing; and the largest number that is squared.
+_TOLD, _MOST = 1e-30, 1e150
 
 
 class Drift(NamedTuple):
@@ -37,9 +39,9 @@ def heterogeneity(values: Sequence[Interval]) -> float:
     x, sigma = _with_width(values)
     if len(x) < 2:
         return 1.0
-    weight = sigma**-2
+    weight = _weight(sigma)
     mean = np.sum(weight * x) / np.sum(weight)
-    return float(scipy.stats.chi2.sf(np.sum(weight * (x - mean) ** 2), len(x) - 1))
+    return float(scipy.stats.chi2.sf(_size((x - mean) / sigma) ** 2, len(x) - 1))
 
 
 def changing(table: Mapping[Quantity, Sequence[Interval | None]]) -> set[Quantity]:
@@ -53,7 +55,7 @@ def changing(table: Mapping[Quantity, Sequence[Interval | None]]) -> set[Quantit
 
 
 def slope(days: Sequence[int | float], values: Sequence[Interval]) -> Interval | None:
-    """Weighted least squares of numbers over days, per 30 days; None where they are of one day.
+    """Weighted least squares of numbers over days, per 30 days; None where all that counts is of one day.
 
     Where the numbers scatter more than their intervals say, σ grows by √(χ²/(n − 2)) (Birge 1932), and Student's t
     stands for the Gaussian: reports of one robot differ by more than noise.
@@ -62,14 +64,17 @@ def slope(days: Sequence[int | float], values: Sequence[Interval]) -> Interval |
     t = np.array([d for d, v in zip(days, values, strict=True) if v.sigma > 0])
     if len(x) < 2 or np.ptp(t) == 0:
         return None
-    weight = sigma**-2
+    weight = _weight(sigma)
     t = (t - np.sum(weight * t) / np.sum(weight)) / MONTH
-    rate = np.sum(weight * t * x) / np.sum(weight * t**2)
-    spread = np.sum(weight * t**2) ** -0.5
+    told = np.sum(weight * t**2)
+    if told < _TOLD:
+        return None
+    rate = np.sum(weight * t * x) / told
+    spread = sigma.min() / np.sqrt(told)
     rest = x - np.sum(weight * x) / np.sum(weight) - rate * t
     half = scipy.stats.norm.isf(0.025) * spread
     if len(x) > 2:
-        birge = np.sqrt(np.sum(weight * rest**2) / (len(x) - 2))
+        birge = _size(rest / sigma) / np.sqrt(len(x) - 2)
         if birge > 1:
             half = scipy.stats.t.isf(0.025, len(x) - 2) * spread * birge
     return Interval(float(rate), float(rate - half), float(rate + half))
@@ -104,3 +109,15 @@ def _with_width(values: Sequence[Interval]) -> tuple[np.ndarray, np.ndarray]:
     rows = [(v.value, v.sigma) for v in values if v.sigma > 0]
     x, sigma = np.array(rows, float).reshape(-1, 2).T
     return x, sigma
+
+
+def _weight(sigma: np.ndarray) -> np.ndarray:
+    """Inverse variances, that of the surest number 1: what a report may hold has no squares else."""
+    ratio = sigma.min() / sigma
+    return np.where(ratio > _TOLD, ratio, 0.0) ** 2
+
+
+def _size(x: np.ndarray) -> float:
+    """Norm of a vector whose squares may be too large for a number, up to the largest that has one."""
+    most = float(np.abs(x).max(initial=0.0))
+    return min(most * float(np.linalg.norm(x / most)), _MOST) if most else 0.0

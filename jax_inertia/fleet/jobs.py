@@ -8,14 +8,18 @@ import concurrent.futures
 import hashlib
 import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from jax_inertia.fleet.report_file import read_report
+from jax_inertia.fleet.running import Running
 from jax_inertia.logs.atomic_files import whole_file
+from jax_inertia.logs.plain_file import read_plain
+from jax_inertia.model.file_safety import check_model, includes_below
+from jax_inertia.model.spec import model_path
 
 ATTEMPTS = 3
 """Of a log whose process dies: memory may be short for a moment, a machine may be taken away."""
@@ -38,6 +42,8 @@ class Task(NamedTuple):
     """Words before the log; empty: `jax-inertia diagnose` of the Python that runs the task."""
     test_log: Path | None = None
     """Another motion of the same robot, used only to validate."""
+    include_root: Path | None = None
+    """Folder below which the model may include files."""
 
 
 class Outcome(NamedTuple):
@@ -52,14 +58,18 @@ class Outcome(NamedTuple):
 def run_here(
     tasks: Sequence[Task], jobs: int, on_end: Callable[[Outcome, int], None]
 ) -> list[Outcome]:
-    """All tasks by so many processes at a time; `on_end` is called with each as it ends and how many have ended."""
+    """All tasks by so many processes at a time; `on_end` is called with each as it ends and how many have ended.
+
+    Where it is interrupted what is done stays done, and the processes that run are ended.
+    """
+    running = Running()
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(diagnose, task) for task in tasks]
+        waiting = [pool.submit(diagnose, task, running) for task in tasks]
         try:
             ended = _in_time((f.result() for f in concurrent.futures.as_completed(waiting)), on_end)
         except BaseException:
-            # Ctrl-C: what is done stays done, the rest is not begun.
             pool.shutdown(wait=False, cancel_futures=True)
+            running.end()
             raise
     return _in_order(tasks, ended)
 
@@ -74,7 +84,7 @@ def run_on_dask(
     try:
         import distributed  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise ValueError("--dask needs Dask: pip install 'jax-inertia[dask]'") from None
+        raise ValueError("--dask needs Dask: pip install distributed") from None
     try:
         client = distributed.Client(address, timeout="20s", set_as_default=False)
     except (OSError, ValueError) as error:
@@ -108,8 +118,9 @@ def _in_order(tasks: Sequence[Task], ended: Sequence[Outcome]) -> list[Outcome]:
     return [by_folder[task.out] for task in tasks]
 
 
-def diagnose(task: Task) -> Outcome:
+def diagnose(task: Task, running: Running | None = None) -> Outcome:
     """`jax-inertia diagnose` of one log in a process of its own, unless that was done before."""
+    running = running or Running()
     key = _key(task)
     if _done(task, key):
         return Outcome(task, "before")
@@ -117,21 +128,18 @@ def diagnose(task: Task) -> Outcome:
     command = [*program, str(task.log), "--model", str(task.model), "--out", str(task.out)]
     if task.test_log is not None:
         command += ["--test-log", str(task.test_log)]
+    if task.include_root is not None:
+        command += ["--include-root", str(task.include_root)]
     status, message, deaths = None, "", 0
-    while deaths < ATTEMPTS:
-        done = subprocess.run(
-            [*command, *task.options],
-            env=_environment(task),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        status, message = done.returncode, _last_line(done.stderr)
+    while deaths < ATTEMPTS and not running.ended:
+        with running.one([*command, *task.options], _environment(task)) as process:
+            said = "" if process.stderr is None else process.stderr.read()
+            status, message = process.wait(), _last_line(said)
         if status == 0:
             _write_key(task, key)
             return Outcome(task, "done")
         if status == BAD_INPUT and _BUSY in message:
-            # The process of a worker that died goes on to its end, and its report counts.
+            # What another process writes there counts.
             time.sleep(PATIENCE)
         elif status == BAD_INPUT:
             return Outcome(task, "refused", message.removeprefix(f"{task.log}: "))
@@ -158,22 +166,37 @@ def _environment(task: Task) -> dict[str, str]:
 
 
 def _key(task: Task) -> str:
-    """Digest of all that the report hangs on."""
+    """Digest of all that the report hangs on: files by their content, the model's with all that it consists of."""
     digest = hashlib.sha256()
-    for path in (task.log, task.model, task.test_log):
+    named = [Path(word) for option in task.options for word in (option, option.rpartition("=")[2])]
+    for path in (task.log, task.test_log, *_parts(task), *named):
         if path is not None:
             digest.update(_content(path))
     digest.update(json.dumps([task.options, task.version]).encode())
     return digest.hexdigest()
 
 
+def _parts(task: Task) -> Sequence[Path]:
+    """The files of a model: includes, meshes, textures. One that is refused is its own file alone."""
+    try:
+        path = model_path(task.model)
+        with includes_below(task.include_root):
+            return check_model(path).files if path.is_file() else ()
+    except ValueError:
+        return (task.model,)
+
+
 def _content(path: Path) -> bytes:
     """Digest of a file, or of a folder by its files' names, sizes and times; of what is not there, nothing."""
-    if path.is_dir():
+    try:
+        is_dir, is_file = path.is_dir(), path.is_file()
+    except (OSError, ValueError):
+        return b""
+    if is_dir:
         files = sorted(p for p in path.rglob("*") if p.is_file())
         seen = [(str(p.relative_to(path)), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
         return json.dumps(seen).encode()
-    if not path.is_file():
+    if not is_file:
         return b""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").digest()
@@ -181,10 +204,12 @@ def _content(path: Path) -> bytes:
 
 def _done(task: Task, key: str) -> bool:
     try:
-        written = json.loads((task.out / _KEY).read_text())
-    except (OSError, ValueError):
+        written = json.loads(read_plain(task.out / _KEY, 1 << 16))
+        # One that is not sound was not written by this version: it is done once more.
+        read_report(task.out)
+    except (OSError, ValueError, RecursionError):
         return False
-    return written == {"key": key} and (task.out / "report.json").is_file()
+    return written == {"key": key}
 
 
 def _write_key(task: Task, key: str) -> None:

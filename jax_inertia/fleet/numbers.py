@@ -1,12 +1,9 @@
 """Numbers of a diagnosis' report.json, each with its place, interval and unit."""
 
-import json
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
-VERDICTS = ("explained", "partly", "unknown", "no_gap")
 Z95 = 1.959964
 
 
@@ -42,24 +39,8 @@ class Errors(NamedTuple):
     unit: str
 
 
-def read_report(path: Path) -> dict[str, Any]:
-    """report.json of a diagnosis, from the file or from its folder; ValueError with one line where it is none."""
-    path = path / "report.json" if path.is_dir() else path
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or type(error).__name__}") from None
-    except ValueError:
-        raise ValueError(f"{path} is no JSON; give report.json, or a folder with it") from None
-    if not isinstance(report, dict) or report.get("verdict") not in VERDICTS:
-        raise ValueError(
-            f"{path} is no report of a diagnosis; give report.json of jax-inertia diagnose, or a folder with it"
-        )
-    return report
-
-
 def numbers(report: Mapping[str, Any]) -> dict[Quantity, Interval]:
-    """Every number of a report: of each joint, of all joints, then of the effects that are none of these.
+    """Every number of a report that was read: of each joint, of all joints, then of the effects that are none of these.
 
     A joint's numbers are whole, the model's own included; those of an effect are as the report states them.
     """
@@ -89,12 +70,12 @@ def _unit(number: Mapping[str, Any]) -> str:
 
 def _put(out: dict[Quantity, Interval], key: Quantity, number: Mapping[str, Any]) -> None:
     ends = number.get("ci95")
-    if ends and all(isinstance(x, int | float) for x in (number["value"], *ends)):
+    if ends is not None and None not in (number["value"], *ends):
         out.setdefault(key, Interval(float(number["value"]), float(ends[0]), float(ends[1])))
 
 
 def errors(report: Mapping[str, Any]) -> Errors | None:
-    """Of the other run where there is one, else of held-out stretches; of a replay [rad]."""
+    """Of the other run where there is one, else of held-out rows; of a replay [rad]."""
     shrink = report.get("shrink", {})
     for name in ("replay", "test_log", "heldout"):
         if found := shrink.get(name):

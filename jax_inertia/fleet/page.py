@@ -89,6 +89,10 @@ def label(q: Quantity) -> str:
     return name + (f" [{q.unit}]" if q.unit else "")
 
 
+def _finite(e: Errors) -> dict[str, Any]:
+    return {k: None if x != x else x for k, x in e._asdict().items()}
+
+
 def to_json(
     columns: Sequence[Column], drifts: Sequence[Drift] = (), refused: Sequence[Refused] = ()
 ) -> dict[str, Any]:
@@ -107,7 +111,7 @@ def to_json(
                 "verdict": c.report["verdict"],
                 "confidence": c.report.get("confidence"),
                 "lacks": c.lacks,
-                "error": None if c.errors is None else c.errors._asdict(),
+                "error": None if c.errors is None else _finite(c.errors),
             }
             for c in columns
         ],

@@ -20,7 +20,10 @@ def rendered(
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= filters
-    return environment.get_template(template).render(version=version("jax-inertia"), **values)
+    page = environment.get_template(template).render(version=version("jax-inertia"), **values)
+    # A wide table scrolls in a box of its own, so that headings and text stay; by the keyboard too.
+    box = '<div class="scroll" tabindex="0">'
+    return page.replace("<table>", f"{box}<table>").replace("</table>", "</table></div>")
 
 
 def with_section(page: str, section: str) -> str:

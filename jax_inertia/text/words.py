@@ -6,6 +6,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+EPOCH = 1e6
+"""Stamps from which on an axis counts from the first one: no log lasts 11 days [s]."""
+
 
 @runtime_checkable
 class Placed(Protocol):
@@ -57,6 +60,14 @@ def length(parameters: Mapping[str, Valued]) -> float | None:
 def unit(text: str) -> str:
     """A unit to stand behind a number."""
     return "" if text == "1" else f" {text}"
+
+
+def from_start(time: np.ndarray) -> tuple[np.ndarray, str]:
+    """Times to draw and the label of their axis: stamps of an epoch count from the first one."""
+    first = float(time[0]) if len(time) else 0.0
+    if abs(first) < EPOCH:
+        return time, "time [s]"
+    return time - first, f"time [s] after {first:.3f} s"
 
 
 def percent(x: float) -> str:

@@ -53,8 +53,9 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, estimate, draw, print."""
     from jax_inertia.cli import diagnose_run
-    from jax_inertia.cli.console import output_folder, stages
+    from jax_inertia.cli.console import output_folder
     from jax_inertia.cli.demo import comparison, figure, hidden, simulation
+    from jax_inertia.cli.running.stages import stages
     from jax_inertia.logs.log_files import write_log
 
     scenario = simulation.Scenario(seed=args.seed)
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         stage("simulating 14 s of an arm in MuJoCo")
         recording = simulation.simulate(scenario)
         write_log(recording.log, folder / "log.npz")
-        (folder / "model.xml").write_text(recording.model_xml)
+        (folder / "model.xml").write_text(recording.model_xml, encoding="utf-8")
         stage("estimating (most of the time is compiling)")
         compared = comparison.compare(recording, scenario)
         stage("drawing")

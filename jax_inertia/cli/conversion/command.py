@@ -4,11 +4,10 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jax_inertia.cli.conventions import add_time_unit
+from jax_inertia.cli.conversion.options import add_options, stated
 
 if TYPE_CHECKING:
     from jax_inertia.logs.log import Log
@@ -54,116 +53,25 @@ def add_parser(subparsers) -> None:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    _add_any(parser.add_argument)
-    _add_tables(parser.add_argument_group("CSV, Parquet, LeRobot").add_argument)
-    _add_bags(parser.add_argument_group("ROS bags and MCAP").add_argument)
+    add_options(parser)
     parser.set_defaults(run=run)
-
-
-def _add_any(add: Callable[..., object]) -> None:
-    """Add what holds for a log of any kind."""
-    kinds = (
-        ".csv, .parquet, .bag, .mcap, .db3, .npz, or the folder of a ROS 2 bag or LeRobot dataset"
-    )
-    add("log", metavar="IN", type=Path, help=kinds)
-    add("out", metavar="OUT", type=Path, help=".npz, .csv or .parquet")
-    add("--model", type=Path, help="MJCF or URDF to check joints, bodies and units against")
-    add("--tau-unit", type=_said, metavar="U", help="unit of the torques: N m, A, mA, PWM ...")
-    add("--tau-kind", choices=("commanded", "current", "sensor"), help="where they come from")
-    add_time_unit(add)
-    add("--degrees", action="store_true", help="positions and velocities are in degrees")
-    add(
-        "--rename",
-        type=_pair,
-        action="append",
-        metavar="FILE=MODEL",
-        help="a joint by the file's name and by the model's",
-    )
-    add("--json", action="store_true", help="print what was written as JSON")
-
-
-def _add_tables(add: Callable[..., object]) -> None:
-    """Add which columns are what, and which episode is read."""
-    add(
-        "--column",
-        type=_pair,
-        action="append",
-        metavar="NAME=COLUMN",
-        help="a column by the contract's name and by the file's; one * in both stands for the joint; "
-        "columns of lists that are parts of one array: once each",
-    )
-    add("--joints", nargs="+", metavar="J", help="joints of columns that hold lists, in order")
-    add("--episode", type=_natural, metavar="N", help="which episode of a dataset, from 0")
-    calibration_help = (
-        "JSON file of the motors' ranges, where a dataset's positions are normalised to ±100"
-    )
-    add("--calibration", type=Path, metavar="FILE", help=calibration_help)
-
-
-def _add_bags(add: Callable[..., object]) -> None:
-    """Add which topics are what, and how their wrenches are meant."""
-    joints_help = (
-        "sensor_msgs/JointState, one topic or several (default: all, put together by joint)"
-    )
-    add("--topic-joints", nargs="+", metavar="T", help=joints_help)
-    add("--topic-base", metavar="T", help="nav_msgs/Odometry of the floating base")
-    add("--topic-imu", metavar="T", help="sensor_msgs/Imu of the floating base, along its axes")
-    add(
-        "--topic-wrench",
-        type=_pair,
-        action="append",
-        metavar="BODY=T",
-        help="geometry_msgs/WrenchStamped: force on the robot at this body",
-    )
-    add(
-        "--wrench-axes",
-        choices=("world", "body"),
-        default="world",
-        help="axes of the wrenches (default world; body needs --model)",
-    )
-    add(
-        "--flip-wrenches",
-        action="store_true",
-        help="they are the robot's on its surroundings",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Do it; raises ValueError with one line where the log or the model cannot be used."""
-    from jax_inertia.cli.console import stages, warn
-    from jax_inertia.logs.atomic_files import check_target
+    from jax_inertia.cli.console import warn
+    from jax_inertia.cli.running.stages import stages
     from jax_inertia.logs.log import LogError
     from jax_inertia.logs.log_files import read_log, write_log
-    from jax_inertia.logs.readers import Options, WrenchAxes
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
     from jax_inertia.preflight.preflight import Severity
     from jax_inertia.signals.wrench_axes import wrenches_in_world
 
-    check_target(args.out)
-    if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
-        raise ValueError(
-            f"cannot write {args.out}: it is the log to be read; give OUT another name"
-        )
+    _require_another(args.out, args.log)
     if args.wrench_axes == "body" and args.model is None:
         raise ValueError("--wrench-axes body needs --model, which says how the body is turned")
-    options = Options(
-        columns=_columns(args.column),
-        joints=tuple(args.joints or ()),
-        episode=args.episode,
-        calibration=args.calibration,
-        topic_joints=args.topic_joints,
-        topic_base=args.topic_base,
-        topic_imu=args.topic_imu,
-        topic_wrenches=_once(args.topic_wrench, "--topic-wrench"),
-        wrench_axes=WrenchAxes(args.wrench_axes),
-        flip_wrenches=args.flip_wrenches,
-        rename=_once(args.rename, "--rename"),
-        degrees=args.degrees,
-        time_unit=args.time_unit,
-        tau_unit=args.tau_unit,
-        tau_kind=args.tau_kind,
-    )
+    options = stated(args)
     with stages() as stage:
         stage("reading the model")
         robot = None if args.model is None else load_model(args.model)
@@ -191,6 +99,15 @@ def run(args: argparse.Namespace) -> int:
         return 0
     _show(args, log)
     return 0
+
+
+def _require_another(out: Path, log: Path) -> None:
+    """ValueError where `out` cannot be written, or is the log itself."""
+    from jax_inertia.logs.atomic_files import check_target
+
+    check_target(out)
+    if out.exists() and log.exists() and out.samefile(log):
+        raise ValueError(f"cannot write {out}: it is the log to be read; give OUT another name")
 
 
 def _looked_at(log: "Log", robot: "Robot | None") -> "Preflight":
@@ -262,39 +179,3 @@ def _summary(out: Path, log, found) -> dict:
             for f in found.findings
         ],
     }
-
-
-def _pair(text: str) -> tuple[str, str]:
-    name, sep, value = text.partition("=")
-    if not (sep and name and value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no pair NAME=VALUE")
-    return name, value
-
-
-def _said(text: str) -> str:
-    if not text.strip():
-        raise argparse.ArgumentTypeError("it is empty")
-    return text
-
-
-def _natural(text: str) -> int:
-    if not text.isdecimal() or len(text) > 9:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0")
-    return int(text)
-
-
-def _columns(pairs: list[tuple[str, str]] | None) -> dict[str, str | list[str]]:
-    """Columns by the contract's name; several of the file's for an array as a whole only."""
-    given: dict[str, list[str]] = {}
-    for name, column in pairs or ():
-        given.setdefault(name, []).append(column)
-        if len(given[name]) > 1 and ("." in name or "*" in name):
-            raise ValueError(f"--column names {name} twice; it may have one")
-    return {name: found[0] if len(found) == 1 else found for name, found in given.items()}
-
-
-def _once(pairs: list[tuple[str, str]] | None, option: str) -> dict[str, str]:
-    out = dict(pairs or ())
-    if len(out) < len(pairs or ()):
-        raise ValueError(f"{option} names {', '.join(out)}, one of them twice; each may have one")
-    return out

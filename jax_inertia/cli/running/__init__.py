@@ -1,0 +1,1 @@
+"""What commands do while they run: show stages, keep compiled programs."""
