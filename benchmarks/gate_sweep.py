@@ -116,7 +116,7 @@ def sweep(robot: Robot, logs: Noisy, scale: np.ndarray, tick: float) -> Noisy:
 
     def one(log: Noisy, told: Float[jax.Array, ""], reopen, gamma):
         regressors, residuals = log["y"] / told, log["residual"] / told
-        at = lambda f: (f.gate, f.reopen_after)  # noqa: E731
+        at = lambda f: (f.gate, f.reopening.after)  # noqa: E731
         own = eqx.tree_at(at, filter_, (FixedGate(gamma), reopen))
 
         def step(state, x):

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from benchmarks.harness import fleet
-from jax_inertia.estimation.fused_update import FusedSquareRoot
+from jax_inertia.maths.fused_update import FusedSquareRoot
 
 STEPS, ROUNDS = 20, 5
 

@@ -14,14 +14,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 import left_out
 import vault
 from exam import figures, tables
 from exam.marks import fine, mark
 from exam.rates import summary
+from report_torque import on_other_run
 
 
 def reports(found: Path, names: Iterable[str]) -> dict[str, dict | None]:
@@ -33,10 +37,13 @@ def reports(found: Path, names: Iterable[str]) -> dict[str, dict | None]:
     return out
 
 
-def marked(answers: dict, found: Path) -> list[dict]:
+def marked(answers: dict, found: Path, logs: Path) -> list[dict]:
     """One row a log, by name."""
-    said = reports(found, answers["logs"])
-    return [{"log": name} | mark(answer, said[name]) for name, answer in answers["logs"].items()]
+    said, rows = reports(found, answers["logs"]), []
+    for name, answer in answers["logs"].items():
+        other = said[name] and on_other_run(found / "results" / name, logs / name)
+        rows.append({"log": name} | mark(answer, said[name], other))
+    return rows
 
 
 def reached(answers: dict, found: Path) -> dict:
@@ -148,8 +155,8 @@ def score(
     baselines: dict[str, Path], left: Path | None = None,
 ) -> list[dict]:  # fmt: skip
     """Everything `main` writes into OUT but the summary; the rows."""
-    rows = marked(answers, found)
-    others = {name: marked(answers, folder) for name, folder in baselines.items()}
+    rows = marked(answers, found, logs)
+    others = {name: marked(answers, folder, logs) for name, folder in baselines.items()}
     drawn = out / "figures"
     drawn.mkdir(parents=True, exist_ok=True)
     makers = {

@@ -3,10 +3,10 @@
     python benchmarks/blind/solve.py LOGS OUT --jobs 2 [--exclude FAMILY ...] [--fresh] [--only FILE]
 
 Each log is copied under a neutral name into a private folder, where a process that can import the package (a copy of
-it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`. The process stays for many logs, so
-that what JAX compiled is kept (`--fresh`: one process a log). OUT/results/NAME appears whole or not at all:
-report.json, corrected.xml and run.json; a second call goes on with what is missing. Needs the package's own
-dependencies alone.
+it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`. The run that judges, test.npz, is not
+among what it gets. The process stays for many logs, so that what JAX compiled is kept (`--fresh`: one process a log).
+OUT/results/NAME appears whole or not at all: report.json, corrected.xml and run.json; a second call goes on with what
+is missing. Needs the package's own dependencies alone.
 """
 
 from __future__ import annotations
@@ -115,9 +115,9 @@ class Diagnoser:
             self.process, self.done = self._start(), 0
         for old in job.iterdir():
             shutil.rmtree(old) if old.is_dir() else old.unlink()
-        for name in ("log.npz", "test.npz", "nominal.xml"):
+        for name in ("log.npz", "nominal.xml"):
             shutil.copyfile(log / name, job / name)
-        arguments = ["diagnose", "log.npz", "--model", "nominal.xml", "--test-log", "test.npz"]
+        arguments = ["diagnose", "log.npz", "--model", "nominal.xml"]
         if exclude:
             arguments += ["--exclude", *exclude]
         answer = self.ask([*arguments, "--out", "found"])

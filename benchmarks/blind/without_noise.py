@@ -1,9 +1,10 @@
-"""How far the gap truly shrinks on another motion, beside what a diagnosis measures there, for opened sets.
+"""How far the gap truly shrinks on another motion, beside what a diagnosis states of its log, for opened sets.
 
     python benchmarks/blind/without_noise.py ANSWERS LOGS OUT.json
 
-ANSWERS holds NAME.json (truth), LOGS the folder NAME of each. The test motion is made once more, with a drive and
-sensors that have no noise but state what they had. Only the effects are missing there, and how friction turns over:
+ANSWERS holds NAME.json (truth), LOGS the folder NAME of each. Each log is diagnosed once, by the command, which never
+gets the test motion; its files are computed again there by `../gap/report_torque.py`. The test motion is made once
+more, with a drive and sensors that have no noise. Only the effects are missing there, and how friction turns over:
 
     true share = 1 − after / before
 
@@ -14,26 +15,27 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
+sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
+
+import mujoco
 import numpy as np
+from report_torque import of_folder
+from torque_error import needed, read, torque_error
 from world.draw import hide
 from world.make import Bench
 from world.plan import Setting
 from world.unknowns import UNKNOWN, hide_unknown
 
-from jax_inertia import load_model
-from jax_inertia.diagnosis.entry import diagnose
-from jax_inertia.diagnosis.result import Diagnosis
-from jax_inertia.logs.log import Log
-from jax_inertia.logs.log_files import read_log
 
-
-def without_noise(truth: dict, noisy: Log) -> Log:
-    """The test motion of a log as it was, by sensors that have no noise and say that they had."""
+def without_noise(truth: dict, noisy: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The test motion of a log as it was, by sensors without noise."""
     plain: dict[str, Any] = {
         k: tuple(x) if isinstance(x, list) else x for k, x in truth["setting"].items()
     }
@@ -43,33 +45,34 @@ def without_noise(truth: dict, noisy: Log) -> Log:
     bench.take(truth["attempt"])
     had = bench.sensors
     bench.sensors = replace(had, ripple=np.zeros_like(had.ripple))
-    clean = {k: x[: len(noisy.time)] for k, x in bench.simulate(hidden, 1).items()}
-    order = [bench.nominal.joints.index(name) for name in noisy.joint_names]
-    return replace(
-        noisy,
-        qpos=clean["qpos"][:, order],
-        qvel=None,
-        tau=clean["tau"][:, order],
-        sigma_qpos=had.qpos[order],
-        sigma_tau=np.hypot(had.tau, had.ripple)[order],
-    )
+    clean = {k: x[: len(noisy["time"])] for k, x in bench.simulate(hidden, 1).items()}
+    order = [bench.nominal.joints.index(str(name)) for name in noisy["joint_names"]]
+    kept = {name: noisy[name] for name in ("time", "joint_names")}
+    return kept | {"qpos": clean["qpos"][:, order], "tau": clean["tau"][:, order]}
 
 
 def shares(folder: Path, truth: dict) -> dict[str, float | None]:
-    """Foretold, measured on the noisy test log, and true."""
-    robot, log = load_model(str(folder / "nominal.xml")), read_log(folder / "log.npz")
-    noisy = read_log(folder / "test.npz")
-    measured = diagnose(robot, log, test_log=noisy)
-    clean = diagnose(robot, log, test_log=without_noise(truth, noisy))
-    return {
-        "foretold": measured.heldout.share if measured.found else None,
-        "measured": _share(measured),
-        "true": _share(clean),
-    }
+    """By how much the torque error shrinks: foretold on held-out rows, on the noisy test log, and truly."""
+    noisy = read(folder / "test.npz")
+    model = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place)
+        command = [sys.executable, "-m", "jax_inertia", "diagnose", str(folder / "log.npz")]
+        command += ["--model", str(folder / "nominal.xml"), "--out", str(out)]
+        subprocess.run(command, check=True, capture_output=True)
+        report = json.loads((out / "report.json").read_text())
+        told = of_folder(out, folder)
 
+        def share(log: dict[str, np.ndarray]) -> float | None:
+            after = told.error(log)["rms"]
+            return None if told.left_out else 1.0 - after / torque_error(model, needed, log)["rms"]
 
-def _share(found: Diagnosis) -> float | None:
-    return None if found.test is None or not found.found else found.test.share
+        stated = report["shrink"]["heldout"]
+        return {
+            "foretold": 1.0 - stated["after"] / stated["before"],
+            "measured": share(noisy),
+            "true": share(without_noise(truth, noisy)),
+        }
 
 
 def main() -> None:
@@ -79,7 +82,6 @@ def main() -> None:
     for name in ("answers", "logs", "out"):
         parser.add_argument(name, type=Path)
     args = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
     out: dict[str, dict] = {}
     for file in sorted(args.answers.glob("*.json")):
         truth = json.loads(file.read_text())["truth"]

@@ -130,7 +130,7 @@ def as_report(effects: list[dict]) -> dict:
         "verdict": "explained" if effects else "no_gap",
         "effects": effects,
         "gap": {"chi2": None, "noise_floor": None},
-        "shrink": {"heldout": None, "test_log": None},
+        "shrink": {"heldout": None},
     }
 
 

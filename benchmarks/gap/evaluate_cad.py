@@ -51,7 +51,7 @@ def diagnose(folder: Path, out: Path, python: str) -> None:
         return
     out.mkdir(parents=True, exist_ok=True)
     command = [python, "-m", "jax_inertia", "diagnose", str(folder / "log.npz")]
-    command += ["--model", str(folder / "nominal.xml"), "--test-log", str(folder / "test.npz")]
+    command += ["--model", str(folder / "nominal.xml")]
     begun = time.perf_counter()
     with (out / "console.txt").open("w") as console:
         status = subprocess.run([*command, "--out", str(out)], stdout=console, stderr=console)
@@ -170,7 +170,7 @@ def compare(truth: dict, report: dict) -> dict:
         != 0.0
         for e in ordinary_listed
     ]
-    shrink = (report.get("shrink") or {}).get("test_log") or {}
+    shrink = (report.get("shrink") or {}).get("heldout") or {}
     where = (report.get("remainder") or {}).get("where") or {}
     top = max(where, key=where.get) if where else None
     place = odd["location"]["name"] if odd else None
@@ -305,7 +305,7 @@ def table(rows: list[dict]) -> str:
         "",
         "| goal | value |",
         "|---|---|",
-        f"| other motion, after / before, as the report states | {spread(np.array(stated))} |",
+        f"| held-out rows, after / before, as the report states | {spread(np.array(stated))} |",
     ]
     for measure, words in (("rms", "moving rows"), ("away", "0.1 s from rest")):
         lines += [

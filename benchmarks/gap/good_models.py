@@ -60,16 +60,17 @@ def run(job: tuple[str, int, str, int, float]) -> str:
     from jax_inertia.diagnosis.report.json_report import to_report
     from jax_inertia.logs.log import LogError
     from jax_inertia.logs.log_files import read_log
+    from jax_inertia.model.load import load_spec
 
     warnings.simplefilter("ignore")
     truth = json.loads((data / "truth" / f"{index:05d}.json").read_text())
     folder = data / "logs" / f"{index:05d}"
     robot = jax_inertia.load_model(folder / "nominal.xml")
-    log, test = (read_log(folder / f"{name}.npz") for name in ("log", "test"))
+    log = read_log(folder / "log.npz")
     row = {"stratum": stratum, "log": f"{index:05d}"}
     start = time.process_time()
     try:
-        found = diagnose(robot, log, test_log=test)
+        found = diagnose(robot, log, nominal=load_spec(folder / "nominal.xml"))
     except LogError as error:
         return f"{stratum} {index}: refused, {error}"
     except Exception:
@@ -79,7 +80,7 @@ def run(job: tuple[str, int, str, int, float]) -> str:
         keep = {k: report.get(k) for k in ("effects", "shrink", "remainder", "gap", "notes")}
         seconds = time.process_time() - start
         row |= {"seconds": seconds, "votes": found.as_bought, "report": keep}
-        row |= evaluate.compare(truth, report)
+        row |= evaluate.compare(truth, report, evaluate.on_test_run(found, report, folder))
         row["mechanism"] = [e.get("mechanism", e["family"]) for e in truth["effects"]]
     file.write_text(json.dumps(row))
     return f"{stratum} {index}: {outcome(row)}"

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from effects import add_mass, rotation_from_tilt
 from scipy.signal import lfilter
-from torque_error import SIGN, Signals, error_of, rigid, signals
+from torque_error import SIGN, Signals, error_of, needed, read, rigid, signals, torque_error
 
 ORDINARY = ("viscous_friction", "coulomb_friction", "armature", "torque_bias")
 # What corrected.xml holds already, where it exists.
@@ -49,13 +49,37 @@ def vector(effect: dict, name: str) -> np.ndarray:
     return np.array([number(effect, f"{name}_{k}", default=0.0) for k in "xyz"])
 
 
-def dahl(v: np.ndarray, dt: float, displacement: float) -> np.ndarray:
-    """Dry friction over its level with a presliding displacement [rad]: dz/dt = v / displacement (1 − z sign v)."""
-    z, x = np.empty_like(v), float(np.sign(v[0]))
-    for k, step in enumerate(v * dt / displacement):
-        x = (x + step) / (1.0 + abs(step))
-        z[k] = x
+def dahl(v: np.ndarray, dt: float, displacement: float, straight: bool = False) -> np.ndarray:
+    """Dry friction over its level with a presliding displacement [rad]: dz/dt = v / displacement (1 − z sign v).
+
+    `straight`: dz/dt = v / displacement until it slips at ±1. Exact for steps of a path.
+    """
+    z = np.full_like(v, np.sign(v[0]))
+    # Central differences along the path: the step from one row to the next is the mean of both rows' speeds.
+    for k, step in enumerate(0.5 * (v[1:] + v[:-1]) * dt / displacement):
+        if straight:
+            z[k + 1] = min(max(z[k] + step, -1.0), 1.0)
+        else:
+            z[k + 1] = np.sign(step) + (z[k] - np.sign(step)) * np.exp(-abs(step))
     return z
+
+
+CREEP = 2.0 / (0.95 * 0.02)
+"""Damping of MuJoCo's friction loss at its defaults [1/s]."""
+LAWS = {
+    *("stribeck_friction", "load_friction", "asymmetric_coulomb", "asymmetric_viscous"),
+    *("quadratic_friction", "quadratic_viscous", "friction_drift"),
+}
+"""Families whose torque is in the friction law of a report that states one."""
+
+
+def push_window(effect: dict, time: np.ndarray) -> np.ndarray:
+    """w(t) of a push: Tukey's window, skewed."""
+    start, end = number(effect, "start"), number(effect, "end")
+    flank, skew = number(effect, "flank", default=0.1), number(effect, "skew", default=0.0)
+    phase = np.clip((time - start) / (end - start), 0.0, 1.0)
+    near = np.minimum(np.minimum(phase, 1.0 - phase) / flank, 1.0)
+    return 0.5 * (1.0 - np.cos(np.pi * near)) * (1.0 + skew * np.sin(2.0 * np.pi * phase))
 
 
 @dataclass
@@ -83,7 +107,10 @@ class ReportTorque:
         m.dof_damping[:] = m.dof_frictionloss[:] = m.dof_armature[:] = 0.0
         if own is m:
             self._edit_bodies()
-        self.odd = [e for e in self.report["effects"] if e["family"] not in ORDINARY]
+        self.odd = [
+            e for e in self.report["effects"]
+            if e["family"] not in ORDINARY and e.get("handed_over", True)
+        ]  # fmt: skip
         self._ordinary()
 
     def _ordinary(self) -> None:
@@ -155,12 +182,62 @@ class ReportTorque:
                 q[:, j] = q[:, j] - s.finish(link[:, j] / stiffness)
             v, a = s.derived(q)
         bodies = rigid(self.model, q, v, a) - self._springs(q) + self._world(s, q, v)
+        if "friction" in self.report:
+            out = bodies + self.rotor * motor_a - self.bias
+            out += self._laws(s, bodies, motor_v, motor_a, out)
+            self._coupled(out, bodies, motor_v, motor_a, s.dt)
+            return out
         # The load of a gear: what the motor gives, but for the part of friction that is asked for.
         load = bodies + self.viscous * motor_v + self.dry * np.tanh(motor_v / SIGN)
         dry, turn = self._dry(load + self.rotor * motor_a - self.bias, motor_v, s.dt)
         out = bodies + self.viscous * turn + dry + self.rotor * motor_a - self.bias
         self._coupled(out, bodies, motor_v, motor_a, s.dt)
         return out
+
+    def _laws(self, s: Signals, bodies, v, a, needed) -> np.ndarray:
+        """Friction of every joint by the report's own law (T, n): `friction`, by docs/effects.md."""
+        out = np.zeros_like(v)
+        for j, name in enumerate(self.joints):
+            terms = self.report["friction"][name]["terms"]
+            z = self._direction(terms[0], v[:, j], a[:, j], s.dt)
+            speed, of_motor = np.abs(v[:, j]), 0.0
+            for term in terms:
+                x, form = term["value"], term["form"]
+                if form in ("bristle", "creep"):
+                    out[:, j] += x * self._direction(term, v[:, j], a[:, j], s.dt)
+                elif form == "slow":
+                    out[:, j] += x * z * np.exp(-((speed / term["speed"]) ** term["exponent"]))
+                elif form == "load" and not term["of_motor"]:
+                    out[:, j] += x * z * np.abs(bodies[:, j])
+                elif form == "load":
+                    of_motor += x
+                elif form == "constant":
+                    out[:, j] += x
+                elif form == "by_direction":
+                    out[:, j] += x * np.abs(z)
+                elif form == "viscous":
+                    out[:, j] += x * v[:, j]
+                elif form == "quadratic":
+                    out[:, j] += x * speed * v[:, j]
+                elif form == "slope_by_direction":
+                    out[:, j] += 0.5 * x * speed
+                elif form == "drift":
+                    out[:, j] += x * np.exp(-s.time / term["time_constant"]) * v[:, j]
+                else:
+                    self.left_out.add(f"friction: {form}")
+            if of_motor:
+                # The motor's torque τ has this friction in it: τ (1 − μ z sign τ) is what it needs without.
+                own = needed[:, j] + out[:, j]
+                out[:, j] += own * (1.0 / (1.0 - of_motor * z * np.sign(own)) - 1.0)
+        return out
+
+    def _direction(self, term: dict, v: np.ndarray, a: np.ndarray, dt: float) -> np.ndarray:
+        """z of one bristle (T,)."""
+        if term["form"] == "creep":
+            return np.clip((v + a / CREEP) / term["speed"], -1.0, 1.0)
+        if not term["displacement"]:
+            return np.tanh(v / SIGN)
+        return dahl(v, dt, term["displacement"], bool(term["straight"]))
 
     def _springs(self, q: np.ndarray) -> np.ndarray:
         """Springs and other torques of the position that act on the joint."""
@@ -174,6 +251,9 @@ class ReportTorque:
                 j = self._joint(e)
                 angle = number(e, "frequency") * q[:, j] + number(e, "phase", default=0.0)
                 out[:, j] += number(e, "amplitude") * np.sin(angle)
+                twice = 2.0 * (angle - number(e, "phase", default=0.0))
+                twice += number(e, "harmonic_phase", default=0.0)
+                out[:, j] += number(e, "harmonic", default=0.0) * np.sin(twice)
         return out
 
     def _dry(self, load: np.ndarray, v: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -210,7 +290,7 @@ class ReportTorque:
                 extra[:, j] += number(e, "coefficient") * np.abs(v[:, j]) * v[:, j]
             elif f == "asymmetric_viscous":
                 j = self._joint(e)
-                extra[:, j] += number(e, "difference") * np.abs(v[:, j])
+                extra[:, j] += 0.5 * number(e, "difference") * np.abs(v[:, j])
             elif f == "friction_drift":
                 self.left_out.add(f)
         sign = np.stack([self._way(j, v[:, j], dt) for j in range(v.shape[1])], axis=1)
@@ -250,17 +330,19 @@ class ReportTorque:
             if e["family"] not in ("constant_force", "push", "drag"):
                 continue
             body = m.body(e["location"]["name"]).id
-            start, end = (number(e, k, default=x) for k, x in (("start", -np.inf), ("end", np.inf)))
-            for k in np.flatnonzero((s.time >= start) & (s.time <= end)):
+            window = push_window(e, s.time) if e["family"] == "push" else np.ones(len(s.time))
+            point = vector(e, "point") if "point_x" in e["parameters"] else m.body_ipos[body]
+            for k in np.flatnonzero(window):
                 data.qpos[:] = q[k]
                 mujoco.mj_kinematics(m, data)
                 mujoco.mj_comPos(m, data)
-                mujoco.mj_jacBodyCom(m, data, jac, None, body)
+                at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+                mujoco.mj_jac(m, data, jac, None, at, body)
                 if e["family"] == "drag":
                     speed = jac @ v[k]
                     force = -number(e, "coefficient") * np.linalg.norm(speed) * speed
                 else:
-                    force = vector(e, "force")
+                    force = window[k] * vector(e, "force")
                 out[k] -= jac.T @ force
         return out
 
@@ -312,6 +394,8 @@ class ReportTorque:
         known |= {"joint_spring", "stribeck_friction", "load_friction", "asymmetric_coulomb"}
         known |= {"quadratic_friction", "quadratic_viscous", "asymmetric_viscous"}
         known |= {"constant_force", "joint_coupling", *IN_MODEL, *ORDINARY}
+        if "friction" in self.report:
+            known |= LAWS
         self.left_out |= {e["family"] for e in self.odd} - known
         s = signals(self.model, log, held)
         gain = self.gains()
@@ -323,6 +407,33 @@ class ReportTorque:
     def _before(self, e: dict) -> int:
         other = e["location"].get("other") or e["parameters"].get("other", {}).get("value")
         return self.joints.index(other) if isinstance(other, str) else self._joint(e) - 1
+
+
+def written(report: dict, corrected: str, folder: Path) -> Path:
+    """The folder with both files of a diagnosis."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "report.json").write_text(json.dumps(report))
+    (folder / "corrected.xml").write_text(corrected)
+    return folder
+
+
+def on_other_run(folder: Path, data: Path) -> dict[str, float] | None:
+    """Torque error of data/test.npz [N m], {"before", "after"}: of the model as given, and of what `folder` hands over.
+
+    None where the base is free, no torque is logged, or a family cannot be computed.
+    """
+    model = mujoco.MjModel.from_xml_path(str(data / "nominal.xml"))
+    test = read(data / "test.npz")
+    if model.nv != model.njnt or "tau" not in test:
+        return None
+    try:
+        told = of_folder(folder, data)
+        after = told.error(test)
+    except (KeyError, ValueError):
+        return None
+    if told.left_out:
+        return None
+    return {"before": torque_error(model, needed, test)["rms"], "after": after["rms"]}
 
 
 def of_folder(folder: Path, data: Path) -> ReportTorque:

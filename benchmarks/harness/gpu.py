@@ -15,7 +15,7 @@ from mujoco import mjx
 from benchmarks.harness import fleet
 from benchmarks.harness.states import BODIES, states
 from jax_inertia import condensed_dynamics, torque_regressor
-from jax_inertia.estimation.fused_update import FusedSquareRoot
+from jax_inertia.maths.fused_update import FusedSquareRoot
 from jax_inertia.maths.kalman import Form, Information, SquareRoot
 from jax_inertia.robots import HumanoidOptions, humanoid_mjcf
 

@@ -115,20 +115,17 @@ def _panda(out: Path) -> Files:
 # --- KUKA LWR4+ ------------------------------------------------------------------------------------------------
 
 
-def _lwr(run: str) -> Callable[[Path], Files]:
-    def prepare(out: Path) -> Files:
-        folder = "kuka_lwr4_flobaroid"
-        # The file's own damping and friction are not the published ones: rigid bodies alone.
-        spec = load_spec(SHARED / folder / "reference_kuka_lwr4_identified.urdf")
-        none = np.zeros(len(spec.joints))
-        sensor = {"tau_kind": TorqueKind.SENSOR}
-        return Files(
-            _write(with_joint_terms(spec, none, none, none), out / "model.xml"),
-            _copy(folder, run, out, **sensor),
-            _copy(folder, "test_3", out, **sensor),
-        )
-
-    return prepare
+def _lwr(out: Path) -> Files:
+    folder = "kuka_lwr4_flobaroid"
+    # The file's own damping and friction are not the published ones: rigid bodies alone.
+    spec = load_spec(SHARED / folder / "reference_kuka_lwr4_identified.urdf")
+    none = np.zeros(len(spec.joints))
+    sensor = {"tau_kind": TorqueKind.SENSOR}
+    return Files(
+        _write(with_joint_terms(spec, none, none, none), out / "model.xml"),
+        _copy(folder, "train_1", out, **sensor),
+        _copy(folder, "test_3", out, **sensor),
+    )
 
 
 # --- UR10e -----------------------------------------------------------------------------------------------------
@@ -249,8 +246,7 @@ def _xl330(run: str, test: str) -> Callable[[Path], Files]:
 
 CASES = (
     Case("panda", "panda_gaz2019", _panda, _sigmoid),
-    Case("lwr4", "kuka_lwr4_flobaroid", _lwr("train_1")),
-    Case("lwr4_repeat", "kuka_lwr4_flobaroid", _lwr("train_2_repeat")),
+    Case("lwr4", "kuka_lwr4_flobaroid", _lwr),
     Case("ur10e", _UR10E, _ur10e_free, _UR10E_TERMS.torque, ur10e.REPOSITORY),
     Case("double_pendulum", "dfki_double_pendulum", _dfki, _C1.terms.torque),
     Case(

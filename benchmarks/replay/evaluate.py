@@ -20,6 +20,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from evaluator import replayed
 from pace_like import PaceLike, errors
 
 ORDINARY = {
@@ -30,10 +31,10 @@ ORDINARY = {
 def diagnose(folder: Path) -> None:
     """Write found.json of a folder."""
     import jax_inertia as ji
-    from jax_inertia.replay import command, pipeline, report
+    from jax_inertia.replay import command, pipeline
+    from jax_inertia.replay.output import report
     from jax_inertia.replay.record import record_of
-    from jax_inertia.replay.simulation import simulate
-    from jax_inertia.replay.simulation.plant import Plant
+    from jax_inertia.replay.simulation.spec_edits import with_loop
 
     def spec():
         return mujoco.MjSpec.from_file(str(folder / "nominal.xml"))
@@ -44,13 +45,13 @@ def diagnose(folder: Path) -> None:
     clock, cpu = time.time(), _cpu()
     found = pipeline.diagnose([log], spec)
     spent = _cpu() - cpu
-    plant = Plant(spec(), log.joint_names, found.loop, holds=found.holds)
     record = record_of(test, found.loop)
-    path = simulate.replay(plant, found.found.table, found.found.theta[None], record)[0]
-    bare = Plant(spec(), log.joint_names, found.loop)
-    nominal = simulate.replay(bare, (), np.zeros((1, 0)), record)[0]
-    sound = str(found.verdict) == "no_gap"
     run = record.time, record.q, record.target
+    given = spec()
+    if found.loop.source != "model":
+        with_loop(given, log.joint_names, found.loop)
+    given.compile()
+    nominal, path = (replayed(text, log.joint_names, *run) for text in (given.to_xml(), found.text))
     start = _cpu()
     pace = PaceLike(spec(), log.joint_names, found.loop.kp, found.loop.kd)
     fitted = record_of(log, found.loop)
@@ -63,7 +64,7 @@ def diagnose(folder: Path) -> None:
         "gate": out["shrink"]["replay"],
         "test": {
             "nominal": errors(nominal, run).tolist(),
-            "ours": errors(nominal if sound else path, run).tolist(),
+            "ours": errors(path, run).tolist(),
             "pace": errors(pace.replay(numbers, run), run).tolist(),
         },
         "command": command.findings(halves, kp, kd, logs[0].joint_names) if halves else None,

@@ -2,7 +2,8 @@
 
     python benchmarks/replay/real.py SHARED_DATA OUT.json [so101|go2|xl330 ...]
 
-The diagnosis holds back the last 30 % of what it is given for its own gate; no motion of the tables is its gate.
+The diagnosis chooses by stretches of what it is given and never sees a motion of the tables; "ours" is the file that it
+hands over, by `evaluator.py`.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from evaluator import replayed
 from pace_like import PaceLike, errors
 
 import jax_inertia as ji
-from jax_inertia.replay import pipeline, report
+from jax_inertia.replay import pipeline
 from jax_inertia.replay.loop import position_loop
+from jax_inertia.replay.output import report
 from jax_inertia.replay.record import record_of
-from jax_inertia.replay.simulation import simulate
-from jax_inertia.replay.simulation.plant import Plant
+from jax_inertia.replay.simulation.spec_edits import with_loop
 
 # Of the XL330 (data sheet: P / 128 counts of PWM a count of error, 885 counts are all of the supply; published: kt, R).
 _COUNTS, _DUTY, _KT, _R = 4096 / (2 * np.pi), 885.0, 0.3867, 4.017
@@ -102,7 +104,12 @@ def compared(model: Path, logs, tests, seconds: float, start_kp: float) -> dict:
     )
     spent = _cpu() - cpu
     names, loop = found.names, found.loop
-    bare, plant = Plant(spec(), names, loop), Plant(spec(), names, loop, holds=found.holds)
+    # Both models as files, replayed by a program of its own.
+    given = spec()
+    if loop.source != "model":
+        with_loop(given, names, loop)
+    given.compile()
+    files = {"nominal": given.to_xml(), "ours": found.text}
     runs = {k: record_of(v, position_loop(v, spec().compile())) for k, v in tests.items()}
     cpu = _cpu()
     fits = [record_of(v, loop) for v in logs]
@@ -114,12 +121,9 @@ def compared(model: Path, logs, tests, seconds: float, start_kp: float) -> dict:
     for name, r in runs.items():
         run = r.time, r.q, r.target
         ratio = r.loop.kp / loop.kp
-        path = simulate.replay(plant, found.found.table, found.found.theta[None], r)[0]
-        out["motions"][name] = {
-            "nominal": errors(simulate.replay(bare, (), np.zeros((1, 0)), r)[0], run).tolist(),
-            "pace": errors(pace.replay(numbers, run, ratio), run).tolist(),
-            "ours": errors(path, run).tolist(),
-        }
+        paths = {k: replayed(text, names, *run, ratio) for k, text in files.items()}
+        paths["pace"] = pace.replay(numbers, run, ratio)
+        out["motions"][name] = {k: errors(path, run).tolist() for k, path in paths.items()}
     keep = report.to_report(found)
     out |= {k: keep[k] for k in ("verdict", "headline", "effects", "notes", "joints", "all_joints", "doubts")} | {
         "gate": keep["shrink"]["replay"], "joints": list(names), "numbers": keep["joints"],

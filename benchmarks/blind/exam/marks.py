@@ -22,8 +22,11 @@ def key(effect: dict) -> Key:
     return effect["family"], effect["location"]["name"]
 
 
-def mark(answer: dict, report: dict | None) -> dict:
-    """A flat row: the setting, the truth, what was found, and every question with True, False or None (not asked)."""
+def mark(answer: dict, report: dict | None, other: dict | None = None) -> dict:
+    """A flat row: the setting, the truth, what was found, and every question with True, False or None (not asked).
+
+    `other`: torque error of the run that the tool never saw, {"before", "after"}, of the files as written.
+    """
     truth = answer["truth"]
     setting, effects = truth["setting"], truth["effects"]
     row = {
@@ -44,7 +47,7 @@ def mark(answer: dict, report: dict | None) -> dict:
         return row | {"failed": True, "found": [], "verdict": "failed", **_answered(truth, _FAILED)}
     found = [list(key(e)) for e in report["effects"]]
     row |= {"failed": False, "found": found, "verdict": report["verdict"]}
-    return row | _answered(truth, report) | _numbers(truth, report)
+    return row | _answered(truth, report) | _numbers(truth, report, other)
 
 
 _FAILED = {"verdict": "failed", "effects": [], "gap": {"share": {}}, "shrink": {}}
@@ -122,7 +125,7 @@ def _points_at(location: dict, report: dict) -> bool | None:
     return location["name"] in told
 
 
-def _numbers(truth: dict, report: dict) -> dict:
+def _numbers(truth: dict, report: dict, other: dict | None) -> dict:
     """Parameters of effects that both name, shrink predicted and achieved, rollouts, probability."""
     parameters = []
     for t in truth["effects"]:
@@ -130,7 +133,9 @@ def _numbers(truth: dict, report: dict) -> dict:
             if key(t) == key(e):
                 parameters += _compared(t, e)
     shrink = report["shrink"]
-    held, test = _shrunk(shrink.get("heldout")), _shrunk(shrink.get("test_log"))
+    own = shrink.get("heldout") or {}
+    held = _shrunk(own)
+    test = _shrunk(other and other | {"noise": own.get("noise")})
     lasting = all(e["lasting"] for e in truth["effects"])
     near = None
     if report["effects"] and lasting and held is not None and test is not None:

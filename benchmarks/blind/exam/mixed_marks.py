@@ -153,6 +153,4 @@ def _errors(folder: Path, place: Path, truth: dict, report: dict | None) -> dict
         except (KeyError, ValueError, TypeError):
             own = None
         out["tool"] = own["away"] if own else None
-        stated = (report.get("shrink") or {}).get("test_log") or {}
-        out["stated"] = [stated.get("before"), stated.get("after")]
     return {"errors": out}
