@@ -16,6 +16,42 @@ searches take effects from one registry, `jax_inertia/diagnosis/effects/registry
 *Step law*: what no attribute of a model can say is done before each step, in MuJoCo C and in MJX
 (`jax_inertia.diagnosis.simulate.step_law`). Numbers are a hinge's; of a slide read m for rad and N for N m,
 and 0.1 m where a prior has a radian: the radius of a pulley or pinion.
+
+## How to compute a report again
+
+What a diagnosis hands over is report.json and corrected.xml. Along a log, the torque error of the two is
+
+    e = needed / g − τ(t − d, ±L)
+
+`needed` is MuJoCo's inverse dynamics of corrected.xml (constraints off, damping of joints and tendons set to zero, so
+that friction is counted once), plus the friction law of every joint, less forces on bodies. τ is the logged torque
+after `time_delay`, `actuator_lag` and limits, g the joint's `torque_gain`. Effects with `"handed_over": false` are
+named and not in the files: leave them out; `push` belongs to the log that was diagnosed. How far a soft joint bends is
+computed from the motion, never from the torque that is to be predicted. Errors in reports count the rows in which a
+joint moves faster than 0.02 rad/s, below 10 Hz. `benchmarks/gap/report_torque.py` is such a program; it
+shares no code with the package.
+
+The friction law of a joint is `friction.<joint>` of report.json. It is the joint's whole friction: it replaces damping
+and frictionloss of corrected.xml, and every effect of a friction family at that joint. Its terms add up to
+
+    τ = −[Σ bristle zᵢ + z (Σ slow exp(−|q̇/speed|^exponent) + load |τ_load|) + by_direction |z| + constant
+          + viscous q̇ + quadratic |q̇| q̇ + slope_by_direction |q̇| / 2 + drift exp(−t/time_constant) q̇]
+
+| form | numbers | |
+|---|---|---|
+| `bristle` | `displacement` [rad], `straight` | z below, over this displacement |
+| `creep` | `speed` [rad/s] | z = clip((q̇ + q̈ / 105.3 s⁻¹) / speed, ±1): MuJoCo's friction loss |
+| `slow` | `speed` [rad/s], `exponent` | what is there at low speed alone (Stribeck) |
+| `load` | `of_motor` | of the link's torque; of the motor's where `of_motor` is 1 |
+| `constant` | | takes back what of `torque_bias` stands in corrected.xml for the law's other terms |
+
+zᵢ follows dz/dq = (1 − z sign q̇) / displacement (Dahl 1968), or 1/displacement until ±1 where `straight` is 1, and is
+sign(q̇) where the displacement is 0; z without an index is that of the first term. A motor's torque τ has its own load
+friction in it: τ (1 − load z sign τ) is what it needs else.
+
+`joints` of report.json holds what MuJoCo's attributes come nearest to it with: damping, frictionloss, armature and a
+constant torque, and `quadratic_in_model` the second coefficient of damping. Without the law they are a model of their
+own, a little worse.
 """
 KINDS = (
     ("Every joint has these", lambda e: e.ordinary),

@@ -127,11 +127,14 @@ class Maker:
 
 
 def write_bag(
-    path: Path, messages: list[tuple[str, object, int]], kind: str, compression=""
+    path: Path, messages: list[tuple[str, object, int]], kind: str, compression="", types=None
 ) -> Path:
-    """Messages (topic, message, time of recording) as .bag, or as a folder with .mcap or .db3 in it."""
+    """Messages (topic, message, time of recording) as .bag, or as a folder with .mcap or .db3 in it.
+
+    `types` knows messages that ROS itself does not bring.
+    """
     ros1 = kind == "bag"
-    types = store(ros1)
+    types = types or store(ros1)
     if ros1:
         from rosbags.rosbag1 import Writer
 

@@ -102,10 +102,13 @@ def log_of(
     load: float = 0.0,
     change=lambda spec: None,
     slower: float = 1.0,
+    by_targets: bool = False,
 ) -> ji.Log:
     """A log of the robot, told smooth positions by a stiff loop; `load` is a share of its last link's mass, at its end.
 
     `change` edits the real robot's spec; `noise` is of each joint's largest torque, `slower` stretches the motion.
+    `by_targets`: the loop is soft, knows nothing of the model and holds each target for a sample; its targets and gains
+    are logged, and no torque.
     """
     xml, step, reach, middle, tones = ROBOTS[name]
     spec = mujoco.MjSpec.from_string(xml.format(step=step))
@@ -130,7 +133,9 @@ def log_of(
         if slower == 1.0 and name != "crane"
         else 15.0**2 * np.diag(inertia)
     )
-    damp = 2.0 * np.sqrt(stiff * np.diag(inertia))
+    if by_targets:
+        stiff = 15.0**2 * np.diag(inertia)
+    damp = (1.4 if by_targets else 2.0) * np.sqrt(stiff * np.diag(inertia))
 
     def wanted(t: float) -> tuple[np.ndarray, np.ndarray]:
         angle = pace * t + phase
@@ -143,20 +148,21 @@ def log_of(
     seconds = seconds if name != "crane" else 4.0 * seconds
     rows = []
     for k in range(round(seconds / step)):
-        q, v = wanted(k * step)
+        q, v = wanted((k - k % keep if by_targets else k) * step)
         mujoco.mj_forward(model, data)
-        data.qfrc_applied[:] = (
-            stiff * (q - data.qpos) + damp * (v - data.qvel) + data.qfrc_bias - data.qfrc_passive
-        )
+        data.qfrc_applied[:] = stiff * (q - data.qpos) - damp * data.qvel
+        if not by_targets:
+            data.qfrc_applied[:] += damp * v + data.qfrc_bias - data.qfrc_passive
         if k % keep == 0:
-            rows.append((k * step, data.qpos.copy(), data.qfrc_applied.copy()))
+            rows.append((k * step, data.qpos.copy(), data.qfrc_applied.copy(), q))
         mujoco.mj_step(model, data)
-    time, q, tau = (np.array(x)[200:] for x in zip(*rows, strict=True))
+    time, q, tau, target = (np.array(x)[200:] for x in zip(*rows, strict=True))
     tau = tau + noise * np.abs(tau).max(axis=0) * rng.normal(size=tau.shape)
     q = q + 1e-5 * rng.normal(size=q.shape)
+    driven = {"qpos_target": target, "kp": stiff, "kd": damp} if by_targets else {"tau": tau}
     return ji.Log(
         time=time - time[0],
         joint_names=tuple(model.joint(j).name for j in range(n)),
         qpos=q,
-        tau=tau,
+        **driven,
     )

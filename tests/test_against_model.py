@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
+from jax_inertia.cli.main import main
 from jax_inertia.logs.findings import Severity
 from jax_inertia.model.lock import locked
 from jax_inertia.preflight.against_model import against_model
@@ -156,9 +157,36 @@ def test_signs_and_order(arm):
     assert "'j2'" in only(robot, dataclasses.replace(log, tau=swapped), "order")
 
 
+@pytest.mark.parametrize("joints", [2, 5])
+@pytest.mark.parametrize("kind", ["tau", "qpos", "names"])
+def test_columns_in_another_order_beside_a_load(tmp_path, joints, kind):
+    """Two columns exchanged, half the robot's end again in the hand: named, and undone by what the message says."""
+    xml = arm_xml(SMALL[0][1:], SMALL[1][1:]) if joints == 2 else ARMS["large"]
+    robot = ji.load_model(mujoco.MjModel.from_xml_string(xml))
+    log = log_of(xml, load=0.5 * float(robot.pi[-1, 0]), noise=0.01)
+    order = [1, 0] if joints == 2 else [0, 2, 1, 3, 4]
+    wrong = {
+        "tau": lambda: dataclasses.replace(log, tau=log.tau[:, order]),
+        "qpos": lambda: dataclasses.replace(log, qpos=log.qpos[:, order]),
+        "names": lambda: dataclasses.replace(
+            log, joint_names=tuple(log.joint_names[j] for j in order)
+        ),
+    }[kind]()
+    message = only(robot, wrong, "order")
+    path, mended = tmp_path / "log.csv", tmp_path / "mended.csv"
+    ji.write_log(wrong, path)
+    options = re.findall(r"--(?:column|rename) \S+", message)
+    assert len(options) == 2, message
+    assert main(["convert", str(path), str(mended), *" ".join(options).split()]) == 0
+    assert against_model(ji.read_log(mended), robot) == ()
+
+
 def test_degrees_axes_and_zeros(arm):
     xml, robot, log = arm
-    assert "degrees" in only(robot, dataclasses.replace(log, qpos=np.degrees(log.qpos)), "degrees")
+    loaded = log_of(xml, load=float(robot.pi[-1, 0]))
+    for one in (log, loaded):
+        inside = dataclasses.replace(one, qpos=np.degrees(one.qpos))
+        assert "--degrees" in only(robot, inside, "degrees")
     one = np.where(np.arange(log.tau.shape[1]) == 1, -1.0, 1.0)
     turned = dataclasses.replace(log, qpos=one * log.qpos, tau=one * log.tau)
     assert "'j1' runs the other way" in only(robot, turned, "axis")

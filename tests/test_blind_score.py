@@ -50,7 +50,7 @@ def answer(stratum, *effects, equivalents=None):
     }
 
 
-def said(verdict, *found, before=1.0, after=0.1, test_after=0.15):
+def said(verdict, *found, before=1.0, after=0.1):
     """A report; `found` are (family, name, numbers, equivalents)."""
     effects = [
         {
@@ -72,7 +72,6 @@ def said(verdict, *found, before=1.0, after=0.1, test_after=0.15):
         "effects": effects,
         "shrink": {
             "heldout": {"before": before, "after": after, "noise": 0.0},
-            "test_log": {"before": before, "after": test_after, "noise": 0.0},
             "rollout": {"before": 1.0, "after": 0.11, "floor": 0.1},
         },
     }
@@ -83,6 +82,7 @@ def test_a_right_single_effect():
     row = mark(
         answer("single", effect("viscous_friction", "a", damping=0.2)),
         said("explained", ("viscous_friction", "a", numbers, [])),
+        {"before": 2.0, "after": 0.3},
     )
     assert all(row[q] for q in ("family", "place", "in_set", "exact"))
     assert row["false_unknown"] is False

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jax_inertia.estimation.innovation_tests import consistency, nees
 from jax_inertia.maths import kalman
+from jax_inertia.maths.innovation_tests import consistency, nees
 from jax_inertia.maths.noise import IndependentNoise
 
 SAMPLES, STATES, ROWS = 500, 3, 2

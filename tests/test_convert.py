@@ -1,11 +1,10 @@
 """`jax-inertia convert`: what comes out, what it says, and what it refuses."""
 
-import json
-
 import mujoco
 import numpy as np
 import pytest
 from log_files import JOINTS, Maker, arrays, columns, joint_messages, write_bag, write_csv
+from schemas import validated
 
 import jax_inertia as ji
 from jax_inertia.cli.console import folder_for
@@ -61,7 +60,7 @@ def test_a_table_of_its_own_becomes_a_log(tmp_path, model, capsys):
     out = tmp_path / "run.npz"
     assert convert(path, out, *given, "--degrees", "--model", model, "--json") == 0
     printed = capsys.readouterr()
-    told = json.loads(printed.out)
+    told = validated("convert", printed.out)
     assert (told["samples"], told["joints"], told["tau_unit"]) == (60, list(JOINTS), "A")
     assert "not N m" in printed.err
     log = read_log(out)

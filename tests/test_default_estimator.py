@@ -41,12 +41,12 @@ def test_the_default_and_the_paper_s_filter_are_what_they_say():
     safe = make_estimator(robot(), [TIP], sigma_tau=0.1)
     assert isinstance(safe.chart, charts.LogCholeskyUUt)
     assert isinstance(safe.gate, gates.ChiSquaredGate)
-    assert (safe.iterations, float(safe.reopen_after), safe.outliers) == (5, 0.5, None)
+    assert (safe.iterations, float(safe.reopening.after), safe.outliers) == (5, 0.5, None)
     np.testing.assert_allclose(safe.process_noise * 3600, safe.prior.covariance)
     paper = make_estimator(robot(), [TIP], sigma_tau=0.1, paper=True)
     assert isinstance(paper.chart, charts.LogCholesky)
     assert float(paper.gate.threshold(jnp.array(3.0))) == np.inf
-    assert (paper.iterations, float(paper.reopen_after), paper.outliers) == (1, np.inf, None)
+    assert (paper.iterations, float(paper.reopening.after), paper.outliers) == (1, np.inf, None)
     np.testing.assert_allclose(paper.process_noise * 3, paper.prior.covariance)
     # A log's filter is the default.
     online = log_filter.online(robot(), [TIP], np.full(3, 0.1), prior=Load(3.0))
@@ -106,12 +106,12 @@ def test_the_paper_s_update_does_not_forget_one():
     assert np.all(np.abs(found[5:, -1] - truth()) > 3.0)
 
 
-@pytest.mark.parametrize("rows", [1, 3])
-def test_an_outlier_s_noise_is_what_makes_it_consistent(rows):
+@pytest.mark.parametrize(("rows", "size"), [(1, 1e3), (3, 1e3), (3, 30.0)])
+def test_an_outlier_s_noise_is_what_makes_it_consistent(rows, size):
     """Of a linear model: the update is that with R scaled by the root of νᵀ (H P Hᵀ + s² R)⁻¹ ν = γ, by bisection."""
     rng = RNG(rows)
     h, p = rng.normal(size=(rows, 4)), np.diag([4.0, 1.0, 0.3, 0.01])
-    r, z, limit = np.diag(rng.uniform(0.5, 2.0, rows)), 1e3 * rng.normal(size=rows), 20.0
+    r, z, limit = np.diag(rng.uniform(0.5, 2.0, rows)), size * rng.normal(size=rows), 20.0
 
     def nis(t: float) -> float:
         return float(z @ np.linalg.solve(h @ p @ h.T + t * r, z))
@@ -133,7 +133,7 @@ def test_an_outlier_s_noise_is_what_makes_it_consistent(rows):
             outliers=gates.FixedGate(limit),
             iterations=iterations,
         )
-        np.testing.assert_allclose(after.mean, gain @ z, rtol=2e-2)
+        np.testing.assert_allclose(after.mean, gain @ z, rtol=5e-3)
         np.testing.assert_allclose(after.covariance, p - gain @ h @ p, rtol=1e-3, atol=1e-9)
         assert said.nis == pytest.approx(nis(1.0))
         assert said.accepted

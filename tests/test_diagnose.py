@@ -173,7 +173,7 @@ def check_contract(report):
             check_place(tie["location"])
             assert tie["kind"] in ("exact", "motion_limited")
     shrink = report["shrink"]
-    assert set(shrink) == {"heldout", "test_log", "rollout"}
+    assert set(shrink) == {"heldout", "validation_log", "test_log", "rollout"}
     assert {"before", "after", "noise", "unit"} <= set(shrink["heldout"])
     assert {"horizon_s", "before", "after", "floor", "unit"} <= set(shrink["rollout"])
     assert shrink["rollout"]["horizon_s"] == 0.25
@@ -261,12 +261,16 @@ def test_a_urdf_comes_back_as_mjcf_and_as_urdf(data, tmp_path):
     gap, *left = (np.linalg.norm(end - ends[0]) for end in ends[1:])
     assert gap > 0.01
     assert max(left) < 0.05 * gap
-    # Only inertials are changed in it: of the load, and within tolerances.
+    # Only inertials are changed in it, of the load and within tolerances, and its joints' friction, as in the MJCF.
+    changed = r"<inertial>.*?</inertial>|<dynamics [^>]*/>"
     before, after = (
-        re.sub(r"<inertial>.*?</inertial>", "", path.read_text(), flags=re.DOTALL)
+        re.sub(changed, "", path.read_text(), flags=re.DOTALL)
         for path in (source, out / "corrected.urdf")
     )
     assert after == before
+    made, urdf = (compile_spec(load_spec(out / f"corrected.{kind}")) for kind in ("xml", "urdf"))
+    np.testing.assert_allclose(urdf.dof_damping, made.dof_damping, rtol=1e-5)
+    np.testing.assert_allclose(urdf.dof_frictionloss, made.dof_frictionloss, atol=1e-6)
 
 
 def test_page_fetches_nothing_and_runs_nothing(diagnosed):

@@ -8,8 +8,8 @@ import pytest
 from diagnosis_robot import NOMINAL, log_of
 from diagnosis_robot import motion as sines
 
-from jax_inertia.diagnosis import causes
-from jax_inertia.diagnosis.causes import _echoes, carried_over, odds_of_another
+from jax_inertia.diagnosis.certainty import causes
+from jax_inertia.diagnosis.certainty.causes import _echoes, carried_over, odds_of_others
 from jax_inertia.diagnosis.checks import OtherRun, rms
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.external_force import Push
@@ -181,8 +181,9 @@ def test_another_effect_has_to_be_a_cause(
     )
     search = _Offers(residual, evidence, now, (other,), ())
     listed = evidence.posterior((large,))
-    odds = odds_of_another(search, listed, (other,) if refuted else (), ())
-    assert least <= odds <= most
+    others = odds_of_others(search, listed, (other,) if refuted else (), ())
+    assert small.key not in {h.key for h, _ in others}
+    assert least <= sum(np.exp(odds) for _, odds in others) <= most
 
 
 @pytest.mark.parametrize(("apart", "left"), [(0.5, True), (8.0, False)])

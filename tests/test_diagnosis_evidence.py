@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from jax_inertia.diagnosis.checks import Check, _Run
+from jax_inertia.diagnosis.checks import _Run
 from jax_inertia.diagnosis.detectability import information, smallest
 from jax_inertia.diagnosis.effects.actuator import TorqueSaturation
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.joint import ViscousFriction
 from jax_inertia.diagnosis.effects.tolerances import InertialTolerances
 from jax_inertia.diagnosis.hypothesis import Cut, Hypothesis
-from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.discrepancy import LENGTHS, SlowNoise
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.ordinary import _rescaled
 from jax_inertia.diagnosis.search.selection import bayes_factor
 from jax_inertia.diagnosis.settings import Settings
-from jax_inertia.diagnosis.verdict import Doubts, verdict
 
 ROWS, JOINTS = 30, 2
 
@@ -203,7 +202,8 @@ def test_the_smallest_detectable_size_gains_its_prior_odds(problem):
 
 def test_a_row_that_weighs_nothing_tells_nothing(problem):
     evidence, chosen = problem
-    evidence = evidence.without(np.arange(ROWS) < 10)
+    first = np.arange(ROWS)[:, None] < 10
+    evidence = evidence.without(np.broadcast_to(first, evidence.y.shape))
     before = evidence.posterior(chosen).mean
     evidence.y[:10] = 1e6
     np.testing.assert_allclose(evidence.posterior(chosen).mean, before)
@@ -270,52 +270,16 @@ def test_a_calibrated_model_is_as_good_as_its_numbers_say_and_never_worse_than_s
     assert rescaled(np.full(15, 1.9), counts_for=1.0, most=1.0) == 1.0
 
 
-def check(before, after, noise, expected=1.0, joints=2):
-    rows = np.full(joints, after)
-    return Check(
-        before, after, after, noise, np.full(joints, before), rows, rows[None], rows * 0 + expected
-    )
-
-
-@pytest.mark.parametrize(
-    ("case", "listed", "another", "wanted"),
-    [
-        (check(1.0, 1.0, 0.6), False, 0.0, Verdict.NO_GAP),
-        (check(5.0, 5.0, 0.6), False, 0.0, Verdict.UNKNOWN),
-        (check(5.0, 0.5, 0.1), True, 0.0, Verdict.EXPLAINED),
-        (check(5.0, 0.5, 0.1), True, 20.0, Verdict.PARTLY),
-        (check(5.0, 0.9, 0.6, expected=0.25), True, 0.0, Verdict.PARTLY),
-        (check(5.0, 2.0, 0.1), True, 0.0, Verdict.PARTLY),
-        (check(5.0, 4.5, 0.1), True, 0.0, Verdict.UNKNOWN),
-        (check(0.5, 0.7, 0.6), True, 0.0, Verdict.UNKNOWN),
-    ],
-)
-def test_the_verdict_is_its_table(case, listed, another, wanted):
-    assert verdict(case, None, listed, Doubts(another), Settings()) == wanted
-
-
-@pytest.mark.parametrize(
-    ("own", "other"),
-    [
-        (check(5.0, 5.0, 0.6, expected=2.0), check(1.0, 1.0, 0.6)),
-        (check(1.0, 1.0, 0.6), check(5.0, 5.0, 0.6, expected=2.0)),
-        (check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6, expected=0.2)),
-    ],
-)
-def test_there_is_no_gap_where_no_run_and_no_joint_has_one(own, other):
-    def judged(*checks, strained=False):
-        return verdict(*checks, False, Doubts(refuted=strained), Settings())
-
-    quiet = check(1.0, 1.0, 0.6), check(1.0, 1.0, 0.6)
-    assert judged(own, other) == Verdict.UNKNOWN
-    assert judged(*quiet) == Verdict.NO_GAP
-    assert judged(*quiet, strained=True) == Verdict.UNKNOWN
-
-
-def test_an_effect_without_a_name_is_never_explained():
-    small = check(5.0, 0.5, 0.1)
-    assert verdict(small, None, True, Doubts(), Settings()) == Verdict.EXPLAINED
-    assert verdict(small, None, True, Doubts(unnamed=True), Settings()) == Verdict.PARTLY
+def test_a_candidate_that_the_motion_does_not_excite_gains_nothing():
+    rng = np.random.default_rng(4)
+    seen, unseen = hypotheses(rng, 2)
+    unseen = dataclasses.replace(unseen, columns=np.zeros((len(seen.columns), 2, 2)), row=None)
+    y = np.zeros((len(seen.columns), 2))
+    y[:, 0] = seen.columns[:, 0] if seen.columns.ndim == 2 else seen.columns[:, 0, 0]
+    evidence = Evidence(y, np.ones(y.shape), np.ones(2))
+    gains = evidence.gains(evidence.nothing(), Bank((seen, unseen)))
+    assert gains[0] > 1.0
+    assert gains[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_settings_are_frozen():
@@ -331,6 +295,9 @@ class Predicted(_Run):
         self._left, self._without = with_it, without
 
     def torques(self, now):
+        return iter(())
+
+    def parts(self, weight):
         return iter(())
 
     def left(self, now):

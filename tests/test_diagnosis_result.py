@@ -16,7 +16,7 @@ KNEE, HIP = Place("joint", "knee", 0), Place("joint", "hip", 1)
 
 def effect(family: str, place: Place = KNEE, *ties: Tie) -> Found:
     size = {"bias": Interval(0.5, 0.4, 0.6, "N m")}
-    return Found(family, place, size, 0.9, 20.0, 0.95, ties, False, "τ + <b>")
+    return Found(family, place, size, 0.9, 20.0, 20.0, 0.95, ties, False, "τ + <b>")
 
 
 def test_in_a_console_and_in_a_notebook():

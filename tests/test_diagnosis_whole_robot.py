@@ -306,6 +306,21 @@ def test_a_mass_is_as_uncertain_as_the_gains_of_motors_whose_currents_were_logge
     assert current.high - current.low > 1.3 * (sensor.high - sensor.low)
 
 
+@pytest.mark.slow
+def test_no_friction_is_below_zero_where_joints_have_none(robot):
+    """The arm with rotors and nothing else: the nearest level and slope of a mild form may lie beyond the bound."""
+    t, q, _, a = MOTIONS[0]
+    report = to_report(diagnose(robot, log_of(t, q, NEEDED[0] + 3.0 * ARMATURE * a, 0)))
+    friction = [
+        own[name]
+        for own in report["joints"].values()
+        for name in ("viscous_friction", "coulomb_friction")
+    ]
+    assert all(0.0 <= x["ci95"][0] <= x["value"] <= x["ci95"][1] for x in friction)
+    assert min(x["value"] for x in friction) == 0.0
+    assert max(x["ci95"][1] for x in friction) > 0.0
+
+
 GAINS = np.array([1.15, 0.88, 1.25])
 """Torque at each joint over what its current was taken for."""
 
@@ -411,7 +426,7 @@ def test_a_report_is_json_of_the_contract(plain):
     assert sum(report["where"]["rows"].values()) == pytest.approx(1.0)
     shares = [b["share"] for b in report["where"]["bodies"]]
     assert shares == sorted(shares, reverse=True)
-    assert report["remainder"]["after"] < report["shrink"]["test_log"]["before"]
+    assert report["remainder"]["with_shapes"] < report["shrink"]["test_log"]["before"]
     # Friction of tanh turns round at once: the smallest displacement there is.
     assert report["joints"]["elbow"]["coulomb_friction"]["presliding"]["value"] < 2e-4
 

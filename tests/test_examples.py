@@ -16,7 +16,7 @@ import jax_inertia
 MODULES = (
     *(
         "estimation.batch_fit",
-        "estimation.innovation_tests",
+        "maths.innovation_tests",
         "dynamics.rigid_body",
         "estimation.inertial_filter",
         "estimation.identifiability",
@@ -34,7 +34,12 @@ MODULES = (
         "preflight.preflight",
         "robots.pendulum",
     ),
-    *("estimation.checkpoint", "estimation.stream", "estimation.excitation", "diagnosis.entry"),
+    *(
+        "estimation.checkpoint",
+        "estimation.stream",
+        "estimation.suggest.excitation",
+        "diagnosis.entry",
+    ),
 )
 MADE_BY_HAND = {jax_inertia.Log, jax_inertia.Robot, jax_inertia.Stream}
 SLOW = {
@@ -42,8 +47,9 @@ SLOW = {
     for name in (
         "estimation.batch_fit.fit",
         "diagnosis.entry.diagnose",
+        "diagnosis.entry.with_drives",
         "estimation.log_filter.residual_noise",
-        "estimation.excitation.suggest_motion",
+        "estimation.suggest.excitation.suggest_motion",
     )
 }
 

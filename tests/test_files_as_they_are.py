@@ -400,7 +400,8 @@ def test_joint_states_of_several_topics_are_put_together(tmp_path):
     order = [log.joint_names.index(name) for name in JOINTS]
     np.testing.assert_allclose(log.tau[:, order], data["tau"])
     assert "joints of several topics were put together: /arm0, /arm1" in said(log)
-    assert "/command is left out: it has no effort" in said(log)
+    assert "targets are those of /command" in said(log)
+    np.testing.assert_allclose(log.qpos_target[:, order], data["qpos"] + 1)
     one = read_log(tmp_path / "log", options=Options(topic_joints=("/arm1",)))
     assert one.joint_names == JOINTS[1:]
 

@@ -4,19 +4,24 @@ import json
 import math
 import os
 import signal
+import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from schemas import validated
 
 from jax_inertia.cli import fleet as command
 from jax_inertia.cli.main import main
 from jax_inertia.fleet import jobs
 from jax_inertia.fleet.drift import changing, drifts, heterogeneity, slope
 from jax_inertia.fleet.jobs import Outcome, Task, run_here, run_on_dask
-from jax_inertia.fleet.numbers import Interval, Quantity, errors, lacks, numbers, read_report
+from jax_inertia.fleet.numbers import Interval, Quantity, errors, lacks, numbers
+from jax_inertia.fleet.page import Column, page, to_json
+from jax_inertia.fleet.report_file import read_report
 
 
 def interval(value: float, sigma: float) -> Interval:
@@ -36,6 +41,7 @@ def report(viscous: float, sigma: float = 0.02, verdict: str = "explained") -> d
 
     drag = number(viscous, "N m s/rad")
     return {
+        "schema": 1,
         "verdict": verdict,
         "confidence": 0.97,
         "joints": {
@@ -98,6 +104,36 @@ def test_a_drift_is_the_weighted_line_s_slope_and_covers_the_truth():
     assert slope([5.0, 5.0], [interval(1, 0.1), interval(2, 0.1)]) is None
 
 
+def test_numbers_of_any_size_are_compared(tmp_path):
+    """All that a report may hold, and what it may not: without a warning, and no probability that is none."""
+    rng = np.random.default_rng(7)
+    with np.errstate(all="raise", under="ignore"):
+        for _ in range(2000):
+            size, width = 10.0 ** rng.uniform(-99, 99, (2, 4))
+            rows = [interval(x * rng.normal(), w) for x, w in zip(size, width, strict=True)]
+            assert 0.0 <= heterogeneity(rows) <= 1.0
+            rate = slope(rng.uniform(0, 1000, 4).tolist(), rows)
+            assert rate is None or (rate.low <= rate.value <= rate.high and np.isfinite(rate).all())
+    path = tmp_path / "report.json"
+    for number in ("1e101", "-1e400", "9" * 400):
+        path.write_text(f'{{"schema": {number}}}')
+        with pytest.raises(ValueError, match="is no number"):
+            read_report(path)
+
+
+def test_weights_of_any_size_are_those_of_least_squares():
+    """In units in which squares of numbers overflow a drift and its probability are what they are in others."""
+    rng, days = np.random.default_rng(3), [0.0, 20.0, 50.0, 90.0]
+    for _ in range(50):
+        x, sigma = rng.normal(size=4), rng.uniform(0.1, 2.0, 4)
+        plain = [interval(*one) for one in zip(x, sigma, strict=True)]
+        huge = [Interval(*(1e95 * number for number in one)) for one in plain]
+        assert heterogeneity(huge) == pytest.approx(heterogeneity(plain), rel=1e-6)
+        np.testing.assert_allclose(
+            slope(days, huge), 1e95 * np.array(slope(days, plain)), rtol=1e-6
+        )
+
+
 def test_only_what_drifts_stands_out():
     q, still = Quantity("a", "x", "", ""), Quantity("a", "y", "", "")
     days = [0, 30, 60]
@@ -133,19 +169,119 @@ def test_compare_marks_what_differs_and_escapes_names(tmp_path, capsys):
     assert "&lt;i&gt;" in page
     assert "<b>hand" not in page
     assert page.count("differs</td>") == 1
-    told = json.loads((out / "compare.json").read_text())
+    told = validated("compare", (out / "compare.json").read_text())
     assert [row["changes"] for row in told["numbers"]] == [True, False, False]
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [("{", "is no JSON"), ('{"bodies": {}}', "no report of a diagnosis"), (None, "No such file")],
+    [
+        ("{", "is no JSON"),
+        ("[" * 10**5, "is no JSON"),
+        ('{"schema": 1, "verdict": "no_gap", "confidence": NaN}', "NaN is no number"),
+        ('{"schema": 1, "verdict": "no_gap", "notes": ["\\ud800"]}', "is no JSON"),
+        ("\xff", "is no JSON"),
+        ('{"bodies": {}}', "no report of a diagnosis .*'schema' is a required property"),
+        ('{"schema": 1, "verdict": "fine"}', r"\$\.verdict: 'fine' is not one of"),
+        (None, "No such file"),
+    ],
 )
 def test_what_is_no_report_is_one_line(tmp_path, content, words):
     if content is not None:
-        (tmp_path / "report.json").write_text(content)
-    with pytest.raises(ValueError, match=words):
+        (tmp_path / "report.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(ValueError, match=words) as caught:
         read_report(tmp_path / "report.json")
+    assert str(tmp_path / "report.json") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_file_is_one_line(tmp_path):
+    os.mkfifo(tmp_path / "report.json")
+    for path in (tmp_path, tmp_path / "report.json", Path("/dev/zero")):
+        with pytest.raises(ValueError, match="a pipe or device, not a file"):
+            read_report(path)
+
+
+# What somebody may put in a number's, a text's or a list's place.
+ELSE = (
+    None,
+    True,
+    -1,
+    0,
+    1e300,
+    10**400,
+    "",
+    "<script>",
+    [],
+    [None],
+    [0.0],
+    {},
+    {"a": {}},
+    "x" * 10**5,
+)
+
+
+def places(value, path=()):
+    """The way to every entry of a report."""
+    yield path
+    inner = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
+    for key, one in inner:
+        yield from places(one, (*path, key))
+
+
+def with_else(report: dict, path: tuple, other) -> dict:
+    """The report with something else in one place."""
+    out = json.loads(json.dumps(report))
+    if not path:
+        return other
+    at = out
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = other
+    return out
+
+
+def test_a_report_that_was_changed_anywhere_is_a_page_or_one_line(tmp_path):
+    """Every entry replaced by everything: what the schema lets through, the page and its JSON can take."""
+    sound = report(0.5)
+    (tmp_path / "report.json").write_text(json.dumps(sound))
+    whole, refused, taken = Column("a", read_report(tmp_path)), [], 0
+    for path in places(sound):
+        for other in ELSE:
+            (tmp_path / "report.json").write_text(json.dumps(with_else(sound, path, other)))
+            try:
+                column = Column("b", read_report(tmp_path))
+            except ValueError as error:
+                refused.append(str(error))
+                continue
+            taken += 1
+            assert page("", [whole, column])
+            json.dumps(to_json([whole, column]), allow_nan=False)
+    assert all("\n" not in line and len(line) < 1000 for line in refused)
+    assert len(refused) > 500
+    assert taken > 50
+
+
+def test_one_report_that_is_not_sound_does_not_cost_the_page(tmp_path, capsys):
+    good = [str(folder_with(tmp_path / name, report(0.5))) for name in "ab"]
+    bad = tmp_path / "c"
+    folder_with(bad, report(0.5) | {"joints": [1]})
+    out = tmp_path / "out"
+    assert main(["compare", *good, str(bad), "--out", str(out)]) == 0
+    assert (
+        "c/report.json is no sound report: $.joints: [1.0] is not of type 'object'"
+        in capsys.readouterr().err
+    )
+    told = json.loads((out / "compare.json").read_text())
+    assert len(told["reports"]) == 2
+    assert "$.joints" in told["refused"][0]["reason"]
+    assert main(["compare", good[0], str(bad), "--out", str(out)]) == 2
 
 
 def test_one_report_is_nothing_to_compare(tmp_path, capsys):
@@ -190,7 +326,7 @@ if kind == "bad":
     print("jax-inertia: error: no log", file=sys.stderr)
     sys.exit(2)
 os.makedirs(out, exist_ok=True)
-json.dump({"verdict": "no_gap"}, open(os.path.join(out, "report.json"), "w"))
+json.dump({"schema": 1, "verdict": "no_gap"}, open(os.path.join(out, "report.json"), "w"))
 """
 
 
@@ -245,6 +381,84 @@ def test_a_report_that_another_process_is_writing_is_waited_for(tmp_path, monkey
     assert (tmp_path / "n").read_text() == "xxx"
 
 
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+SLEEPER = """
+import os, sys, time
+from jax_inertia.cli.console import end_with_input
+end_with_input()
+open(sys.argv[1] + ".pid", "w").write(str(os.getpid()))
+time.sleep(60)
+"""
+PARENT = """
+import sys
+from pathlib import Path
+from jax_inertia.fleet.jobs import Task, run_here
+if __name__ == "__main__":
+    log, program = Path(sys.argv[1]), sys.argv[2]
+    tasks = [Task(log, log, log.with_suffix(f".{k}"), (), "1", (sys.executable, program)) for k in range(3)]
+    run_here(tasks, 1, lambda outcome, k: None)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux which processes run")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_fleet_that_ends_ends_its_processes(tmp_path, how):
+    for name, text in (("log", ""), ("sleeper.py", SLEEPER), ("parent.py", PARENT)):
+        (tmp_path / name).write_text(text)
+    words = [str(tmp_path / name) for name in ("parent.py", "log", "sleeper.py")]
+    root = str(Path(__file__).parents[1])
+    environment = os.environ | {"PYTHONPATH": root}
+    with subprocess.Popen(
+        [sys.executable, *words], env=environment, stderr=subprocess.DEVNULL
+    ) as parent:
+        told, end = tmp_path / "log.pid", time.monotonic() + 60
+        while not (told.exists() and told.read_text()) and time.monotonic() < end:
+            time.sleep(0.05)
+        child = int(told.read_text())
+        assert alive(child)
+        parent.send_signal(how)
+        parent.wait(20)
+    end = time.monotonic() + 20
+    while alive(child) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not alive(child)
+
+
+def test_a_log_is_done_anew_where_a_part_of_its_model_changed(tmp_path):
+    """An included file, a mesh, a file that an option names; and where its report is not sound any more."""
+    (task,) = tasks_of(tmp_path, {"good": "fine 0"})
+    (tmp_path / "parts").mkdir()
+    include, mesh, motors = (
+        tmp_path / "parts" / "a.xml",
+        tmp_path / "parts" / "a.stl",
+        tmp_path / "m.json",
+    )
+    task.model.write_text(
+        '<mujoco><compiler meshdir="parts"/><include file="parts/a.xml"/><asset><mesh file="a.stl"/></asset></mujoco>'
+    )
+    include.write_text("<mujocoinclude/>")
+    mesh.write_bytes(b"solid")
+    motors.write_text("{}")
+    task = task._replace(options=(f"--motors={motors}",))
+
+    def run() -> str:
+        return run_here([task], 1, lambda outcome, k: None)[0].status
+
+    assert [run(), run()] == ["done", "before"]
+    for part in (include, mesh, motors, task.model):
+        part.write_bytes(part.read_bytes() + b" ")
+        assert [run(), run()] == ["done", "before"], part
+    (task.out / "report.json").write_text('{"schema": 1, "verdict": [}')
+    assert [run(), run()] == ["done", "before"]
+
+
 @pytest.mark.slow
 def test_nothing_is_lost_when_a_dask_worker_is_killed(tmp_path):
     distributed = pytest.importorskip("distributed", reason="no Dask here")
@@ -270,7 +484,7 @@ def test_nothing_is_lost_when_a_dask_worker_is_killed(tmp_path):
 
 def test_dask_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r"jax-inertia\[dask\]"):
+    with pytest.raises(ValueError, match="needs Dask: pip install distributed"):
         run_on_dask(tasks_of(tmp_path, {"a": "fine 0"}), "tcp://x:1", lambda outcome, k: None)
 
 
@@ -295,7 +509,7 @@ def test_fleet_writes_one_table_of_what_there_is(tmp_path, monkeypatch, capsys):
     assert main(["fleet", *logs, "--model", str(tmp_path / "arm.xml"), "--out", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "left drifts: viscous friction [N m s/rad] at elbow 0.5 → 0.9 in 2 logs" in said
-    found = json.loads((out / "fleet.json").read_text())
+    found = validated("compare", (out / "fleet.json").read_text())
     assert [(r["robot"], r["date"]) for r in found["reports"]] == [
         ("left", "2026-09-01"),
         ("left", "2026-10-01"),

@@ -9,11 +9,10 @@ import pytest
 
 from jax_inertia import load_model
 from jax_inertia.dynamics.sparse_rows import moved_rows
-from jax_inertia.estimation import fused_update
-from jax_inertia.estimation.fused_update import FusedSquareRoot
 from jax_inertia.estimation.inertial_filter import make_estimator
 from jax_inertia.estimation.priors import Load
-from jax_inertia.maths import lanes
+from jax_inertia.maths import fused_update, lanes
+from jax_inertia.maths.fused_update import FusedSquareRoot
 from jax_inertia.maths.gates import FixedGate
 from jax_inertia.maths.kalman import Belief, Measurement, SquareRoot, Standard, update, update_by
 from jax_inertia.maths.noise import CorrelatedNoise, IndependentNoise

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ from jax_inertia.diagnosis.report.json_report import to_report
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.simulate import plant
 from jax_inertia.model.mujoco_warnings import mujoco_warnings
+from jax_inertia.text.progress import share_of, shared
 from jax_inertia.text.words import length
 
 
@@ -33,9 +35,28 @@ def viscous(t, q, v, u):
 
 
 @pytest.fixture(scope="module")
-def with_friction(robot):
+def heard():
+    """Stages of the next one."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def with_friction(robot, heard):
     """The diagnosis of viscous friction at the elbow, and a test log."""
-    return diagnose(robot, simulate(viscous), test_log=simulate(viscous, seed=5, seconds=6.0))
+    other = simulate(viscous, seed=5, seconds=6.0)
+    return diagnose(robot, simulate(viscous), test_log=other, progress=shared(heard.append))
+
+
+def test_a_program_hears_every_stage_and_the_first_answer_early(with_friction, heard):
+    shares = [stage.share for stage in heard]
+    assert shares == sorted(shares)
+    assert shares[-1] >= 0.8
+    assert all(share_of(stage) is not None for stage in heard)
+    first = next(k for k, s in enumerate(heard) if s.startswith("ordinary physics alone"))
+    assert heard[first + 1].startswith(("columns", "odd effects"))
+    before, after = map(float, re.findall(r"(\S+) → (\S+) N m", heard[first])[0])
+    assert before == pytest.approx(with_friction.heldout.before, rel=0.1)
+    assert 0 < after < 0.3 * before
 
 
 def test_viscous_friction_is_named_placed_and_sized(with_friction):

@@ -20,7 +20,7 @@ from jax_inertia import load_model, read_log
 from jax_inertia.diagnosis.entry import diagnose
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
-from jax_inertia.signals.ground_support import _solved
+from jax_inertia.signals.ground.support import _solved
 from jax_inertia.signals.torque_residual import prepare
 
 FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")

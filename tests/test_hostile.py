@@ -1,11 +1,16 @@
 """Files made to hurt: a log or a model from anywhere gives its content or one line, soon, and nothing else."""
 
+import argparse
+import ast
 import bz2
 import contextlib
 import functools
 import io
+import json
 import os
 import resource
+import shlex
+import signal
 import sqlite3
 import struct
 import subprocess
@@ -36,7 +41,7 @@ from test_model_files import ARM, DEFAULTS, URDF
 
 import jax_inertia as ji
 from jax_inertia.cli import console
-from jax_inertia.cli.main import main
+from jax_inertia.cli.main import _COMMANDS, main
 from jax_inertia.logs.atomic_files import held
 from jax_inertia.logs.log import LogError
 from jax_inertia.logs.log_files import read_log
@@ -241,8 +246,41 @@ def test_a_kilobyte_of_parquet_that_unfolds_to_millions_of_numbers(tmp_path, arr
     assert (tmp_path / "log.parquet").stat().st_size < 4000
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     message = refusal(tmp_path / "log.parquet", Options(joints=JOINTS), max_bytes=1 << 20)
-    assert "unfolds to more" in message or "more than the limit" in message
+    assert "lists of 5000000 numbers" in message or "unfolds to more" in message
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+MEASURED = """
+import resource, subprocess, sys
+subprocess.run([sys.executable, "-c", sys.argv[1]])
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+LONG_LISTS = """
+import sys
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+width, rows = 5_000_000, 20
+lists = pa.ListArray.from_arrays(
+    pa.array(np.arange(rows + 1, dtype=np.int32) * width), pa.array(np.zeros(width * rows, np.float32))
+)
+table = pa.table({"time": 0.01 * np.arange(rows), "qpos": lists, "tau": lists})
+pq.write_table(table, sys.argv[1], compression="zstd", data_page_size=1 << 30)
+"""
+
+
+def test_parquet_of_lists_as_long_as_memory(tmp_path, arrow):
+    """A kilobyte whose lists were 3 GB by the usual limit: the child that reads it stays below two."""
+    path = tmp_path / "log.parquet"
+    # A process counts the memory of the one that started it as its own: it is not made here.
+    subprocess.run([sys.executable, "-c", LONG_LISTS, str(path)], check=True)
+    assert path.stat().st_size < 4000
+    script = f"import sys; from jax_inertia import read_log; read_log({str(path)!r})"
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, script], capture_output=True, text=True, check=False
+    )
+    assert "lists of 5000000 numbers" in done.stderr or "unfolds to more" in done.stderr
+    assert int(done.stdout) < 1_000_000
 
 
 def test_parquet_with_more_rows_than_there_is_room_for(tmp_path, arrow):
@@ -434,6 +472,7 @@ def test_what_headers_contradict_is_known_before_anything_is_unfolded(tmp_path):
         ({"time": np.arange(50.0), "qpos": many, "tau": few}, "qpos has shape (30000000, 2)"),
         ({"time": np.arange(50.0), "qpos": many}, "'tau' is missing"),
         ({"time": np.repeat([0.0, 1.0], 25), "qpos": few, "tau": few}, "does not come after"),
+        ({"time": np.array(["0.0"] * 50), "qpos": few, "tau": few}, "time holds text"),
     ):
         np.savez_compressed(path, joint_names=names, **arrays)
         assert said in refusal(path)
@@ -631,6 +670,146 @@ def test_damaged_models_give_a_robot_or_one_line(data):
         assert time.monotonic() - start < SLOW
 
 
+@pytest.mark.parametrize(
+    "command", ["convert", "estimate", "diagnose", "replay", "watch", "suggest-motion", "fleet"]
+)
+def test_includes_go_where_the_printed_option_says(tmp_path, capsys, command):
+    """The remedy that a refusal prints works on that very command; above the named folder is refused as before."""
+    (tmp_path / "robots" / "arm").mkdir(parents=True)
+    (tmp_path / "robots" / "shared parts").mkdir()
+    (tmp_path / "robots" / "shared parts" / "defaults.xml").write_text(
+        "<mujocoinclude><size nkey='0'/></mujocoinclude>"
+    )
+    model = tmp_path / "robots" / "arm" / "arm.xml"
+    model.write_text('<mujoco><include file="../shared parts/defaults.xml"/></mujoco>')
+    words = {
+        "suggest-motion": [command, str(model)],
+        "convert": [command, "a.csv", str(tmp_path / "b.npz")],
+    }
+    start = words.get(command, [command, "a.csv"])
+    start += [] if command == "suggest-motion" else ["--model", str(model)]
+    start += ["--bodies", "x"] * (command in ("estimate", "watch", "suggest-motion")) + [
+        "--out",
+        str(tmp_path / "out"),
+    ] * (command == "fleet")
+    assert main(start) == 2
+    said = capsys.readouterr().err
+    if command == "fleet":
+        # Its diagnoses are what reads the model.
+        assert "no such file" in said or "outside the model" in said
+        return
+    option = shlex.split(said.partition("if you trust it, ")[2])
+    assert option == ["--include-root", str(tmp_path / "robots")]
+    assert main([*start, *option]) == 2
+    assert "nothing in it moves" in capsys.readouterr().err
+    assert main([*start, "--include-root", str(model.parent)]) == 2
+    assert "outside the model's folder" in capsys.readouterr().err
+    assert main([*start, "--include-root", str(tmp_path / "none")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+
+
+def path_arguments() -> list[tuple[str, argparse.ArgumentParser, argparse.Action]]:
+    """Every argument of every command that is a path."""
+    subparsers = argparse.ArgumentParser().add_subparsers()
+    for command in _COMMANDS:
+        command.add_parser(subparsers)
+    return [
+        (name, parser, action)
+        for name, parser in subparsers.choices.items()
+        for action in parser._actions
+        if action.type is Path
+    ]
+
+
+@pytest.mark.parametrize(
+    ("command", "parser", "action"),
+    path_arguments(),
+    ids=lambda x: x if isinstance(x, str) else getattr(x, "dest", ""),
+)
+def test_a_pipe_is_refused_wherever_a_path_is_asked_for(
+    tmp_path, monkeypatch, capsys, command, parser, action
+):
+    """Nobody writes to it: who opened it would wait for ever."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.xml").write_text(
+        mjcf("", '<body><joint name="a"/><geom size="0.1"/></body>')
+    )
+    write_csv(tmp_path / "log.csv", columns(200))
+    for kind in (".csv", ".xml", ""):
+        os.mkfifo(tmp_path / f"pipe{kind}")
+    words, pipe = [command], {"model": "pipe.xml"}.get(action.dest, "pipe.csv")
+    for one in parser._actions:
+        own = {"model": "robot.xml", "out": "out.csv", "reports": "a b"}.get(one.dest, "log.csv")
+        value = pipe if one is action else own
+        if not one.option_strings:
+            words += value.split()
+        elif one is action or one.required:
+            words += [one.option_strings[0], value if one.type is Path else "body_1"]
+
+    def late(*_):
+        raise TimeoutError("the pipe was opened")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(60)
+    try:
+        assert main(words) == 2
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("jax-inertia: error:"), said
+    assert "pipe was opened" not in said[-1]
+
+
+def test_text_is_utf_8_whatever_the_locale(tmp_path):
+    """A Greek name in a model, on the page and in JSON, where Python would write ASCII."""
+    text = ARM.replace("link2", "γόνατο")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "defaults.xml").write_text(DEFAULTS)
+    (tmp_path / "arm.xml").write_text(text, encoding="utf-8")
+    environment = os.environ | {
+        **{"LC_ALL": "C", "LANG": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        "PYTHONPATH": str(Path(__file__).parents[1]),
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "jax_inertia",
+        "estimate",
+        "a.csv",
+        "--model",
+        "arm.xml",
+        "--bodies",
+        "κάτι",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr.decode("utf-8")
+
+
+def test_every_text_file_is_opened_with_its_encoding():
+    """What is left to the locale is another file on another machine."""
+    bad = []
+    for path in (Path(__file__).parents[1] / "jax_inertia").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = (
+                node.func.attr
+                if isinstance(node.func, ast.Attribute)
+                else getattr(node.func, "id", "")
+            )
+            words = {k.arg for k in node.keywords}
+            modes = [a.value for a in node.args[1:2] if isinstance(a, ast.Constant)]
+            binary = any("b" in str(m) for m in modes)
+            method = isinstance(node.func, ast.Attribute)
+            if name in ("write_text", "read_text") and "encoding" not in words:
+                bad.append(f"{path.name}:{node.lineno}")
+            if name == "open" and not method and not binary and "encoding" not in words:
+                bad.append(f"{path.name}:{node.lineno}")
+    assert not bad
+
+
 # --- commands ----------------------------------------------------------------------------------------------------
 
 
@@ -686,6 +865,61 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
             Path(busy.name).name,
             other.name,
         ]
+
+
+KILLED = """
+import json, os, pathlib, sys
+from jax_inertia.cli import console
+NAMES = "corrected.xml", "policy.json", "report.html", "report.json"
+
+def write(out, text, names, deaths):
+    def ends(call):
+        def one(*given, **more):
+            nonlocal deaths
+            deaths -= 1
+            if deaths == 0:
+                os._exit(9)
+            return call(*given, **more)
+        return one
+    os.replace, os.unlink = ends(os.replace), ends(os.unlink)
+    with console.output_folder(out, products=NAMES) as part:
+        for name in names:
+            (part / name).write_text(text)
+
+def run(*given):
+    if not (child := os.fork()):
+        write(*given)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+for names in (NAMES, NAMES[:1] + NAMES[2:]):
+    for deaths in range(1, 16):
+        out = pathlib.Path(sys.argv[1]) / f"{len(names)} {deaths}"
+        run(out, "old", NAMES, 0)
+        status = run(out, "new", names, deaths)
+        left = {f.name: f.read_text() for f in out.iterdir() if f.is_file() and f.name[0] != "."}
+        run(out, "again", names, 0)
+        after = sorted(f.name for f in out.iterdir())
+        print(json.dumps([status, left, after == sorted(names)]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="ends a copy of itself")
+def test_a_run_that_is_killed_while_it_writes_leaves_no_report_of_two_runs(tmp_path):
+    """At each step of its end; and the next run finds nothing that disturbs it."""
+    words = [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 30
+    assert sum(status == 9 for status, *_ in rows) > 8
+    for status, left, cleared in rows:
+        assert cleared
+        if status == 0:
+            assert set(left.values()) == {"new"}
+        if "report.json" in left:
+            assert len(set(left.values())) == 1
+    # Not for that nothing is ever left.
+    assert any("report.json" in left for status, left, _ in rows if status == 9)
 
 
 def test_the_second_writer_to_a_folder_is_told(tmp_path):

@@ -24,8 +24,8 @@ from jax_inertia.preflight.preflight import Severity, preflight
 from jax_inertia.signals.bands import DIAGNOSIS_IN_CONTACT, Bands
 from jax_inertia.signals.base_motion import with_base
 from jax_inertia.signals.filtering import low_pass, mask, resample
+from jax_inertia.signals.ground.sinking import sunk
 from jax_inertia.signals.held import with_loop_torque
-from jax_inertia.signals.sinking import sunk
 from jax_inertia.signals.torque_residual import needed_torques, observed, prepare
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"
@@ -305,7 +305,7 @@ def test_what_is_missing_or_not_used_is_said():
     placed = dataclasses.replace(log, base_pos=arrays["true_pos"])
     assert told(placed, "unused") == (
         Severity.NOTE,
-        "read and not used, for the log holds better: base_linacc, contact_force, contact_flag",
+        "read and not used, since the log holds better data: base_linacc, contact_force, contact_flag",
     )
 
 

@@ -10,41 +10,55 @@ PACKAGE = Path(__file__).parents[1] / "jax_inertia"
 # Folder: its modules and folders from the ground up; each may use those before it. A folder stands for all that is in
 # it.
 ORDER: dict[str, str] = {
-    "": """text maths logs model dynamics signals preflight estimation diagnosis replay fleet
+    "": """text maths logs model dynamics signals preflight estimation diagnosis likelihood replay trainers fleet
         control robots cli __main__""",
-    "text": "closest_names notebook_page report_page words",
-    "maths": """argument_checks precision over_samples row_runs batch_last scalar_program scalar_trace lanes spatial
-        finite_difference inertial_parameters charts noise gates sample_weight kalman_forms kalman
-        least_squares""",
-    "logs": "npz atomic_files schema unwrap as_model log findings readers log_files chunks",
-    "logs.readers": """stamps options protobuf plain_messages streams bag_messages bag_collect bag column_plan columns
+    "text": "closest_names notebook_page progress remedies report_page words",
+    "maths": """argument_checks precision over_samples row_runs batch_last scalar lanes
+        spatial finite_difference inertial_parameters charts noise gates sample_weight kalman_forms fused_update kalman
+        innovation_tests least_squares""",
+    "logs": "npz plain_file atomic_files schema unwrap as_model log findings readers log_files chunks",
+    "logs.readers": """stamps registers options protobuf plain_messages streams bag_messages bag_targets
+        control_messages bag_collect bag column_plan columns
         delimited normalised arrow_columns parquet export""",
-    "model": """mujoco_types joint_inertia mujoco_warnings robot geometry file_safety finite_numbers
-        urdf_read descriptions spec urdf_write load lock joint_match write log_match""",
+    "model": """mujoco_types joint_inertia mujoco_warnings file_safety model_errors robot geometry finite_numbers
+        urdf_text urdf_read shapes descriptions spec urdf_write load robot_spec lock joint_match write
+        log_match""",
     "dynamics": "kinematics sparse_rows recursions rigid_body",
-    "signals": """bands held filtering generalised_motion differences sinking ground_support base_motion
-        wrench_axes spikes outliers creep dry_friction torque_residual window_mean errors_in_variables holds misfit
+    "signals": """bands held filtering generalised_motion differences dry_friction ground base_motion
+        wrench_axes spikes outliers creep torque_residual window_mean errors_in_variables holds misfit
         corrections sensor_noise""",
-    "preflight": """single_channel cross_channel torque_parts compared other_readings against_model
-        preflight drive_gains""",
-    "estimation": """priors physical_estimate filter_settings inertial_filter fused_update online
-        innovation_tests batch_rows wrist_sensor batch_solve batch_fit log_filter stream checkpoint
-        identifiability motion_limits excitation log_estimate estimate_inputs pipeline""",
-    "estimation.online": "slew exact_memory load_bank",
-    "control": "qp terms whole_body walking composite",
+    "signals.ground": "sinking stance support errors",
+    "preflight": """units single_channel cross_channel position_targets torque_parts joint_ranges compared
+        other_readings column_order position_readings against_model mended preflight drive_gains""",
+    "estimation": """priors physical_estimate filter_settings joint_terms inertial_filter online
+        batch_rows wrist_sensor batch_solve batch_fit pieces log_filter stream checkpoint
+        identifiability suggest held_load log_estimate estimate_inputs pipeline""",
+    "estimation.suggest": "motion_limits excitation",
+    "estimation.online": "slew exact_memory load_bank exported_step",
+    "maths.scalar": "program trace c_source",
+    "control": "payload qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
-    "replay": """loop record joint_numbers simulation fitting result checks search listing proof
-        command inputs pipeline figures varying_friction late_targets corrected report entry""",
+    "likelihood": "motion linearised response drive columns evidence rows closed_loop fit batch",
+    "replay": """loop joint_numbers record simulation fitting result checks search listing step_law corrected
+        handover proof command inputs remainder pipeline output entry""",
     "replay.simulation": "spec_edits model_edits plant stepped simulate",
-    "replay.fitting": "errors columns problem start fit",
-    "replay.search": "ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead",
-    "fleet": "numbers drift page jobs",
-    "cli": """console gains conventions convert command_page replay_run replay diagnose_output diagnose_run diagnose
-        plots estimate_output estimate_wrench estimate suggest_motion compare fleet watch demo main""",
+    "replay.fitting": "errors columns problem start fit draws",
+    "replay.output": "figures policy report",
+    "replay.search": """ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead
+        clock entries closed_loop possible probability choice""",
+    "trainers": "exports",
+    "fleet": "running report_file numbers drift page jobs",
+    "cli": """console running conventions conversion command_page replay_run replay
+        diagnose_output diagnose_run diagnose plots estimate_output estimate_wrench estimate
+        suggest_motion compare fleet watch demo main""",
+    "cli.running": "compiled stages",
+    "cli.conversion": "options command",
     "cli.demo": "simulation hidden comparison figure command",
-    "diagnosis": """features effects result simulate settings residual hypothesis search
-        detectability checks causes verdict report motor_gains intervals calibration_state listing
-        summary pipeline entry""",
+    "diagnosis": """features effects friction_curve result simulate settings residual hypothesis search
+        detectability verdict checks certainty report corrected calibration_state listing summary
+        pipeline entry""",
+    "diagnosis.certainty": "rivals causes probability doubts",
+    "diagnosis.corrected": "baseline physical_bounds motor_gains friction_laws intervals covariance handed_over",
     "diagnosis.features": "derivatives two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction friction_forms
         encoder environment external_force generic generic_forms inertial ground tolerances

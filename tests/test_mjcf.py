@@ -126,7 +126,10 @@ def test_meshes_of_an_mjcf(load, tmp_path):
     asset = '<asset><mesh file="part.stl"/></asset>'
     part = '<geom type="mesh" mesh="part"/>'
     moving = mjcf(f'<body name="hand"><joint/>{part}</body>', asset)
-    with pytest.raises(ModelError, match=r"mesh 'part' is absent and body 'hand' has no inertial"):
+    with pytest.raises(
+        ModelError,
+        match=r"mesh 'part' of body 'hand': its file is absent, and the body has no inertial",
+    ):
         load(moving)
     # The same with an inertial, beside a body whose mass comes from a shape that is there.
     ball = '<body name="ball"><joint/><geom size="0.1" density="500"/></body>'

@@ -21,7 +21,13 @@ from jax_inertia.model.load import (
     set_inertials,
     write_urdf,
 )
-from jax_inertia.model.write import changed_inertials, loadable, write_with_inertials
+from jax_inertia.model.urdf_write import Dynamics
+from jax_inertia.model.write import (
+    changed_inertials,
+    loadable,
+    write_urdf_as,
+    write_with_inertials,
+)
 
 # --- MJCF as in a collection of models ----------------------------------------------------------------------------
 
@@ -124,6 +130,55 @@ def written(leg, tmp_path):
     wanted = dict(zip(LINKS, random_bodies(4, seed=3), strict=True))
     write_urdf(leg, tmp_path / "out.urdf", wanted)
     return wanted, tmp_path / "out.urdf"
+
+
+def test_joint_friction_comes_back_in_mujoco_and_the_rest_stays_as_it_was(leg, tmp_path):
+    out = tmp_path / "out.urdf"
+    own = 'damping="0.3" friction="0.2"'
+    leg.write_bytes(URDF.replace(own, own + ' spring_stiffness="7"').encode())
+    wanted = {"hip": Dynamics(1.25, 0.5), "knee": Dynamics(0.0, 0.75)}
+    write_urdf(leg, out, {}, wanted)
+    model = compile_spec(load_spec(out))
+    for name, (damping, friction) in wanted.items():
+        row = model.joint(name).dofadr[0]
+        assert (model.dof_damping[row], model.dof_frictionloss[row]) == (damping, friction)
+    # The other joint, and what a simulator of its own reads there.
+    assert model.dof_damping[model.joint("wrist").dofadr[0]] == 0.0
+    text = out.read_text()
+    assert 'spring_stiffness="7"' in text
+    assert '<transmission name="t">' in text
+
+
+@pytest.mark.parametrize(
+    ("joint", "value", "message"),
+    [
+        ("hipp", Dynamics(1.0, 1.0), "did you mean 'hip'"),
+        ("hip", Dynamics(-0.1, 1.0), "below zero"),
+        ("hip", Dynamics(1.0, np.nan), "finite"),
+    ],
+)
+def test_friction_that_no_joint_has_is_refused(leg, tmp_path, joint, value, message):
+    with pytest.raises(ModelError, match=message):
+        write_urdf(leg, tmp_path / "out.urdf", {}, {joint: value})
+    assert not (tmp_path / "out.urdf").exists()
+
+
+def test_a_corrected_urdf_has_what_it_can_hold_and_a_line_on_the_rest(leg, tmp_path):
+    before = compile_spec(load_spec(leg))
+    spec = load_spec(leg)
+    hip = spec.joint("hip")
+    hip.frictionloss, hip.armature = 0.9, 0.4
+    line = write_urdf_as(leg, tmp_path / "out.urdf", before, compile_spec(spec))
+    assert line == "a URDF has no place for armature of hip: corrected.xml has them"
+    again = compile_spec(load_spec(tmp_path / "out.urdf"))
+    row = again.joint("hip").dofadr[0]
+    assert (again.dof_damping[row], again.dof_frictionloss[row]) == (0.3, 0.9)
+
+
+def test_a_urdf_of_a_model_that_changed_in_nothing_is_not_written(leg, tmp_path):
+    model = compile_spec(load_spec(leg))
+    assert write_urdf_as(leg, tmp_path / "out.urdf", model, model) == ""
+    assert not (tmp_path / "out.urdf").exists()
 
 
 def test_written_inertials_come_back_in_mujoco(written):
@@ -334,5 +389,5 @@ def test_a_description_that_is_not_here_is_not_fetched(cache):
 
 def test_descriptions_without_their_package_are_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(ModelError, match=r"pip install 'jax-inertia\[descriptions\]'"):
+    with pytest.raises(ModelError, match="pip install robot_descriptions"):
         ji.load_model("robot_descriptions:panda_mj_description")

@@ -30,8 +30,17 @@ BAD = {
         "--topic-imu": ["/x", ""],
         "--topic-wrench": ["lower", "lower=", "lower=/x"],
         "--wrench-axes": ["sideways", "body"],
+        "--topic-targets": ["/x", ""],
+        "--position-scale": ["x", "nan", "0"],
+        "--position-zero": ["x", "nan"],
+        "--target-scale": ["x", "nan", "0", "1"],
+        "--target-offset": ["x", "nan", "1"],
+        "--include-root": [],
     },
     "estimate": {
+        "--ignore": ["tau", ""],
+        "--tolerance": ["x 1 1", "-1 0 0", "nan 1 1"],
+        "--include-root": [],
         "--model": ["no.xml", "log.npz"],
         "--bodies": ["nobody", "", "world"],
         "--wrench": ["", "=x", "lower=", "nobody", "lower", "lower=/x"],
@@ -49,6 +58,8 @@ BAD = {
         "--prior-mass": ["0", "-1", "nan"],
         "--prior-reach": ["0", "inf"],
         "--drift-time": ["0", "nan"],
+        "--driver": ["abb", ""],
+        "--flange": ["upper", ""],
         "--cutoff": ["0", "x", "1e9", "1e-9"],
         "--rate": ["0", "nan", "1e12", "1e-9"],
         "--bias-window": ["0", "-1"],
@@ -60,9 +71,12 @@ BAD = {
         "--joints": ["nobody", ""],
     },
     "diagnose": {
+        "--validation-log": ["no.npz", "model.xml"],
+        "--include-root": [],
         "--model": ["no.xml", "log.npz"],
         "--test-log": ["no.npz", "model.xml"],
         "--exclude": ["elves", ""],
+        "--export": ["unity", ""],
         "--max-effects": ["0", "21", "x", "1.5"],
         "--more-logs": ["no.npz", "model.xml", "log.npz"],
         "--nominal-uncertainty": ["0 1 1", "0.1 x 0.1", "nan 1 1", "0.1", "-1 1 1"],
@@ -78,6 +92,7 @@ BAD = {
         "--out": ["log.npz"],
     },
     "replay": {
+        "--include-root": [],
         "--model": ["no.xml", "log.npz"],
         "--time-unit": ["fortnights", ""],
         "--kp": ["x", "1 2 3", "-1"],
@@ -85,6 +100,7 @@ BAD = {
         "--out": ["log.npz"],
     },
     "suggest-motion": {
+        "--include-root": [],
         "--bodies": ["nobody", ""],
         "--out": ["log.npz/motion.csv", "motion.txt", "."],
         "--velocity": ["0", "-1", "nan", "x", "1 2 3"],
@@ -97,6 +113,7 @@ BAD = {
     },
     "compare": {"--names": ["one", "a b c"], "--out": ["log.npz"]},
     "fleet": {
+        "--include-root": [],
         "--model": ["no.xml"],
         "--test-logs": ["no.npz", "model.xml"],
         "--jobs": ["0", "257", "x", "1.5"],
@@ -106,6 +123,7 @@ BAD = {
         "--out": ["log.npz"],
     },
     "watch": {
+        "--include-root": [],
         "--model": ["no.xml", "log.npz"],
         "--bodies": ["nobody", ""],
         "--learn": ["0", "-1", "nan", "x"],
@@ -168,7 +186,11 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
 
 def test_the_table_holds_every_option():
     for command, parser in parsers().items():
-        flags = (argparse._StoreTrueAction, argparse._HelpAction)
+        flags = (
+            argparse._StoreTrueAction,
+            argparse._HelpAction,
+            argparse.BooleanOptionalAction,
+        )
         options = {
             action.option_strings[-1]
             for action in parser._actions

@@ -462,7 +462,7 @@ def test_any_log_gets_one_line_findings(data):
     [
         ("ur10e_dynamic_calibration/dev_free_1", {"torque_unit", "jitter"}),
         ("panda_gaz2019/test", {"gap", "jitter", "repeated"}),
-        ("kuka_lwr4_flobaroid/train_1", set()),
+        ("kuka_lwr4_flobaroid/train_1", {"targets"}),
         ("dfki_double_pendulum/A0_test_07", set()),
         ("bam_xl330/train_12_sin_sin_kp800", {"torque_unit", "saturated", "delay", "jitter"}),
         ("bam_xl330/test_09_lift_and_drop_kp400",
@@ -470,7 +470,7 @@ def test_any_log_gets_one_line_findings(data):
     ],
 )  # fmt: skip
 def test_real_logs_show_what_is_known_of_them(name, expected):
-    """The Panda's jitter is in its README; the XL330's full duty is 885 counts."""
+    """The Panda's jitter is in its README; the XL330's full duty is 885 counts; the LWR's targets are rad · π / 180."""
     findings = preflight(read_log(SHARED / f"{name}.npz")).findings
     checks = {f.check for f in findings if f.check != "reader"}
     assert checks == expected

@@ -70,15 +70,28 @@ def quickly():
 
 
 @pytest.fixture(scope="module")
-def found(quickly):
-    return ji.estimate(ji.load_model(double_pendulum()), swing(load=0.5), ["lower"])
+def heard():
+    """Stages of the estimate."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(quickly, heard):
+    robot = ji.load_model(double_pendulum())
+    return ji.estimate(robot, swing(load=0.5), ["lower"], progress=heard.append)
+
+
+def test_stages_of_an_estimate_have_shares_that_rise(found, heard):
+    shares = [stage.share for stage in heard]
+    assert shares == sorted(shares)
+    assert shares[-1] >= 0.8
 
 
 @pytest.mark.parametrize("name", sorted({*GUESSED, *ji.__all__}))
 def test_a_name_is_there_and_says_what_it_is(name):
     assert name in ji.__all__
     thing = getattr(ji, name)
-    assert thing.__name__ == name
+    assert thing.__name__ == ji._PLACES[name][1]
     assert len(inspect.getdoc(thing) or "") > 20
 
 
@@ -86,19 +99,19 @@ def test_what_is_seen_is_what_is_imported_for_type_checkers():
     tree = ast.parse(INIT.read_text())
     [checked] = [n for n in tree.body if isinstance(n, ast.If)]
     seen = {
-        alias.name: node.module
+        alias.asname or alias.name: (node.module, alias.name)
         for node in checked.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert seen == {name: f"jax_inertia.{module}" for name, module in ji._PLACES.items()}
+    assert seen == {n: (f"jax_inertia.{module}", own) for n, (module, own) in ji._PLACES.items()}
     assert sorted(seen) == ji.__all__ == dir(ji)
 
 
 def test_help_shows_the_public_names_and_nothing_private():
     text = pydoc.render_doc(ji, renderer=pydoc.plaintext)
     functions = text.partition("\nFUNCTIONS\n")[2].partition("\nDATA\n")[0]
-    shown = set(re.findall(r"^    (\w+)\(", functions, re.MULTILINE))
+    shown = set(re.findall(r"^    (\w+)(?: = \w+)?\(", functions, re.MULTILINE))
     assert shown == {n for n in ji.__all__ if inspect.isfunction(getattr(ji, n))}
     assert not [name for name in shown if name.startswith("_")]
 
@@ -249,6 +262,9 @@ def test_diagnose_reads_currents_by_gains_of_the_log(asked):
     assert any(
         note.startswith("log: tau is in 'A': drive gains were taken") for note in found.notes
     )
+    read = np.array([found.drive_gains[name] for name in current.joint_names])
+    np.testing.assert_allclose(asked[0][0].tau, current.tau * read)
+    assert ji.to_report(found)["drive_gains"]["value"] == found.drive_gains
     assert np.std(asked[0][0].tau) > 2.0 * np.std(current.tau)
 
 

@@ -16,11 +16,12 @@ page = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(page)
 
 ROW = {
-    "name": "a", "title": "robot a", "unit": "N m", "nominal": {"rms": 2.0}, "least_squares": {"rms": 0.5},
-    "published": None,
-    "tool": {"stated": {"after": 0.4}, "measured": {"rms": 0.7}, "verdict": "partly",
-             "effects": ["armature at x", "payload at hand"], "seconds": 9.0},
+    "name": "a", "title": "robot a, one → two", "unit": "N m",
+    "nominal": {"rms": 2.0, "per_joint": {}}, "least_squares": {"rms": 0.5, "per_joint": {}}, "published": None,
+    "tool": {"stated": {"after": 0.4, "per_joint": {}}, "handed_over": {"rms": 0.7, "per_joint": {}, "rows": {}},
+             "verdict": "partly", "effects": ["payload at hand"], "seconds": 9.0},
 }  # fmt: skip
+AMPERES = ROW | {"name": "a_raw", "unit": "A", "nominal": None}
 LOOP = {
     "cpu": 9.0, "pace_cpu": 4.0, "verdict": "explained", "joints": ["x", "y"],
     "effects": [{"family": "dead_band", "location": {"name": "x"}}],
@@ -28,25 +29,49 @@ LOOP = {
 }  # fmt: skip
 
 
+def stored(*rows, robots=None):
+    """What is stored of some rows by torque, and of robots by replays."""
+    positions = robots and {"commit": "def", "robots": robots, "notes": []}
+    made = {"commit": "abc", "date": "2026-11-30"}
+    torque = {"rows": [page.slim(r) | made for r in rows]}
+    return {"torque": torque, "positions": positions}
+
+
 def test_where_the_tool_is_behind_is_said():
-    text = page.page({"commit": "abc", "torque": [ROW], "positions": {"go2": LOOP}})
-    assert "| robot a | 2 | 0.5 | – | 0.4 | 0.7 | partly | payload at hand | 9 |" in text
-    assert "- robot a: as handed over (0.7) behind least squares" in text
-    assert "as it states" not in text.split("**Behind a baseline**")[1].split("##")[0]
+    text = page.page(stored(ROW, robots={"go2": LOOP}))
+    assert (
+        "| robot a, one → two | 2 | **0.5** | – | 0.4 | 0.7 | partly | payload at hand | 9 |"
+        in text
+    )
+    assert "- robot a, one → two (0.7): least squares (0.5)" in text
     assert "| Go2 in the air | steps | 25.50 | 7.62 | 8.25 | 1.08 | 1 of 2 |" in text
     assert "- Go2 in the air, steps: behind the PACE-like fit at x (6.0 for 4.0)" in text
     assert "worse than the model as given" not in text
 
 
+def test_each_unit_has_a_table_of_its_own():
+    text = page.page(stored(ROW, AMPERES))
+    newton, raw = text.split("## The same in the unit of the log")
+    assert "| robot a, one → two | A | **0.5** | – | 0.7 | partly |" in raw
+    assert " | A | " not in newton
+
+
+def test_what_is_not_measured_is_said_to_be():
+    assert "Not measured at this commit." in page.page(stored(ROW))
+
+
 def test_new_results_take_the_place_of_old_ones(tmp_path):
-    stored = {"torque": [ROW], "positions": {}}
+    kept = stored(ROW, ROW | {"name": "c"})
     file = tmp_path / "new.json"
-    file.write_text(json.dumps([ROW | {"title": "robot b"}, ROW | {"name": "c"}]))
-    page.take(stored, file)
-    assert [r["title"] for r in stored["torque"]] == ["robot b", "robot a"]
+    file.write_text(json.dumps(ROW | {"title": "robot b"}))
+    page.take(kept, file, "fed")
+    assert [r["title"] for r in kept["torque"]["rows"]] == ["robot b", "robot a, one → two"]
+    assert [r["commit"] for r in kept["torque"]["rows"]] == ["fed", "abc"]
+    assert "commit `fed`" in page.page(kept) or "of `fed`: robot b" in page.page(kept)
     file.write_text(json.dumps({"go2": LOOP | {"notes": "long"}}))
-    page.take(stored, file)
-    assert set(stored["positions"]["go2"]) == set(LOOP)
+    page.take(kept, file, "bad")
+    assert set(kept["positions"]["robots"]["go2"]) == set(LOOP)
+    assert kept["positions"]["commit"] == "bad"
 
 
 def test_the_page_is_what_is_stored():

@@ -6,21 +6,23 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from schemas import validated
 
 import jax_inertia as ji
 from jax_inertia.cli import command_page, replay_run
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
-from jax_inertia.replay import checks, command, late_targets
-from jax_inertia.replay.corrected import corrected, policy
-from jax_inertia.replay.fitting.errors import autocorrelation_time
+from jax_inertia.maths.sample_weight import autocorrelation_time
+from jax_inertia.replay import checks, command
 from jax_inertia.replay.loop import Parameter, position_loop
+from jax_inertia.replay.output.policy import policy
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.record import SETTLING, record_of, step_means
 from jax_inertia.replay.result import Effect, Size
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import replay
+from jax_inertia.replay.step_law import StepLaw
 from jax_inertia.text.report_page import with_section
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "position_controlled"
@@ -102,9 +104,10 @@ def test_a_step_is_answered_as_a_damped_oscillator_does(late):
     log = step_log()
     spec = rotor()
     plant = Plant(spec, log.joint_names, position_loop(log, spec.compile()))
-    plant.step = plant.model.opt.timestep = 1e-4
-    table = (Parameter("target_delay", -1, 0.0, 1.0, -1.0, 1.0),)
-    path = replay(plant, table, np.array([[late]]), record_of(log))[0, :, 0]
+    # What the model's own steps of 2 ms do is undone: they act half of one too early, and take from the inertia.
+    table = tuple(Parameter(f, -1, 0.0, 1.0, -1.0, 1.0) for f in ("target_delay", "own_steps"))
+    whole = np.array([[late, 0.001]])
+    path = replay(plant, table, whole, record_of(log))[0, :, 0]
     omega, half = np.sqrt(5 / 0.05), 0.4 / 0.05 / 2
     fast = np.sqrt(omega**2 - half**2)
     t = np.maximum(log.time - 0.5 - late, 0.0)
@@ -181,10 +184,12 @@ def test_a_sound_robot_has_no_gap():
     found = diagnose([without_torque(run())], arm)
     assert found.verdict is Verdict.NO_GAP
     assert found.effects == ()
-    spec = arm()
-    corrected(spec, found)
-    # Nothing was found, and nothing is changed.
-    np.testing.assert_array_equal(spec.compile().actuator_gainprm, arm().compile().actuator_gainprm)
+    # Its loop runs at 1 kHz and the model in steps of 2 ms: that is a clock, and no gap.
+    assert {name for name, _ in found.clock} >= {"own_steps"}
+    assert np.all(found.replayed.after <= 1.3 * found.replayed.floor)
+    assert np.all(found.replayed.before > 5 * found.replayed.floor)
+    model = mujoco.MjModel.from_xml_string(found.text)
+    np.testing.assert_array_equal(model.actuator_gainprm[:, 0], [40.0, 25.0])
 
 
 @pytest.mark.parametrize(
@@ -208,12 +213,10 @@ def test_what_is_wrong_is_found_and_its_replay_proves_it(effects, family, place,
     assert sum(found.replayed.after**2) < 0.1**2 * sum(found.replayed.before**2)
     assert found.worse == ()
     # corrected.xml replays in MuJoCo, stepped by nobody else, as was promised: its own delay and all.
-    spec = arm()
-    corrected(spec, found)
-    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    model = mujoco.MjModel.from_xml_string(found.text)
     r = found.replayed.records[0]
-    model.opt.timestep = h = 2e-3
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    h = model.opt.timestep
+    assert h == 2e-3
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = r.q[0], r.start
     error = []
@@ -273,7 +276,7 @@ def test_every_number_of_an_effect_is_in_the_table():
         ("stall", Size(3.0, 2.9, 3.1, "N m")),
         ("no_load_speed", Size(9.0, 8.0, 10.0, "rad/s")),
     )
-    effect = Effect("torque_speed", "joint", "elbow", numbers, 0.0, 0.5, False, ())
+    effect = Effect("torque_speed", "joint", "elbow", numbers, 0.0, 0.5, 0.9, False, ())
     said = replay_run.sizes(effect)
     assert "stall 3 [2.9, 3.1] N m" in said
     assert "no load speed 9 [8, 10] rad/s" in said
@@ -286,7 +289,7 @@ def test_targets_on_their_way_are_the_first_ones_at_a_start():
     spec.actuators[0].delay, spec.actuators[0].nsample = 0.05, 60
     model = spec.compile()
     ends = []
-    for begins in (lambda d: late_targets.start(model, d, np.array([0.7])), lambda d: None):
+    for begins in (lambda d: StepLaw(model).start(d, np.array([0.7])), lambda d: None):
         data = mujoco.MjData(model)
         data.qpos[:] = 0.7
         begins(data)
@@ -316,7 +319,7 @@ def test_the_commands(tmp_path, capsys):
     model.write_text(ARM)
     out = tmp_path / "out"
     assert main(["replay", str(log), "--model", str(model), "--out", str(out), "--json"]) == 0
-    before = json.loads(capsys.readouterr().out)["error"]["rms"]
+    before = validated("replay", capsys.readouterr().out)["error"]["rms"]
     assert (out / "replay.png").stat().st_size > 10_000
     assert main(["diagnose", str(log), "--model", str(model), "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

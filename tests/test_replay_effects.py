@@ -20,7 +20,7 @@ from jax_inertia.replay.search.parsimony import simplest
 from jax_inertia.replay.search.undecided import open_between
 from jax_inertia.replay.simulation.plant import Plant, Structure
 from jax_inertia.replay.simulation.simulate import replay
-from jax_inertia.replay.varying_friction import callback
+from jax_inertia.replay.step_law import StepLaw
 
 TWO = """
 <mujoco><option timestep="0.001"/><worldbody>
@@ -175,14 +175,14 @@ def test_a_dead_band_is_found_and_replays_in_mujoco_alone():
     size = odd["dead_band", "a"].size
     assert size.value == pytest.approx(0.03, rel=0.05)
     assert {t.family for t in odd["dead_band", "a"].ties} >= {"coulomb_friction"}
-    assert any("give it the target of the first" in n for n in corrected(two(), found))
+    assert any("give it the target of the first" in n for n in corrected(two(), found.correction))
     assert np.all(in_mujoco_alone(found) < found.replayed.after + found.replayed.floor)
 
 
 def in_mujoco_alone(found) -> np.ndarray:
     """What corrected.xml errs by on the other run, rms of each joint."""
     spec = two()
-    corrected(spec, found)
+    corrected(spec, found.correction)
     model = mujoco.MjModel.from_xml_string(spec.to_xml())
     r = found.replayed.records[0]
     model.opt.timestep, model.opt.integrator = 1e-3, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -274,10 +274,10 @@ def test_friction_that_varies_is_set_by_a_callback():
     data.qvel[:] = 0.5
     data.qpos[:] = 0.6
     data.qfrc_actuator[:] = -2.0
-    callback(model, {"friction_law": law})(model, data)
+    StepLaw(model, (), {"friction": law}).set(data, np.zeros(0))
     np.testing.assert_allclose(model.dof_frictionloss, [0.0, 0.1 + 0.2 + 0.4 + 0.3 * np.exp(-1.0)])
     with pytest.raises(ValueError, match="no joint 'c'"):
-        callback(model, {"friction_law": {"c": law["b"]}})
+        StepLaw(model, (), {"friction": {"c": law["b"]}})
 
 
 def test_the_python_entry_takes_a_log_without_torque(tmp_path):
@@ -310,7 +310,7 @@ def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family,
         (number,), np.array([total]), one, one, 100.0, np.zeros((3, 2)), np.zeros((1, 3, 2)), None
     )
     search = Search(found, (), (), ())
-    (effect,) = listed(found, search, {}, {(0,): 0.8}, LOOP, ["shoulder", "elbow"])
+    (effect,) = listed(found, search, {}, {(0,): 0.8}, {(0,): 0.9}, LOOP, ["shoulder", "elbow"])
     assert (effect.family, effect.name) == (family, "shoulder")
     assert effect.size.value == pytest.approx(size)
     other = {"viscous_friction", "kd_scale"} - {family}

@@ -57,7 +57,7 @@ def test_a_second_exchange_finds_its_effect_where_the_first_left_it(monkeypatch)
         rest = [p for k, p in enumerate(found.table) if k not in o.rows]
         return fitted(Candidate("rest", tuple(rest), ()), rival)
 
-    monkeypatch.setattr(exchange, "Unseen", lambda plant, records: None)
+    monkeypatch.setattr(exchange, "Unseen", lambda plant, records, floor: None)
     monkeypatch.setattr(exchange, "_instead", instead)
     monkeypatch.setattr(exchange, "_likelier", lambda *of: True)
     plant = Plant.__new__(Plant)

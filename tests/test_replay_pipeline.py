@@ -1,14 +1,13 @@
-"""What the pipeline of replays decides between its fits: delays before their cause, effects taken back."""
+"""What is decided between the fits of replays: effects taken back, and what is dropped."""
 
 import numpy as np
 import pytest
 
-from jax_inertia.replay import pipeline
 from jax_inertia.replay.fitting.errors import Weights
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import ALL, Parameter
 from jax_inertia.replay.record import Commanded, Record
-from jax_inertia.replay.search import causal, held_out
+from jax_inertia.replay.search import choice, held_out
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.simulation.plant import Plant
 
@@ -28,31 +27,6 @@ def fitted(theta, sd, *families: str) -> Fit:
     return Fit(
         table(*families), np.array(theta), np.diag(np.square(sd)), size, 9.0, NONE, NONE, weights
     )
-
-
-@pytest.mark.parametrize(("delay", "early"), [(-0.014, True), (-0.0015, False), (0.014, False)])
-def test_a_delay_before_its_cause_is_fitted_again_with_none(monkeypatch, delay, early):
-    """However little the log tells of it: 7 ms of deviation are no excuse for 14."""
-    asked = []
-
-    def again(plant, table, records, start, *, free, **rest):
-        asked.append((start.tolist(), free.tolist()))
-        return second
-
-    monkeypatch.setattr(causal, "fit", again)
-    first = fitted([delay, 0.1], [0.007, 0.02], "target_delay", "kp_scale")
-    second = fitted([0.0, 0.2], [0.0, 0.02], "target_delay", "kp_scale")
-    found = causal.fitted(Joints(), first, [], 1e-4, print)
-    assert asked == ([([0.0, 0.1], [False, True])] if early else [])
-    assert found is (second if early else first)
-
-
-def test_a_delay_that_was_set_to_none_is_known_as_well_as_the_log_told():
-    stamps = fitted([-0.014, 0.1], [0.007, 0.02], "target_delay", "kp_scale")
-    final = fitted([0.0, 0.3, 0.2], [0.0, 0.01, 0.05], "target_delay", "kp_scale", "dead_band")
-    told = causal.with_variance(final, stamps)
-    np.testing.assert_allclose(told.sigma, [0.007, 0.01, 0.05])
-    np.testing.assert_array_equal(told.theta, final.theta)
 
 
 def record() -> Record:
@@ -94,7 +68,7 @@ def test_effects_are_taken_back_one_at_a_time_and_show_by_a_step_of_an_encoder(u
 def test_a_number_that_harms_is_dropped_and_shares_are_of_what_is_left(unseen):
     """0.1 too much at one joint is taken back; then both others take what they should of the error."""
     found = fitted([0.3, 0.2, 0.1], [1.0] * 3, *["coulomb_friction"] * 3)
-    left, shares = pipeline._gated(Joints(), found, [], [record()])
+    left, shares = choice.gated(Joints(), found, [], [record()])
     assert left.theta.tolist() == [0.3, 0.2, 0.0]
     total = 0.3**2 + 0.2**2
     assert shares == pytest.approx({(0,): 0.3**2 / total, (1,): 0.2**2 / total})
@@ -103,6 +77,6 @@ def test_a_number_that_harms_is_dropped_and_shares_are_of_what_is_left(unseen):
 def test_no_more_effects_are_dropped_than_may_be(unseen):
     """Five harm; the last look is at what is left after three are gone."""
     found = fitted([0.3, 0.2, *[0.02] * 5], [1.0] * 7, *["coulomb_friction"] * 7)
-    left, shares = pipeline._gated(Joints(), found, [], [record()])
-    assert np.sum(left.theta == 0.02) == 5 - pipeline._DROPPED
+    left, shares = choice.gated(Joints(), found, [], [record()])
+    assert np.sum(left.theta == 0.02) == 5 - choice._DROPPED
     assert set(shares) == {(k,) for k in np.flatnonzero(left.theta)}

@@ -14,7 +14,7 @@ from jax_inertia.replay.record import Commanded, Record
 from jax_inertia.replay.simulation.plant import Plant, Structure
 from jax_inertia.replay.simulation.simulate import replay
 from jax_inertia.replay.simulation.spec_edits import add_force
-from jax_inertia.replay.varying_friction import callback, law
+from jax_inertia.replay.step_law import StepLaw
 
 SPRUNG = """<mujoco><compiler angle="radian"/><worldbody><body name="left">
 <joint name="a" axis="0 1 0" stiffness="0.5" springref="0.3" damping="0.2"/>
@@ -162,7 +162,7 @@ def test_a_constant_force_is_found_where_it_acts():
         assert own.value == pytest.approx(size, rel=0.1)
         assert own.low < size < own.high
     spec = chain()
-    assert any("lower" in note and "_force" in note for note in corrected(spec, found))
+    assert any("lower" in note and "_force" in note for note in corrected(spec, found.correction))
     assert spec.compile().nu == 2 + 3
 
 
@@ -196,10 +196,8 @@ FOUND = {
 }
 
 
-@pytest.mark.parametrize(
-    "family",
-    ["quadratic_viscous", *(pytest.param(f, marks=pytest.mark.slow) for f in [*FOUND][1:])],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FOUND)
 def test_what_a_spec_or_a_callback_can_hold_is_found_and_replayed(family):
     log, other = (hidden(family, seed) for seed in (2, 3))
     found = pipeline.diagnose([log], two, test_log=other)
@@ -218,24 +216,24 @@ def test_what_a_spec_or_a_callback_can_hold_is_found_and_replayed(family):
         assert sizes[name].low <= size <= sizes[name].high or family != "com_shift"
     assert np.all(found.replayed.after < 0.1 * found.replayed.before.max())
     spec = two()
-    corrected(spec, found)
+    corrected(spec, found.correction)
     error = stepped_error(spec, found, other)
     assert error == pytest.approx(float(np.sqrt(np.mean(found.replayed.after**2))), abs=5e-4)
 
 
 def stepped_error(spec, found, log) -> float:
-    """Of corrected.xml in MuJoCo alone, its friction set by the callback, rms over joints [rad]."""
+    """Of corrected.xml in MuJoCo alone, its friction set by its law, rms over joints [rad]."""
     spec.option.timestep = 1e-3
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
     data, rows = mujoco.MjData(model), []
-    correct = callback(model, {"friction_law": law(found)})
+    correct = StepLaw(model, log.joint_names)
     data.qpos[:], data.qvel[:] = log.qpos[0], (log.qpos[2] - log.qpos[0]) / 0.01
     for k in range(len(log.time) * 5):
         if k % 5 == 0:
             rows.append(data.qpos.copy())
-            data.ctrl[:] = log.qpos_target[k // 5]
-        correct(model, data)
+            now = log.qpos_target[k // 5]
+        correct.set(data, now)
         mujoco.mj_step(model, data)
     settled = log.time > 1.0
     return float(np.sqrt(np.mean((np.array(rows) - log.qpos)[settled] ** 2)))
@@ -248,7 +246,9 @@ def test_a_limit_is_reached_as_with_short_steps(step):
     told = np.repeat(np.random.default_rng(4).uniform(-0.8, 0.8, (6, 2)), 100, axis=0)
     record = Record(time, told.copy(), np.zeros(2), Commanded(time, told))
     table = (Parameter("torque_saturation", 0, np.inf, 1.0, -9.0, 9.0, "", 0.0),)
-    plant = Plant(two(), NAMES, Loop(KP, KD, np.full(2, np.inf), "log"), holds=True)
+    spec = two()
+    spec.option.timestep = 1e-4
+    plant = Plant(spec, NAMES, Loop(KP, KD, np.full(2, np.inf), "log"), holds=True)
     paths = []
     for h in (step, 1e-4):
         plant.step = h
@@ -260,4 +260,4 @@ def test_a_limit_is_reached_as_with_short_steps(step):
     free = replay(plant, (), np.zeros((1, 0)), record)[0]
     assert np.sqrt(np.mean((free - paths[1])[:, 0] ** 2)) > 0.05
     # A limit as MuJoCo has it errs by several times as much at 4 ms.
-    assert error[0] < 3e-4
+    assert error[0] < 4e-4

@@ -184,4 +184,4 @@ def test_what_a_fitted_log_shows_is_there_whatever_another_one_does():
     for size, shown in ((0.5, [(0,)]), (1e-4, [])):
         none = np.zeros((2, 2))
         found = Fit(table, np.array([size, 0.0]), none, none, 1.0, none, none, None)
-        assert shown_in(plant, found, [(0,)], [record]) == shown
+        assert shown_in(plant, found, [(0,)], [record], np.zeros(2)) == shown

@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.scipy.linalg import solve_triangular
 
 from jax_inertia.dynamics import recursions
 from jax_inertia.dynamics.kinematics import forward_kinematics
-from jax_inertia.maths import scalar_trace
 from jax_inertia.maths.charts import LogCholeskyUUt
-from jax_inertia.maths.scalar_program import Node, Program
-from jax_inertia.maths.scalar_trace import one_thread
+from jax_inertia.maths.scalar import trace as scalar_trace
+from jax_inertia.maths.scalar.program import Node, Program
+from jax_inertia.maths.scalar.trace import one_thread
 
 
 def program_of(function, *args, straight: bool = False) -> Program:
@@ -40,6 +41,17 @@ FUNCTIONS = {
     "scalars": lambda a, b: (a**3, a**-2, 0.0 - (-a), jnp.sqrt(a * a), a / b, abs(a - a)),
     "logic": lambda a, b: ((a > b).astype(float).sum(), jnp.sum(a > b), ~(a > b) & (a > 0), a.astype(bool) | (b > 0)),
     "branches": lambda a, b: (jax.lax.cond(a[0, 0] > b[0, 0], lambda: a, lambda: b),),
+    "loops": lambda a, b: jax.lax.scan(lambda c, x: (c + x, c * x), b[0], a, reverse=True),
+    "factors": lambda a, b: (
+        jnp.linalg.cholesky(a @ a.T + jnp.eye(3)),
+        solve_triangular(a, b, lower=True),
+        solve_triangular(a, b, trans=1),
+        jax.lax.linalg.triangular_solve(a, b, lower=True),
+    ),
+    "places": lambda a, b: (
+        jax.lax.dynamic_index_in_dim(a, (b[0, 0] > 0).astype(int) + 1, keepdims=False),
+        jnp.pad(a, ((1, 0), (0, 2))),
+    ),
     "functions": lambda a, b: (jnp.sin(a), jnp.cos(b), jnp.exp(a), jnp.tanh(b), jnp.log(a * a), jnp.isfinite(a)),
 }  # fmt: skip
 
@@ -108,6 +120,8 @@ def test_same_operation_once():
     assert sum(isinstance(n, Node) and n.name == "mul" for n in program.ordered()) == 1
 
 
-def test_loops_have_no_scalar_form():
-    with pytest.raises(NotImplementedError, match="scan"):
-        program_of(lambda x: jax.lax.fori_loop(0, 3, lambda _, y: 2.0 * y, x), np.ones(2))
+def test_loops_until_a_condition_holds_have_no_scalar_form():
+    with pytest.raises(NotImplementedError, match="while"):
+        program_of(
+            lambda x: jax.lax.while_loop(lambda y: y[0] < 9.0, lambda y: 2.0 * y, x), np.ones(2)
+        )

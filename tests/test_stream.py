@@ -282,6 +282,16 @@ def test_what_is_no_covariance_is_refused(tmp_path, change, words):
         load_state(path, ekf)
 
 
+@pytest.mark.parametrize("scale", [1e3, 1e12, 1e300])
+def test_a_mass_that_no_robot_moves_is_refused(tmp_path, scale):
+    """Finite numbers with a sound covariance, and no body of this robot nor of any."""
+    path, ekf = tmp_path / "state.npz", estimator()
+    save_state(path, ekf, ekf.initial())
+    forged(path, mean=scale * (1.0 + np.abs(np.asarray(ekf.initial().belief.mean))))
+    with pytest.raises(StateError, match=r"the mass of '.*' is .* kg, of a robot of"):
+        load_state(path, ekf)
+
+
 def forged(path, **changes) -> None:
     with np.load(path) as file:
         arrays = {**file, **changes}

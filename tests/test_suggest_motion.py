@@ -2,7 +2,6 @@
 
 import csv
 import functools
-import json
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,12 +9,18 @@ import mujoco
 import numpy as np
 import pytest
 from excitation import torques
+from schemas import validated
 
 import jax_inertia as ji
 from jax_inertia.cli.main import main
-from jax_inertia.estimation.excitation import SAMPLE_RATE, Series, Suggestion, suggest_motion
-from jax_inertia.estimation.motion_limits import Limits, collision_free
 from jax_inertia.estimation.priors import Load
+from jax_inertia.estimation.suggest.excitation import (
+    SAMPLE_RATE,
+    Series,
+    Suggestion,
+    suggest_motion,
+)
+from jax_inertia.estimation.suggest.motion_limits import Limits, collision_free
 from jax_inertia.maths.inertial_parameters import PI_NAMES
 from jax_inertia.model.load import body_pi
 
@@ -202,7 +207,7 @@ def test_command_writes_a_motion_to_play(tmp_path, capsys):
     arguments = [tmp_path / "arm.xml", "--bodies", "hand", "--out", out, "--period", f"{PERIOD:g}"]
     arguments += ["--range", "roll", "-0.5", "0.7", "--velocity", "1", "1", "2", "--rate", "50"]
     assert main(["suggest-motion", *map(str, arguments), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = validated("suggest-motion", capsys.readouterr().out)
     assert told["nats"]["suggested"] > told["nats"]["random"]
     assert list(told["sigma"]["suggested"]) == [f"hand.{name}" for name in PI_NAMES]
     with open(out, newline="") as file:

@@ -20,6 +20,21 @@ RETIRED = {
     r"outsiders?": "generic alternative",
     r"strain|strains|strained": "prior violation",
 }
+# In pages for users and in what commands print, beyond the above.
+FOR_USERS = {
+    r"said": "stated; the message reports",
+    r"asked": "requested; checked",
+    r"owe[ds]?": "depends on",
+    r"foretell|foretold": "predicted",
+    r"parts? them": "distinguishes them",
+    r"is told|are told": "is reported; is determined",
+    r"mend(s|ed)?": "corrected",
+    r"in vain": "without effect",
+}
+DOCS = PACKAGE.parent / "docs"
+NAMES = """index start_arm start_policy start_jax diagnose estimate report json motion fleet live
+    logs log_meets_model faq limits conventions extending floating_base position_controlled training whole_robot"""
+PAGES = [DOCS.parent / "README.md", *(DOCS / f"{name}.md" for name in NAMES.split())]
 # Of effects, words on the report's page are older than this table.
 OLD = (PACKAGE / "diagnosis/effects",)
 FILES = [
@@ -44,18 +59,67 @@ def texts(source: str) -> list[tuple[int, str]]:
     return [(line, " ".join(re.sub("`[^`]*`", "", text).split())) for line, text in found]
 
 
-def retired(source: str) -> list[str]:
+def hits(found: list[tuple[int, str]], words: dict[str, str]) -> list[str]:
     return [
         f"line {line}: {hit.group()!r}, better: {better}"
-        for line, text in texts(source)
-        for pattern, better in RETIRED.items()
+        for line, text in found
+        for pattern, better in words.items()
         for hit in re.finditer(rf"\b({pattern})\b", text, re.IGNORECASE)
     ]
+
+
+def retired(source: str) -> list[str]:
+    return hits(texts(source), RETIRED)
+
+
+def prose(page: str) -> list[tuple[int, str]]:
+    """A page's paragraphs without code and quoted outputs, which are the tool's own words."""
+    page = re.sub(r"```.*?```|`[^`]*`", lambda m: "\n" * m[0].count("\n"), page, flags=re.DOTALL)
+    page = re.sub(r"^    .*$", "", page, flags=re.MULTILINE)
+    return [(1, " ".join(page.split()))]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_retired_words_do_not_come_back(path):
     assert retired(path.read_text()) == []
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_pages_for_users_speak_plainly(path):
+    found = hits(prose(path.read_text()), RETIRED | FOR_USERS)
+    assert found == []
+
+
+def test_the_rule_for_pages_can_fail():
+    assert hits(prose("What the log\nis told, and `said`."), FOR_USERS)
+    assert not hits(prose("It is `said`.\n\n    as the tool said\n"), FOR_USERS)
+
+
+def printed(source: str) -> list[tuple[int, str]]:
+    """Strings of a module that are not docstrings: errors, notes, help."""
+    tree = ast.parse(source)
+    documented = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    return [
+        (node.lineno, " ".join(re.sub("`[^`]*`", "", node.value).split()))
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in documented
+        and " " in node.value
+    ]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for p in FILES if p.suffix == ".py"],
+    ids=lambda path: path.relative_to(PACKAGE).as_posix(),
+)
+def test_what_commands_print_is_plain(path):
+    assert hits(printed(path.read_text()), FOR_USERS) == []
 
 
 def test_the_rule_can_fail():

@@ -23,12 +23,13 @@ FOLDERS = {
     "preflight": ("is the log sound?", ANSWERS, 0, 5),
     "estimation": ("inertial parameters", ANSWERS, 2, 6),
     "diagnosis": ("effects, whole robots", ANSWERS, 0, 7),
-    "gap": ("search for one effect", ANSWERS, 1, 8),
+    "likelihood": ("closed loops, linear", ANSWERS, 1, 8),
     "replay": ("position targets only", ANSWERS, 2, 9),
     "fleet": ("many logs, many dates", ANSWERS, 0, 8),
     "control": ("whole-body controller", LEAVES, 3, 7),
     "robots": ("models for examples", LEAVES, 3, 3),
-    "cli": ("the commands", LEAVES, 2, 10),
+    "trainers": ("files to train with", ANSWERS, 3, 10),
+    "cli": ("the commands", LEAVES, 2, 11),
 }
 
 

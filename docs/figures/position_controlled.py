@@ -3,7 +3,7 @@
 import runpy
 from pathlib import Path
 
-from jax_inertia.replay.figures import replays
+from jax_inertia.replay.output.figures import replays
 from jax_inertia.replay.pipeline import diagnose
 
 ROOT = Path(__file__).parents[2]

@@ -22,7 +22,7 @@ ANNOTATED = """<style>
 section:nth-of-type(1) h2::before { content: "4"; } section:nth-of-type(2) h2::before { content: "5"; }
 section:nth-of-type(3) h2::before { content: "6"; } section:nth-of-type(4) h2::before { content: "7"; }
 section:nth-of-type(5) h2::before { content: "8"; } section:nth-of-type(6) h2::before { content: "9"; }
-section:nth-of-type(7) h2::before { content: "10"; }
+section:nth-of-type(7) h2::before { content: "10"; } section:nth-of-type(8) h2::before { content: "11"; }
 .badge::before, .badge + .soft::before, h1::before, h2::before {
   display: inline-block; min-width: 1.5em; margin-right: .5em; padding: 0 .3em; border-radius: 99px;
   background: #000; color: #fff; font: 700 1rem/1.5 sans-serif; text-align: center; }
@@ -73,7 +73,7 @@ def main() -> None:
         screenshot(report, FIGURES / "readme_diagnose.png", 1010)
         annotated = report.with_name("annotated.html")
         annotated.write_text(report.read_text().replace("</head>", ANNOTATED + "</head>"))
-        screenshot(annotated, FIGURES / "report_annotated.png", 2100)
+        screenshot(annotated, FIGURES / "report_annotated.png", 2600)
 
         run(folder, *JAX_INERTIA, "demo")
         demo = ("out/demo/log.npz", "--model", "out/demo/model.xml", "--bodies", "hand")
