@@ -18,6 +18,7 @@ if version("jaxlib").startswith("0.9."):
 if "PYTEST_XDIST_WORKER" in os.environ:
     FLAGS.append("--xla_cpu_multi_thread_eigen=false")
 os.environ["XLA_FLAGS"] = " ".join([*FLAGS, os.environ.get("XLA_FLAGS", "")])
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as the command line has it
 
 import annotations  # noqa: E402
 import jax  # noqa: E402

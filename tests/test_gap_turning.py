@@ -64,8 +64,11 @@ def test_a_model_whose_own_friction_creeps_has_no_gap(encoder):
 
 
 @pytest.mark.parametrize("friction", [(1.0, 0.5), (2.0, 1.0)])
-def test_joints_that_halt_as_they_turn_round_have_no_gap(friction):
-    """For some hundredths of a second the model's own friction holds them, and is then whatever balances."""
+def test_joints_that_halt_as_they_turn_round_have_no_effect(friction):
+    """For some hundredths of a second the model's own friction holds them, and is then whatever balances.
+
+    What is left, the robot's law of turning round being another than the model's, is below 1 % of the friction.
+    """
     shoulder, elbow = friction
     own = ARM.replace('damping="0.3"', f'damping="0.3" frictionloss="{shoulder}"')
     own = own.replace('damping="0.2"', f'damping="0.2" frictionloss="{elbow}"')
@@ -75,7 +78,9 @@ def test_joints_that_halt_as_they_turn_round_have_no_gap(friction):
         return -np.array(friction) * np.tanh(v / 0.004)
 
     found = diagnose(robot, simulate_arm(turning, noise=0.3, seed=2))
-    assert found.verdict is Verdict.NO_GAP
+    assert not found.odd
+    assert found.verdict in (Verdict.NO_GAP, Verdict.UNKNOWN)
+    assert found.checked.after < 0.01 * max(friction)
 
 
 @pytest.mark.slow

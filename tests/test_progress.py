@@ -118,3 +118,24 @@ print(json.dumps([e.stat().st_size for e in entries]))
     assert len(sizes) > 1
     assert sum(sizes) <= 40_000
     assert compiled.MOST_BYTES <= 2**30
+
+
+def test_a_second_command_says_nothing_of_the_cache(tmp_path):
+    """XLA's own remarks on what it reads back fill the screen otherwise."""
+    program = """
+from jax_inertia.cli.main import main
+from jax_inertia.cli.running import compiled
+compiled.LEAST_SECONDS = 0.0
+main(["compare", "one"])  # which is nothing to compare, and one line
+import jax
+jax.jit(lambda x: x + 1.0)(1.0)
+"""
+    away = ("COMPILATION_CACHE", "TF_CPP", "XLA_FLAGS")
+    own = {k: v for k, v in os.environ.items() if not any(name in k for name in away)}
+    own["JAX_INERTIA_CACHE"] = str(tmp_path)
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=own, capture_output=True, text=True, check=True
+        )
+        assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert any(tmp_path.iterdir())

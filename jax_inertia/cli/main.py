@@ -137,6 +137,8 @@ def _done(args: argparse.Namespace) -> int:
     in_utf_8()
     end_with_input()
 
+    # XLA complains of its own compilation cache in hundreds of lines that no user can act on; read once, at its import.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         import jax
 
