@@ -8,7 +8,19 @@ from pathlib import Path
 
 # Options of `estimate` that mean something here; others with a value of their own are refused.
 _USED = ("wrench", "wrench_axes", "flip_wrenches", "prior_mass", "prior_reach", "cutoff", "rate")
-_USED += ("log", "model", "out", "json", "time_unit", "fix", "joints", "mount", "run", "command", "no_cache")
+_USED += (
+    "log",
+    "model",
+    "out",
+    "json",
+    "time_unit",
+    "fix",
+    "joints",
+    "mount",
+    "run",
+    "command",
+    "no_cache",
+)
 
 
 def add_wrench(add: Callable[..., object]) -> None:
