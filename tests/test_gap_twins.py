@@ -7,6 +7,7 @@ from arm_log import ARM, TORQUE, asked, loaded, logged, simulate, wave
 
 from jax_inertia import load_model
 from jax_inertia.diagnosis.entry import diagnose
+from jax_inertia.diagnosis.result import Verdict
 
 ENCODER = 1e-4
 
@@ -22,8 +23,11 @@ def quick_and_slow(t, seed):
     return tuple(sum(size * x[k] for size, x in parts) for k in range(2))
 
 
-def late(lag=0.0, delay=0, seed=0, seconds=8.0, wave=wave, encoder=ENCODER):
-    """A log of a loop that feeds its encoders' noise back; torque comes late by a lag [s] or by steps of 1 ms."""
+def late(lag=0.0, delay=0, seed=0, seconds=8.0, wave=wave, encoder=ENCODER, hold=2):
+    """A log of a loop that feeds its encoders' noise back; torque comes late by a lag [s] or by steps of 1 ms.
+
+    `hold`: steps of the loop and of the log.
+    """
     model = mujoco.MjModel.from_xml_string(ARM)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = wave(0.0, seed)
@@ -31,9 +35,9 @@ def late(lag=0.0, delay=0, seed=0, seconds=8.0, wave=wave, encoder=ENCODER):
     commands, state, before, rows = [], None, None, []
     for k in range(round(seconds * 1000)):
         target, speed = wave(data.time, seed)
-        if k % 2 == 0:
+        if k % hold == 0:
             seen = data.qpos + encoder * rng.standard_normal(2)
-            slope = (seen - (seen if before is None else before)) / 0.002
+            slope = (seen - (seen if before is None else before)) / (1e-3 * hold)
             u = asked(target, speed, seen, slope)
             before = seen
             rows.append((data.time, seen, u + TORQUE * rng.standard_normal(2)))
@@ -60,6 +64,16 @@ def test_a_lag_and_a_delay_of_a_loop_that_feeds_noise_back(robot, how, family):
     (effect,) = diagnose(robot, late(**how, seed=1)).odd
     assert (family, "global") in {(x.family, x.place.kind) for x in (effect, *effect.equivalent)}
     assert next(iter(effect.parameters.values())).value == pytest.approx(0.006, rel=0.05)
+
+
+def test_a_delay_of_a_sample_and_a_half_is_no_matter_of_stamps(robot):
+    """A normal tolerance of when torques act took all of it, and no file held it: stated was what nobody was given."""
+    found = diagnose(robot, late(delay=6, seed=1, hold=4))
+    (effect,) = found.odd
+    assert effect.place.kind == "global"
+    assert effect.family in ("time_delay", "actuator_lag")
+    assert next(iter(effect.parameters.values())).value == pytest.approx(0.006, rel=0.05)
+    assert found.verdict is Verdict.EXPLAINED
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from jax_inertia.diagnosis.certainty.causes import Judges
-from jax_inertia.diagnosis.certainty.probability import odds_of_effect, probability
+from jax_inertia.diagnosis.certainty.probability import behind_it, odds_of_effect, probability
 from jax_inertia.diagnosis.certainty.rivals import is_law_of, rivals
 from jax_inertia.diagnosis.checks import rows
 from jax_inertia.diagnosis.corrected.intervals import ORDINARY_NUMBERS, added, intervals, reported
@@ -60,13 +60,15 @@ def _found(selection, h: Hypothesis, shares, worths, judges: Judges, settings: S
     others = () if h.ordinary else rivals(selection, h, settings)
     own = worths[id(h)] - h.odds
     reach = settings.reach(own)
+    # What another predicts as well on rows that no number was fitted to is for no reader to choose from this log.
+    behind = [0.0 if r.behind < reach else behind_it(selection, h, r, judges) for r in others]
     ties = tuple(
         Tie(r.hypothesis.family, r.hypothesis.place, _kind(selection, h, r.hypothesis))
-        for r in others
-        if r.behind < reach
+        for r, by in zip(others, behind, strict=True)
+        if by <= 0.0
     )
-    beyond = [r for r in others if r.behind >= reach]
-    odds = own if h.ordinary else odds_of_effect(selection, h, beyond, judges)
+    apart = [by for by in behind if by > 0.0]
+    odds = own if h.ordinary else odds_of_effect(selection, h, apart, judges)
     return Found(
         family=h.family,
         place=h.place,

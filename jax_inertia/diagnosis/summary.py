@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.certainty.causes import Judges, carried_over, odds_of_others
+from jax_inertia.diagnosis.certainty.causes import Judges, carried_over, odds_of_others, remembering
 from jax_inertia.diagnosis.certainty.doubts import Doubts, odds_of_verdict
 from jax_inertia.diagnosis.certainty.probability import confidence, probability
 from jax_inertia.diagnosis.checks import (
@@ -122,7 +122,7 @@ def causes_of(
     kept = {h.key: h for h in causes.chosen}
     likely = [(h if h in causes.chosen else kept[h.key], f) for h, f in likely if h.key in kept]
     told = dataclasses.replace(selection, residual=residual, posterior=causes)
-    before = dataclasses.replace(selection, posterior=everything)
+    before = remembering(selection, everything)
     others = odds_of_others(before, causes, dropped, judges)
     bent = tuple(x.line for x in refuted(told, settings))
     worths = zip(now.chosen, evidence.worths(now), strict=True)

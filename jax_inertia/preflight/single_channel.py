@@ -108,9 +108,15 @@ def saturated(log: Log, time: np.ndarray) -> Iterator[Finding]:
 
 
 def registers(log: Log) -> Iterator[Finding]:
-    """Signed values in a register read without its sign: they jump by all that it holds, and by nothing near it."""
+    """Signed values in a register read without its sign: they jump by all that it holds, and by nothing near it.
+
+    They have one sign then, whatever the scale. One that has both is none: of continuous values the least step means
+    nothing, and some multiple of it is always near the largest jump.
+    """
     for label, x in _columns(log, ("qpos", "qvel", "tau")):
         step = quantum(x)
+        if x.min() < 0.0 < x.max():
+            continue
         change = np.abs(np.diff(x))
         for bits in (16, 32):
             whole = step * (1 << bits)

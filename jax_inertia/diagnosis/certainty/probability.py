@@ -5,7 +5,7 @@
 L are log odds, in nats, that an effect, or one that is tied with it, is there. E: its log evidence against nothing in
 its place, prior odds taken off, the less of what the fitted rows say and of what rows do that no number was fitted to
 (`evidence_of_causes`). cₐ: by how much alternative a is behind it, on the fitted rows or on those others, whichever is
-less: what predicts them as well may be there instead. Alternatives that are tied are counted with it.
+less. Alternatives that are tied are counted with it: what predicts those others no worse may be there instead.
 
 Equations are not exact, and what they miss grows with an effect's size, so L is too sure of itself in proportion. The
 probability is p = 1 / (1 + exp(−a asinh L)) (after Platt, Advances in Large Margin Classifiers, 1999; even odds stay
@@ -33,21 +33,24 @@ def log_odds(against: Sequence[float]) -> float:
 
 
 def odds_of_effect(
-    selection: Selection, h: Hypothesis, beyond: Sequence[Rival], judges: Judges
+    selection: Selection, h: Hypothesis, apart: Sequence[float], judges: Judges
 ) -> float:
     """Log odds that one of the chosen, or one tied with it, is there [nats].
 
-    `beyond`: alternatives that are not tied with it.
+    `apart`: how far alternatives that are not tied with it are behind (`behind_it`).
     """
-    now, rest = selection.posterior, selection.posterior.without(h)
+    now = selection.posterior
     (cause,) = evidence_of_causes(selection, (h,), judges)
     (own,) = (w for c, w in zip(now.chosen, selection.evidence.worths(now), strict=True) if c is h)
-    against = [min(float(own), cause) - h.odds]
-    for rival in beyond:
-        instead = selection.evidence.posterior((*rest.chosen, rival.hypothesis))
-        ahead = sum(judge.ahead(now, instead) for judge in judges)
-        against.append(min(rival.behind, max(ahead, 0.0)))
-    return log_odds(against)
+    return log_odds((min(float(own), cause) - h.odds, *apart))
+
+
+def behind_it(selection: Selection, h: Hypothesis, rival: Rival, judges: Judges) -> float:
+    """By how much an alternative is behind one of the chosen, cₐ [nats]; 0 where it predicts unseen rows no worse."""
+    now = selection.posterior
+    instead = selection.evidence.posterior((*now.without(h).chosen, rival.hypothesis))
+    ahead = sum(judge.ahead(now, instead) for judge in judges)
+    return min(rival.behind, max(ahead, 0.0))
 
 
 def probability(odds: float) -> float:

@@ -8,6 +8,9 @@ from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
 
+TIMING = -3
+"""Column of a log's tolerances that says when torques act."""
+
 
 class InertialTolerances(Effect):
     """y = Y Σ (one standard deviation of each number) z.

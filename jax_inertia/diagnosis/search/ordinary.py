@@ -18,7 +18,7 @@ from jax_inertia.diagnosis.effects.friction_forms import (
     StatedFriction,
 )
 from jax_inertia.diagnosis.effects.ground import places_of_ground
-from jax_inertia.diagnosis.effects.tolerances import InertialTolerances, StatedNumbers
+from jax_inertia.diagnosis.effects.tolerances import TIMING, InertialTolerances, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Ordinary, Residual
 from jax_inertia.diagnosis.search.candidates import make
@@ -62,7 +62,7 @@ def ordinary_physics(
         for place in dry.places(residual.context):
             before = evidence.posterior(tuple(chosen))
             chosen += _turning(residual, evidence, before, dry, place, settings)
-    now = learned(evidence, tuple(chosen), 4)
+    now = _in_time(residual, evidence, learned(evidence, tuple(chosen), 4))
     now = bounded(residual, evidence, now)
     plain = now.chosen
     for _ in range(2):
@@ -83,7 +83,23 @@ def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> O
     for place in stated.places(residual.context):
         before = evidence.posterior(tuple(chosen))
         chosen += _turning(residual, evidence, before, stated, place, settings)
-    return OrdinaryPhysics(evidence, learned(evidence, tuple(chosen), 4), ())
+    return OrdinaryPhysics(
+        evidence, _in_time(residual, evidence, learned(evidence, tuple(chosen), 4)), ()
+    )
+
+
+def _in_time(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
+    """Without a tolerance of when torques act where they do at no moment that a convention of stamps has.
+
+    A normal prior lets a delay of a sample and a half pass for stamps that are six standard deviations off. Such a one
+    is the robot's, for the search to name and for its files to hold.
+    """
+    base = next(h for h in now.chosen if isinstance(h.effect, InertialTolerances))
+    error, most = base.shape[3], base.shape[7]
+    if abs(error * now.mean[now.part(base)][TIMING]) <= most:
+        return now
+    stamped = reshaped(base, residual, (*base.shape[:3], 0.0, *base.shape[4:]))
+    return learned(evidence, tuple(stamped if h is base else h for h in now.chosen), 1)
 
 
 def presliding_of(chosen: Iterable[Hypothesis]) -> dict[int, float]:
