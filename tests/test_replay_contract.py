@@ -288,3 +288,28 @@ def test_a_record_of_other_gains_is_replayed_with_them():
     other.actuator_biasprm[:, 1:3] *= 0.5
     wanted = handover.replayed(other, names, softer, record_of(log, softer))
     np.testing.assert_allclose(done, wanted, atol=1e-12)
+
+
+URDF = """
+<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.12"/><mass value="1"/>
+<inertia ixx="0.006" iyy="0.006" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>
+<inertia ixx="0.002" iyy="0.002" izz="0.0004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="30" velocity="20"/><dynamics damping="0.05" friction="0.1"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -0.25"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="30" velocity="20"/><dynamics damping="0.05" friction="0.1"/>
+</joint></robot>"""
+
+
+def test_a_urdf_comes_back_as_one_with_what_it_can_hold(tmp_path):
+    """Two thirds of the friction are missing in it, and the rotors; of the latter a URDF has no place."""
+    ji.write_log(without_torque(run(dry=(0.3, 0.2), seconds=5.0)), tmp_path / "log.npz")
+    (tmp_path / "arm.urdf").write_text(URDF)
+    out = tmp_path / "out"
+    asked = ["diagnose", str(tmp_path / "log.npz"), "--model", str(tmp_path / "arm.urdf")]
+    assert main([*asked, "--kp", "40", "25", "--kd", "1.5", "0.8", "--out", str(out)]) == 0
+    back = mujoco.MjModel.from_xml_path(str(out / "corrected.urdf"))
+    np.testing.assert_allclose(back.dof_frictionloss, [0.4, 0.3], rtol=0.05)
+    (lost,) = (x for x in json.loads((out / "report.json").read_text())["notes"] if "URDF" in x)
+    assert "armature of shoulder, elbow" in lost

@@ -57,9 +57,10 @@ def judged(data: Path, out: Path) -> dict:
     truth = json.loads((data / "truth.json").read_text())
     log, test = read(data / "log.npz"), read(data / "test.npz")
     model = mujoco.MjModel.from_xml_path(str(data / "nominal.xml"))
-    before = {k: torque_error(model, needed, x)["rms"] for k, x in (("log", log), ("test", test))}
+    given = {k: torque_error(model, needed, x) for k, x in (("log", log), ("test", test))}
+    before = {k: x["rms"] for k, x in given.items()}
     told, odd = of_folder(out, data), truth["odd"]
-    stated = report["shrink"]["heldout"]
+    stated, error = report["shrink"]["heldout"], told.error(test)
     row = {
         "name": data.name,
         "robot": truth["robot"],
@@ -69,7 +70,8 @@ def judged(data: Path, out: Path) -> dict:
         "gaps": before | {"stated": stated["before"]},
         "stated": stated["after"] / stated["before"],
         "own": of_folder(out, data).error(log)["rms"] / before["log"],
-        "handed": told.error(test)["rms"] / before["test"],
+        "handed": error["rms"] / before["test"],
+        "handed_away": error["away"] / given["test"]["away"],
         "ls": torque_error(model, fit(model, log), test)["rms"] / before["test"],
         "left_out": sorted(told.left_out),
         "kind": truth["motion"]["test"],
@@ -125,6 +127,9 @@ def summary(rows: list[dict]) -> dict:
         "handed_over_vs_least_squares": arrays["handed"] / arrays["ls"],
         "handed_over_vs_stated": arrays["handed"] / arrays["stated"],
     }
+    if counted and all("handed_away" in r for r in counted):
+        away = np.array([r["handed_away"] for r in counted])
+        ratios["away_vs_stated"] = away / arrays["stated"]
     if counted and all("gaps" in r for r in counted):
         own, other = (np.array([r["gaps"][k] for r in counted]) for k in ("stated", "test"))
         ratios["in_newton_metres"] = ratios["handed_over_vs_stated"] * other / own
@@ -179,6 +184,7 @@ def page(stored: dict) -> str:
         "ls": "plain least squares (the same other run)",
         "handed_over_vs_least_squares": "handed over / least squares",
         "handed_over_vs_stated": "handed over / stated",
+        "away_vs_stated": "the same of rows that are 0.1 s from any rest, handed over",
         "in_newton_metres": "the same of both errors in N m, whatever the gap of their rows",
     }
     for key, name in names.items():

@@ -11,7 +11,7 @@ from jax_inertia.trainers import SIMULATORS
 _DESCRIPTION = """
 Find what MODEL lacks, compared with the robot of LOG: each effect, its place, its size, and how far the error shrinks
 with it. Writes report.json, report.html (one file, for people) and corrected.xml (MODEL with the
-effects added), and for a URDF with wrong inertials corrected.urdf. A LOG of a position-controlled robot, with
+effects added), and of a URDF corrected.urdf. A LOG of a position-controlled robot, with
 the torque of its loop or without, is diagnosed by closed-loop replays of its targets: see docs/position_controlled.md.
 """
 _EXAMPLES = """

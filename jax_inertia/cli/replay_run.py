@@ -18,7 +18,8 @@ from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
-from jax_inertia.model.load import compile_spec, load_model, load_spec
+from jax_inertia.model.load import compile_spec, is_urdf, load_model, load_spec, model_path
+from jax_inertia.model.write import write_urdf_as
 from jax_inertia.preflight.preflight import Finding, Severity
 from jax_inertia.replay import checks, command, handover
 from jax_inertia.replay.entry import known_loop, nominal_spec, usable
@@ -138,9 +139,6 @@ def written(
     source, model = paths
     halves = command.command_half(log, found.loop) if found.replayed.torques else ()
     out = report.to_report(found, quality=quality, halves=halves)
-    (folder / "report.json").write_text(
-        json.dumps(out, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-    )
     (folder / "policy.json").write_text(
         json.dumps(out["policy"], indent=1) + "\n", encoding="utf-8"
     )
@@ -149,6 +147,14 @@ def written(
         text = f"<!-- {said} -->\n{text}"
         warn(said)
     (folder / "corrected.xml").write_text(text, encoding="utf-8")
+    if is_urdf(model_path(model)):
+        before = compile_spec(load_spec(model))
+        after = handover.read_in(found.text, model, folder.parent)
+        if lost := write_urdf_as(model_path(model), folder / "corrected.urdf", before, after):
+            out["notes"].append(lost)
+    (folder / "report.json").write_text(
+        json.dumps(out, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
     if nothing := trainers.written(folder, found, exports, source.name, model.name):
         warn(nothing)
     page = report.page(found, out, (source.name, model.name))

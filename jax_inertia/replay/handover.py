@@ -51,16 +51,21 @@ def in_folder(source: Path, home: Path) -> Writer:
 
     def write(spec: MjSpec) -> tuple[str, MjModel]:
         text = loadable(spec, source, home)
-        with tempfile.NamedTemporaryFile(
-            "w", dir=home, prefix=".part-", suffix=".xml", delete=False
-        ) as file:
-            file.write(text)
-        try:
-            return text, compile_spec(load_spec(file.name), source)
-        finally:
-            Path(file.name).unlink(missing_ok=True)
+        return text, read_in(text, source, home)
 
     return write
+
+
+def read_in(text: str, source: Path, home: Path) -> MjModel:
+    """The model of a file with this text in the folder `home`; `source`: the model that it was made of."""
+    with tempfile.NamedTemporaryFile(
+        "w", dir=home, prefix=".part-", suffix=".xml", delete=False
+    ) as file:
+        file.write(text)
+    try:
+        return compile_spec(load_spec(file.name), source)
+    finally:
+        Path(file.name).unlink(missing_ok=True)
 
 
 def written(found: Correction, spec: MjSpec, write: Writer) -> Written:
