@@ -8,12 +8,14 @@ of the largest torque. All filters get the same 20 Hz observations, of which one
 the noise's size as stated; one vmapped scan runs them all.
 
 Baselines: `linear` is the paper's Kalman filter on π; `rls` recursive least squares of π with a memory of 2.5 s;
-`batch` least squares of load, friction and offsets over what follows the pick-up, whose moment it is given.
+`batch` least squares of load, friction and offsets over what follows the pick-up, whose moment it is given; `log-det`
+the same within what a body can be, by a semidefinite program (`harness/log_det.py`).
 """
 
 import json
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jax_inertia as ji
-from benchmarks.harness import pickup_log
+from benchmarks.harness import log_det, pickup_log
 from benchmarks.harness.pickup_log import WRIST
 from jax_inertia.estimation import joint_terms, log_filter, pieces
 from jax_inertia.estimation.inertial_filter import make_estimator
@@ -75,8 +77,16 @@ _QUICK = {"xla_backend_optimization_level": 0}
 filtered = eqx.filter_jit(_filtered, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
 
 
-def least_squares(robot, observation, joints, sigma, own) -> tuple[np.ndarray, tuple[float, float]]:
-    """(mass over time by recursive least squares of π; mass and σ by batch least squares after the pick-up)."""
+class Baselines(NamedTuple):
+    """Mass over time by recursive least squares; mass and σ by two fits of what follows the pick-up [kg]."""
+
+    rls: np.ndarray
+    batch: tuple[float, float]
+    log_det: tuple[float, float]
+
+
+def baselines(robot, observation, joints, sigma, own) -> Baselines:
+    """What is compared with, of one log."""
     y, others, valid = log_filter.regressors(robot, observation, [WRIST])
     nominal = np.asarray(robot.pi)[robot.body_index(WRIST)]
     prior = np.asarray(ji.Load(0.1 * float(robot.pi[:, 0].sum())).sigma_pi()) * 10.0
@@ -90,8 +100,12 @@ def least_squares(robot, observation, joints, sigma, own) -> tuple[np.ndarray, t
     after = slice(int(np.searchsorted(observation.motion.time, AT + 0.15)), len(y))
     inner, right = wide.normal(after, sigma)
     inverse = np.linalg.inv(inner)
-    found = own + (wide.sigma * (inverse @ right))[0]
-    return mass, (found, wide.sigma[0] * float(np.sqrt(inverse[0, 0])))
+    size = wide.sigma[0]
+    batch = own + size * (inverse @ right)[0], size * float(np.sqrt(inverse[0, 0]))
+    # The ridge of the first ten makes way for the log-det prior.
+    data = inner - np.diag((np.arange(len(right)) < 10).astype(float))
+    z, spread = log_det.solved(data, right, nominal, wide.sigma[:10])
+    return Baselines(mass, batch, (own + size * z[0], size * float(np.sqrt(spread[0, 0]))))
 
 
 def found_after(time, mass, truth) -> np.ndarray:
@@ -142,13 +156,17 @@ def arm(kind: str) -> list[dict]:
                 share = rejected.sum(1) / np.maximum(tested.sum(1), 1)
                 out += cells(kind, name, lost, friction, time, mass, s[:, -1], share, truth)
             runs = [jax.tree.map(lambda x, i=i: x[i], seen) for i in range(len(truth))]
-            both = [least_squares(robot, x, joints, sigma, pickup_log.own_mass(kind)) for x in runs]
-            mass = np.array([x[0] for x in both])
+            both = [baselines(robot, x, joints, sigma, pickup_log.own_mass(kind)) for x in runs]
+            mass = np.array([x.rls for x in both])
             none = np.full(len(truth), np.nan)
             out += cells(kind, "rls", lost, friction, time, mass, none, none, truth)
-            last, s = np.array([x[1] for x in both]).T
-            mass = np.repeat(last[:, None], len(time), 1)
-            out += cells(kind, "batch", lost, friction, time, mass, s, none, truth)
+            for name, told in (
+                ("batch", [x.batch for x in both]),
+                ("log-det", [x.log_det for x in both]),
+            ):
+                last, s = np.array(told).T
+                mass = np.repeat(last[:, None], len(time), 1)
+                out += cells(kind, name, lost, friction, time, mass, s, none, truth)
     return out
 
 
