@@ -1,6 +1,6 @@
 """`ji.estimate` on an arm whose links are known to a tolerance: does it find nothing where nothing is, and its ± hold?
 
-    python -m benchmarks.held [LOGS]              # results/held.json; some ten seconds a log
+    python -m benchmarks.held [LOGS [JOBS]]       # results/held.json; some ten seconds a log
 
 An arm of six joints (`harness/pickup_log.py`, "spherical": none of `loads.py`'s table) moves for ten seconds, by
 MuJoCo C's inverse dynamics, every other log with friction and offsets of 1 % of the largest torque. The model that the
@@ -9,7 +9,9 @@ estimate gets has masses, centres and radii of gyration of all links off by the 
 """
 
 import json
+import multiprocessing
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import mujoco
 import numpy as np
@@ -18,7 +20,8 @@ import scipy.stats
 import jax_inertia as ji
 from benchmarks.harness import pickup_log, results
 from benchmarks.harness.pickup_log import WRIST
-from jax_inertia.estimation.log_estimate import body_report
+from jax_inertia.estimation.log_estimate import Z95, body_report
+from jax_inertia.maths.inertial_parameters import PI_NAMES
 
 KIND, SECONDS, FRICTION = "spherical", 10.0, 0.01
 MASS, CENTRE, GYRATION = 0.02, 0.001, 0.05
@@ -47,18 +50,32 @@ def one(number: int) -> dict:
     )
     robot = ji.load_model(off(pickup_log.arm(KIND), rng))
     found = ji.estimate(robot, log, [WRIST])
-    mass = {}
+    whole = ji.load_model(pickup_log.loaded(KIND, ratio * own))
+    pi = dict(zip(PI_NAMES, np.asarray(whole.pi)[whole.body_index(WRIST)].tolist(), strict=True))
+    com = np.array([pi[f"h{k}"] for k in "xyz"]) / pi["m"]
+    ways, report = {}, body_report(found, 0)
     for way in ("batch", "online"):
-        stated = body_report(found, 0)[way]["mass_kg"]
-        error = [float(x) - own * (1.0 + ratio) for x in (stated["value"], *stated["ci95"])]
-        mass[way] = {"error_kg": error[0], "holds": error[1] <= 0.0 <= error[2]}
+        stated = report[way]
+        error = [
+            float(x) - pi["m"] for x in (stated["mass_kg"]["value"], *stated["mass_kg"]["ci95"])
+        ]
+        within = np.abs(np.asarray(stated["com_m"]) - com) <= stated["com_ci95_half_width_m"]
+        ways[way] = {
+            "error_kg": error[0],
+            "holds": error[1] <= 0.0 <= error[2],
+            "com_holds": within.tolist(),
+            "pi_holds": [
+                bool(abs(float(stated["pi"][k]) - x) <= Z95 * float(stated["pi_sigma"][k]))
+                for k, x in pi.items()
+            ],
+        }
     return {
         "number": number,
         "ratio": ratio,
         "friction": friction,
         "p": float(found.held_p[0]),
         "refused": float(found.rejected_share),
-        **mass,
+        **ways,
     }
 
 
@@ -80,8 +97,13 @@ def summary(rows: list[dict]) -> dict:
             "empty hand, p < 0.05": share([x["p"] < 0.05 for x in empty]),
             "load, p < 0.01": share([x["p"] < 0.01 for x in full]),
             **{
-                f"95 % interval of the mass holds, {way}": share([x[way]["holds"] for x in some])
+                f"95 % interval of {what} holds, {way}": share(told)
                 for way in ("batch", "online")
+                for what, told in (
+                    ("the mass", [x[way]["holds"] for x in some]),
+                    ("a centre of mass", [y for x in some for y in x[way]["com_holds"]]),
+                    ("a number of π", [y for x in some for y in x[way]["pi_holds"]]),
+                )
             },
             "refused, largest share": max((x["refused"] for x in some), default=None),
         }
@@ -90,12 +112,15 @@ def summary(rows: list[dict]) -> dict:
 
 def main() -> None:
     """Log by log; what is written holds all that are done."""
+    count, jobs = (int(x) for x in (*sys.argv[1:], *("100", "1")[len(sys.argv) - 1 :]))
     rows: list[dict] = []
-    for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else 100):
-        rows.append(one(number))
-        print(json.dumps(rows[-1]), flush=True)
-        about = results.circumstances()
-        results.save_json(RESULTS, {"about": about, "summary": summary(rows), "rows": rows})
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        for row in pool.map(one, range(count)):
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+            about = results.circumstances()
+            results.save_json(RESULTS, {"about": about, "summary": summary(rows), "rows": rows})
 
 
 if __name__ == "__main__":
