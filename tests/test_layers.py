@@ -39,12 +39,12 @@ ORDER: dict[str, str] = {
     "control": "payload qp terms whole_body walking composite",
     "robots": "mjcf_elements nadia_figures humanoid_looks humanoid arm pendulum",
     "likelihood": "motion linearised response drive columns evidence rows closed_loop fit batch",
-    "replay": """loop joint_numbers record simulation fitting result checks search listing step_law corrected
-        handover proof command inputs remainder pipeline output entry""",
+    "replay": """loop joint_numbers record simulation fitting result remainder checks search listing step_law corrected
+        handover proof command inputs pipeline output entry""",
     "replay.simulation": "spec_edits model_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit draws",
     "replay.output": "figures policy report",
-    "replay.search": """ties parsimony causal held_out candidates tries by_law afresh odd exchange undecided instead
+    "replay.search": """ties parsimony causal unnamed held_out candidates tries by_law afresh odd exchange undecided instead
         clock entries closed_loop possible probability choice""",
     "trainers": "exports",
     "fleet": "running report_file numbers drift page jobs",

@@ -214,8 +214,11 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
         def likelier(self, new, old, weights):
             return -self.cost
 
-    def sure(theta, instead=(), cost=0.0, odd=()):
-        Rows.cost = cost
+        def unnamed(self, with_it, without, numbers):
+            return self.shapes
+
+    def sure(theta, instead=(), cost=0.0, odd=(), shapes=1e3):
+        Rows.cost, Rows.shapes = cost, shapes
         found = straight(theta, 0.0, theta)
         return probabilities(found, [(0,)], odd, {(0,): instead}, Rows())[0,]
 
@@ -227,6 +230,8 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
     assert sure(0.2, (Instead(p, 0.1, cost=0.0),)) == pytest.approx(0.5, abs=0.01)
     assert sure(0.2, (Instead(p, 0.1, "by the equation"),)) == alone
     assert sure(0.2, cost=100.0) < 0.2
+    assert sure(0.2, odd=[(0,)], shapes=-3.0) == pytest.approx(0.5, abs=0.01)
+    assert 0.5 < sure(0.2, shapes=0.0) < alone
 
 
 def test_a_limit_is_judged_by_validation_rows_as_no_parabola_reaches_a_model_without():
@@ -238,6 +243,9 @@ def test_a_limit_is_judged_by_validation_rows_as_no_parabola_reaches_a_model_wit
 
         def taken_back(self, found, units):
             return np.zeros((len(units) + 1, 1, 1))
+
+        def unnamed(self, with_it, without, numbers):
+            return 1e3
 
         def likelier(self, new, old, weights):
             return self.gain

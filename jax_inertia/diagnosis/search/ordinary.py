@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.optimize import minimize_scalar
 
+from jax_inertia.diagnosis.effects.actuator import Late
 from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
 from jax_inertia.diagnosis.effects.friction_forms import (
@@ -62,7 +63,7 @@ def ordinary_physics(
         for place in dry.places(residual.context):
             before = evidence.posterior(tuple(chosen))
             chosen += _turning(residual, evidence, before, dry, place, settings)
-    now = _in_time(residual, evidence, learned(evidence, tuple(chosen), 4))
+    now = learned(evidence, tuple(chosen), 4)
     now = bounded(residual, evidence, now)
     plain = now.chosen
     for _ in range(2):
@@ -83,20 +84,21 @@ def _calibrated(residual: Residual, evidence: Evidence, settings: Settings) -> O
     for place in stated.places(residual.context):
         before = evidence.posterior(tuple(chosen))
         chosen += _turning(residual, evidence, before, stated, place, settings)
-    return OrdinaryPhysics(
-        evidence, _in_time(residual, evidence, learned(evidence, tuple(chosen), 4)), ()
-    )
+    return OrdinaryPhysics(evidence, learned(evidence, tuple(chosen), 4), ())
 
 
-def _in_time(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
-    """Without a tolerance of when torques act where they do at no moment that a convention of stamps has.
+def in_time(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior:
+    """Without a tolerance of when torques act where, but for a delay, they did so at no moment that stamps may mean.
 
     A normal prior lets a delay of a sample and a half pass for stamps that are six standard deviations off. Such a one
-    is the robot's, for the search to name and for its files to hold.
+    is the robot's: what judges whether it is a cause must not have them to fall back on, nor what is stated.
     """
     base = next(h for h in now.chosen if isinstance(h.effect, InertialTolerances))
-    error, most = base.shape[3], base.shape[7]
-    if abs(error * now.mean[now.part(base)][TIMING]) <= most:
+    error, most, rest = base.shape[3], base.shape[7], now
+    for h in now.chosen:
+        if isinstance(h.effect, Late):
+            rest = rest.without(h)
+    if abs(error * rest.mean[rest.part(base)][TIMING]) <= most:
         return now
     stamped = reshaped(base, residual, (*base.shape[:3], 0.0, *base.shape[4:]))
     return learned(evidence, tuple(stamped if h is base else h for h in now.chosen), 1)

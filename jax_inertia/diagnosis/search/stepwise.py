@@ -16,6 +16,7 @@ from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.search.one_more import pruned, settled, turned, with_one_more
 from jax_inertia.diagnosis.search.ordinary import (
     bounded,
+    in_time,
     learned,
     ordinary_of,
     ordinary_physics,
@@ -57,7 +58,7 @@ def searched(
         bank = Bank(every)
         now = _stepwise(residual, evidence, now, bank, settings)
         now = _refined(residual, evidence, now, bank)
-        now = reconsidered(residual, evidence, now, tried, settings)
+        now = in_time(residual, evidence, reconsidered(residual, evidence, now, tried, settings))
         if _numbers_of(now.chosen) == _numbers_of(before):
             break
         every = (

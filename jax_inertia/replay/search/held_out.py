@@ -12,6 +12,7 @@ from jax_inertia.replay.fitting.errors import Weights, replay_errors
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
+from jax_inertia.replay.search import unnamed
 from jax_inertia.replay.simulation.plant import Plant
 
 WORSE = 1.02
@@ -83,6 +84,14 @@ class Unseen:
         times = [[autocorrelation_time(x) for x in e.T] for e in (new, old)]
         correlated = np.maximum(np.max(times, axis=0), fitted.correlated)
         return float(np.sum(len(new) / correlated * np.log(before / after)))
+
+    def unnamed(
+        self, with_it: Float[np.ndarray, "N m"], without: Float[np.ndarray, "N m"], numbers: int
+    ) -> float:
+        """By how much shapes of the motion in an effect's place cost more than its `numbers`, in twice nats."""
+        n = len(self._plant.names)
+        positions = (x[:, :n] for x in (with_it, without))
+        return unnamed.cost(self._plant.names, *positions, self._records, self.floor[:n], numbers)
 
     def taken_back(
         self, found: Fit, effects: Sequence[tuple[int, ...]]

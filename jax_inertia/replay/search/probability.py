@@ -6,7 +6,8 @@ E, in twice nats, is by how much the log is likelier with the effect's numbers t
 the cost's parabola θᵀ C⁻¹ θ of its numbers θ from the model's own, C their covariance, less ln N for each (BIC, N
 independent samples) and the odds against an odd one; and less what validation rows lose by it, if they do. c_a,
 likewise, is what alternative a costs more than the effect, on the fitted rows and on the validation rows together.
-What is the same by an equation is no alternative. L is calibrated as by torque (`diagnosis.certainty.probability`).
+What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L is calibrated as by
+torque (`diagnosis.certainty.probability`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,6 +41,11 @@ def probabilities(
         endless = not np.isfinite([found.table[k].nominal for k in rows]).all()
         evidence += more if endless else min(more, 0.0)
         others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
+        # What has no name is as rare as any odd effect, and what every robot has is not. Behind one that has, it may be it.
+        rare = 2.0 * LOG_ODDS * (rows not in odd)
+        unnamed = run.unnamed(errors[0], without, numbers_paid(found, rows)) + rare
+        if unnamed < min(others, default=np.inf):
+            others.append(max(unnamed, 0.0))
         out[rows] = probability(log_odds([0.5 * x for x in (evidence, *others)]))
     return out
 
@@ -53,5 +59,9 @@ def _evidence(found: Fit, rows: Rows) -> float:
     kept = np.array(rows)[known]
     own: Float[np.ndarray, "k k"] = found.covariance[np.ix_(kept, kept)]
     risen = float(off[known] @ np.linalg.solve(own, off[known])) if known.any() else 0.0
-    paid = sum(found.table[k].family not in COORDINATES for k in rows)
-    return risen - max(paid, 1) * float(np.log(max(found.samples, 2.0)))
+    return risen - numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
+
+
+def numbers_paid(found: Fit, rows: Rows) -> int:
+    """How many numbers an effect is charged for."""
+    return max(sum(found.table[k].family not in COORDINATES for k in rows), 1)

@@ -1,0 +1,84 @@
+"""The alternative that has no name: something that no candidate is, whose torque goes with shapes of the motion.
+
+    e_j = Σ_k a_k s_k(t − l_k) + rest
+
+e is what is left of replays without an effect, s shapes of the motion and of the targets (`remainder.shapes`), a few of
+them, taken one by one for as long as each brings its price: ln N for its number (BIC, N independent samples) and the
+logarithm of how many it was chosen from. A law that is in the model leaves the sensors' noise, and no handful of shapes
+does. Where much is left with an effect too, they may do as well: then nothing says that the effect is the cause.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_inertia.maths.sample_weight import autocorrelation_time
+from jax_inertia.replay.record import Record
+from jax_inertia.replay.remainder import shapes
+
+_MOST = 6
+"""Shapes of one joint's error."""
+_LATE = 0.0, 0.04
+"""By which a loop passes on what moves it [s]."""
+
+
+def cost(
+    names: Sequence[str],
+    with_it: Float[np.ndarray, "N n"],
+    without: Float[np.ndarray, "N n"],
+    records: Sequence[Record],
+    floor: Float[np.ndarray, " n"],
+    numbers: int,
+) -> float:
+    """By how much shapes in an effect's place cost more than its `numbers`, in twice nats; rows that count [rad]."""
+    worse, largest = 0.0, 1.0
+    more = -numbers
+    for j, least in enumerate(floor):
+        left, count = _left(names, j, without[:, j], records)
+        every = (with_it[:, j], left)
+        independent = len(left) / max(autocorrelation_time(e) for e in every)
+        own, other = (max(float(np.mean(e**2)), least**2) for e in every)
+        worse += independent * float(np.log(other / own))
+        more, largest = more + count, max(largest, independent)
+    return worse + more * float(np.log(largest))
+
+
+def _left(
+    names: Sequence[str], j: int, error: Float[np.ndarray, " N"], records: Sequence[Record]
+) -> tuple[Float[np.ndarray, " N"], int]:
+    """What shapes leave of one joint's error, and how many there are."""
+    columns = _columns(names, j, records)
+    independent = len(error) / autocorrelation_time(error)
+    price = np.log(independent) + 2.0 * np.log(len(columns))
+    chosen = [np.ones(len(error))]
+    left, count = error - error.mean(), 0
+    while count < _MOST:
+        basis = np.linalg.qr(np.array(chosen).T)[0]
+        new = columns - (columns @ basis) @ basis.T
+        size = np.linalg.norm(new, axis=1)
+        along = np.divide(new @ left, size, out=np.zeros(len(new)), where=size > 1e-6)
+        best = int(np.argmax(np.abs(along)))
+        power = float(left @ left)
+        after = power - along[best] ** 2
+        if power <= 0.0 or independent * np.log(power / max(after, 1e-300)) < price:
+            break
+        chosen.append(columns[best])
+        left = left - along[best] * new[best] / size[best]
+        count += 1
+    return left, count
+
+
+def _columns(names: Sequence[str], j: int, records: Sequence[Record]) -> Float[np.ndarray, "k N"]:
+    """Each shape along all records, at each lag, of size one."""
+    out = []
+    for late in _LATE:
+        every = []
+        for r in records:
+            back = np.maximum(np.arange(len(r.time)) - round(late / r.period), 0)
+            every.append(np.array([x[back][r.settled] for x in shapes(names, j, r).values()]))
+        out.append(np.concatenate(every, axis=1))
+    columns = np.concatenate(out)
+    columns = columns - columns.mean(axis=1, keepdims=True)
+    size = np.linalg.norm(columns, axis=1, keepdims=True)
+    return columns / np.maximum(size, 1e-300)
