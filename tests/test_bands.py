@@ -97,6 +97,7 @@ def test_a_log_below_20_hz_is_refused_in_one_line_that_says_what_is_needed(robot
 
 
 @pytest.mark.parametrize("rate", [20.0, 30.0, 60.0, 80.0])
+@pytest.mark.slow
 def test_a_load_is_weighed_at_every_rate(robot, rate):
     seen = log_filter.observe(swing(load=0.5, seconds=10.0, rate=rate), robot)
     assert log_filter.stride(seen) == (2 if rate <= 50.0 else round(rate / 20.0 - 0.49))
@@ -109,6 +110,7 @@ def test_a_load_is_weighed_at_every_rate(robot, rate):
     assert sure < 0.1
 
 
+@pytest.mark.slow
 def test_at_50_hz_the_filter_weighs_a_load(robot):
     seen = log_filter.observe(swing(load=0.5, seconds=10.0, rate=50.0), robot)
     fit = batch_fit.fit(robot, [seen], ["lower"], prior=Load(1.0))

@@ -46,6 +46,7 @@ def within(value, sigma, truth, *, sigmas: float = 4.0, useful: float) -> bool:
     return bool(np.all(np.abs(value - truth) < sigmas * sigma) and np.all(sigma < useful))
 
 
+@pytest.mark.slow
 def test_joint_terms_and_gains_are_recovered():
     """Currents of three logs: gains start 30 % off, bodies are known to 0.1 %, and set the scale of torque."""
     logs = [log(plant(), seed, gains=GAINS) for seed in range(3)]
@@ -104,6 +105,7 @@ def test_joint_terms_never_fall_below_zero():
     assert np.all(fit.joint_sigma["frictionloss"] == 0)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth():
     """A load of 2.4 kg on the tip, 20 seeds of motion and noise: how often 95 % intervals hold mass, centre and π."""
     model = loaded(compiled("universal"), "tip")
@@ -128,6 +130,7 @@ def test_intervals_cover_the_truth():
     assert LOAD["mass"] == 2.4
 
 
+@pytest.mark.slow
 def test_a_carried_load_is_told_from_the_bodies_that_carry_it():
     """One log without, one with 1.5 kg; gains unknown, bodies known to a few per cent."""
     free, carrying = log(plant(), 0, gains=GAINS), log(plant(1.5), 1, gains=GAINS)

@@ -317,6 +317,7 @@ def rigs(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_position_logs_hold_targets_and_no_torque(rigs):
     with np.load(rigs["single"] / "log.npz") as log:
         assert set(log.files) == {"time", "joint_names", "qpos", "qpos_target", "kp", "kd"}

@@ -116,6 +116,7 @@ def test_counts_of_an_encoder_are_refused_and_the_printed_options_read_them(tmp_
         read_log(path, options=Options(position_scale={"wrist": 1.0}))
 
 
+@pytest.mark.slow
 def test_torques_with_turned_signs_are_weighed_by_negative_gains():
     """The remedy that a refusal prints for turned signs."""
     log = swing()

@@ -108,6 +108,7 @@ def run(robot, gain: float, predict: float, seconds: float = 5.0):
     return [np.array(x) for x in zip(*rows, strict=True)]
 
 
+@pytest.mark.slow
 def test_the_task_s_error_decays_at_the_stated_rate_along_what_the_body_can_do(robot):
     """−y of the change, taken through M⁻¹, is `rate` times the part of s along M⁻¹ y; other joints' errors stay."""
     q = jnp.array([0.4, -0.7])

@@ -82,6 +82,7 @@ def contact_torque(now, force: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("push", [0.0, 2.0])
+@pytest.mark.slow
 def test_obeys_the_equation_of_motion_and_friction(humanoid, tick, push):
     for q, v in zip(*states(humanoid), strict=True):
         command, now, expected = tick(humanoid.robot, q, v, reference(q, push, np.ones(8)))

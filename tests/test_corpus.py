@@ -16,6 +16,7 @@ MJCF = """<mujoco><worldbody><body name="a" gravcomp="1"><freejoint/><geom size=
  </worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 def test_files_are_compared_with_the_other_engine(tmp_path, monkeypatch):
     """And a difference is found: the same file, read by a loader that takes one mass otherwise."""
     (tmp_path / "a.urdf").write_text(URDF)

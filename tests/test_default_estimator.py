@@ -88,6 +88,7 @@ def spiked() -> np.ndarray:
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.slow
 def test_a_spike_without_a_gate_is_forgotten(dtype):
     """The mass is never absurd, and ends where it does without it."""
     settings = {"sigma_tau": 0.1, "prior": Load(3.0), "gate": gates.FixedGate(), "drift": 3600.0}
@@ -97,6 +98,7 @@ def test_a_spike_without_a_gate_is_forgotten(dtype):
     np.testing.assert_allclose(found[:, -1], truth(), atol=0.15)
 
 
+@pytest.mark.slow
 def test_the_paper_s_update_does_not_forget_one():
     """What the cure is for: every sample at its word, all else as above, and 10⁶ N m."""
     settings = {"sigma_tau": 0.1, "prior": Load(3.0), "drift": 3600.0, "paper": True}
@@ -239,6 +241,7 @@ def random_updates(dtype: str, filters: int, steps: int, gate, seed: int = 0) ->
 
 @pytest.mark.parametrize("gate", [None, 1.0], ids=["default", "no gate"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.slow
 def test_ten_thousand_random_updates_are_sound(dtype, gate):
     """Random regressors, noise of 0.001 to 10 N m, residuals up to 10⁷ N m."""
     out = random_updates(dtype, 100, 100, gate)

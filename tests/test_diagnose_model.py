@@ -269,6 +269,7 @@ def test_delay_and_lag_by_their_step_response():
     assert late.arrives(np.ones(2))[0] == 1.0
 
 
+@pytest.mark.slow
 def test_mjx_does_what_c_does():
     effects = [
         joint("torque_gain", gain=0.8),

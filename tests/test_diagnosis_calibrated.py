@@ -82,6 +82,7 @@ def found(robot, **truth):
 
 
 @in_double_precision
+@pytest.mark.slow
 def test_a_push_that_no_other_stretch_knows_is_explained(robot):
     """Predicted from other stretches of its log it would be left whole, and the log loud."""
     log = logged(1)
@@ -103,6 +104,7 @@ def test_a_push_that_no_other_stretch_knows_is_explained(robot):
     assert report.heldout.after < 0.2 * report.heldout.before
 
 
+@pytest.mark.slow
 def test_a_rotor_inertia_far_beyond_its_tolerance_is_an_effect(robot):
     """Its tolerance explains most of it, and takes the noise in its column with it."""
     report, named = found(robot, rotor=(0.15, 0.045, 0.02))
@@ -111,6 +113,7 @@ def test_a_rotor_inertia_far_beyond_its_tolerance_is_an_effect(robot):
     assert report.verdict == "explained"
 
 
+@pytest.mark.slow
 def test_friction_that_differs_by_direction_is_one_law(robot):
     def uneven(q, v, carried):
         return 0.5 * np.tanh(v / 0.002) + 0.3 * (v != 0)
@@ -122,6 +125,7 @@ def test_friction_that_differs_by_direction_is_one_law(robot):
     assert numbers["negative"].value == pytest.approx(0.2, rel=0.3)
 
 
+@pytest.mark.slow
 def test_friction_under_load_is_of_all_that_the_motor_gives(robot):
     """The friction itself is a part of that torque, which no model has before it is found."""
     level, share = 0.4, 0.15
@@ -140,6 +144,7 @@ def test_friction_under_load_is_of_all_that_the_motor_gives(robot):
     assert numbers["of_motor"].value == 1.0
 
 
+@pytest.mark.slow
 def test_a_wave_of_teeth_and_its_harmonic_are_one_effect(robot):
     def teeth(q, v, carried):
         return -0.5 * np.sin(8 * q + 0.4) - 0.06 * np.sin(16 * q - 0.9)
@@ -151,6 +156,7 @@ def test_a_wave_of_teeth_and_its_harmonic_are_one_effect(robot):
     assert numbers["harmonic"].value == pytest.approx(0.06, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_number_far_beyond_its_tolerance_is_named_at_no_odds(robot):
     """23 % off where 5 % are stated: what is rare is not asked of a number that the log refutes."""
     log = logged(1, viscous=(0.9, 0.615, 0.15))

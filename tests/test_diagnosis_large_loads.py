@@ -20,6 +20,7 @@ def rubbing(t, q, v, u):
     return -FRICTION * np.tanh(v / 0.004)
 
 
+@pytest.mark.slow
 def test_a_load_that_is_most_of_what_is_missing():
     """Ten times the torque of friction and rotors: a gain of all motors and a torque limit explain much of it."""
     robot = ji.load_model(mujoco.MjModel.from_xml_string(BARE))

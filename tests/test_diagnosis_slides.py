@@ -45,6 +45,7 @@ def log_of(seed: int, extra, seconds: float = 20.0) -> Log:
         ("stribeck_friction", lambda v: 3.0 * np.exp(-((v / 0.01) ** 2)) * np.tanh(v / 1e-3)),
     ],
 )
+@pytest.mark.slow
 def test_what_slows_a_linear_axis_is_told(family, extra):
     robot = ji.load_model(mujoco.MjModel.from_xml_string(AXIS))
     found = ji.diagnose(robot, log_of(0, extra), test_log=log_of(1, extra, 12.0))

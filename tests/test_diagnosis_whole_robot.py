@@ -292,6 +292,7 @@ def test_a_motor_at_its_supply_s_voltage(robot):
         assert limit.low < limit.value < limit.high
 
 
+@pytest.mark.slow
 def test_a_mass_is_as_uncertain_as_the_gains_of_motors_whose_currents_were_logged(robot):
     def mass(kind):
         logs = []
@@ -349,6 +350,7 @@ def left_by(report, gains: bool) -> float:
     return float(np.sqrt(np.mean((gain * logged - needs) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_report_s_numbers_alone_give_the_torque_of_motors_whose_gains_are_off(by_current):
     report = json.loads(json.dumps(to_report(by_current), allow_nan=False))
     for k, own in enumerate(report["joints"].values()):
@@ -394,6 +396,7 @@ def uneven(seed):
     return log_of(t, q, tau, seed)
 
 
+@pytest.mark.slow
 def test_torque_that_is_all_friction_is_no_limited_motor_s():
     robot = load_model(mujoco.MjModel.from_xml_string(NOMINAL.replace('mass="0.6"', 'mass="0.01"')))
     diagnosis = diagnose(robot, uneven(0), test_log=uneven(1))

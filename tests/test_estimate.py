@@ -415,6 +415,7 @@ def test_settings_that_no_filter_has_are_named(settings, says):
         make_estimator(robot, [TIP], **({"sigma_tau": 1.0} | settings))
 
 
+@pytest.mark.slow
 def test_a_clock_s_faults_are_no_time_at_all():
     _, estimator, log = near()
     sample = jax.tree.map(lambda x: x[0], log)

@@ -123,6 +123,7 @@ def assert_same(found, wanted, tolerance: float) -> None:
         np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * size)
 
 
+@pytest.mark.slow
 def test_step_in_kernels_is_the_step(hand_run):
     found, args = fleet(FusedSquareRoot())
     wanted, _ = fleet(SquareRoot())
@@ -156,6 +157,7 @@ def test_rows_that_hang_on_nothing_count_in_nis_alone(iterations: int, outliers:
         np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_correlated_noise_ties_all_rows(cases):
     """A filter with the same noise as a full matrix is the same filter."""
     robot = cases("floating_tree").robot

@@ -70,6 +70,7 @@ def test_viscous_friction_is_named_placed_and_sized(with_friction):
     assert found.test.share > 0.8
 
 
+@pytest.mark.slow
 def test_dry_friction_with_another_law(robot):
     # A bristle of its own: deflection saturating over 0.5 mrad, not the library's sign.
     state = np.zeros(1)
@@ -137,6 +138,7 @@ def test_an_encoder_that_is_degrees_off_is_all_there_is(robot, joint):
     assert size_of(effect) == pytest.approx(0.08, rel=0.03)
 
 
+@pytest.mark.slow
 def test_gravity_that_is_degrees_off_is_all_there_is(robot):
     def tilt(model):
         model.opt.gravity[:] = 9.81 * np.array([-np.sin(0.07), 0.0, -np.cos(0.07)])

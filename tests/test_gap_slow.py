@@ -32,6 +32,7 @@ ROTORS = 1.2, 1.4, 0.9, 0.25, 0.25, 0.2
 
 
 @pytest.mark.skipif(not BARE.is_dir(), reason="cases (../shared/cases) are not here")
+@pytest.mark.slow
 def test_eighteen_numbers_of_a_robot_as_bought_whose_torques_are_of_the_moment():
     """The numbers that the case's own page states; nobody says what kind its torques are."""
     log, other = (read_log(str(BARE / f"bare{k}.npz")) for k in (1, 2))

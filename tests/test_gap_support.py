@@ -61,6 +61,7 @@ def trotted(tmp_path_factory):
 
 
 @pytest.mark.parametrize("named", [(), FEET])
+@pytest.mark.slow
 def test_what_the_ground_gives_is_what_the_legs_show(robot, trotted, named):
     found = prepare(robot, unmeasured(trotted, named)).support
     assert sorted(found.bodies) == sorted(FEET)

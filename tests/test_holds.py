@@ -54,6 +54,7 @@ def weighed(log: Log):
     return observation, fit, changed
 
 
+@pytest.mark.slow
 def test_eight_poses_with_friction_are_one_load():
     observation, fit, changed = weighed(posed([0.8] * 8))
     holds = holds_of(observation)

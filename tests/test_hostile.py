@@ -269,6 +269,7 @@ pq.write_table(table, sys.argv[1], compression="zstd", data_page_size=1 << 30)
 """
 
 
+@pytest.mark.slow
 def test_parquet_of_lists_as_long_as_memory(tmp_path, arrow):
     """A kilobyte whose lists were 3 GB by the usual limit: the child that reads it stays below two."""
     path = tmp_path / "log.parquet"

@@ -423,6 +423,7 @@ def logs_of(count: int, seconds: float = 4.0) -> tuple[batch.Logs, dict]:
     return logs, {"robot": robot, **common}
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_logs_one_by_one_and_finds_what_is_hidden():
     logs, common = logs_of(2)
     robot = common.pop("robot")

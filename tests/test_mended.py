@@ -89,6 +89,7 @@ def low_passed(x: np.ndarray) -> np.ndarray:
         (low_passed, "dqpos/dt"),
     ],
 )
+@pytest.mark.slow
 def test_velocities_that_contradict_positions_are_left_out(change, word):
     wrong = dataclasses.replace(log(), qvel=change(np.asarray(log().qvel)))
     one, found = mended(wrong)
@@ -108,6 +109,7 @@ def test_right_velocities_stay_and_may_be_ignored():
         mended(log(), ["qpos"])
 
 
+@pytest.mark.slow
 def test_an_estimate_of_a_braked_log_with_velocities_in_rpm():
     """Both at once: what is left over weighs the load."""
     wrong = dataclasses.replace(braked(), qvel=np.asarray(braked().qvel) * 30 / np.pi)

@@ -144,6 +144,7 @@ def load_of(found) -> tuple[float, float]:
     return float(found.loads[1, 0]), found.load_half_widths(0)[1]
 
 
+@pytest.mark.slow
 def test_intervals_of_a_tools_mass_hold_what_the_diagnosis_left_open(weighed):
     z = np.array([(value - mass) / half for mass, (value, half) in weighed[0]])
     # Of six at 95 % five or six hold, and none is two intervals off.

@@ -101,6 +101,7 @@ def test_a_load_that_is_there_from_the_first_sample_is_not_refused():
     assert np.all(np.abs(mass[:, time > 1.0] - truths()[:, None]) < 0.1 * truths()[:, None])
 
 
+@pytest.mark.slow
 def test_samples_without_rows_say_nothing_to_any_estimator():
     """What they leave is what was there: belief, doubt and the bank's memory, whatever came before."""
     one = jax.tree.map(lambda x: x[-1], observed(PICKED))
@@ -135,6 +136,7 @@ def test_samples_without_rows_say_nothing_to_any_estimator():
         np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
 
 
+@pytest.mark.slow
 def test_the_exact_memory_finds_them_with_rows_lost():
     """Windows of 50 ms, every eighth of them lost."""
     stream = Stream(make_estimator(robot(), [WRIST], sigma_tau=SIGMA), window=10)
@@ -161,6 +163,7 @@ def test_the_exact_memory_finds_them_with_rows_lost():
     assert np.all(np.abs(error[:, -1]) < 3.5 * sigma[:, -1])
 
 
+@pytest.mark.slow
 def test_an_arm_s_rated_load_by_the_whole_road():
     """Wrist of 0.19 kg, load of 22 times that, one lost row every 0.4 s."""
     kind, load = "spherical", 4.17

@@ -105,6 +105,7 @@ def test_files_load_where_older_ones_do(soft):
     assert 'biastype="affine"' in text
 
 
+@pytest.mark.slow
 def test_nothing_that_is_handed_over_depends_on_the_test():
     log, other = (without_torque(run(kp=(1.0, 0.7), seed=k, seconds=5.0)) for k in (0, 1))
     found = [diagnose([log], arm, test_log=x, exclude=("odd",)) for x in (other, log)]

@@ -198,6 +198,7 @@ def in_mujoco_alone(found) -> np.ndarray:
     return np.sqrt(np.mean(np.square(error), axis=0))
 
 
+@pytest.mark.slow
 def test_friction_that_slides_at_once_gives_by_nothing():
     log, other = (made(lambda miss, v: (KP * miss - KD * v, 0.2), seed=k) for k in (0, 1))
     found = pipeline.diagnose([log], two, test_log=other)

@@ -66,6 +66,7 @@ def test_as_the_function(name: str):
 
 
 @pytest.mark.parametrize("name", ["floating_tree", "arm7"])
+@pytest.mark.slow
 def test_dynamics_as_one_thread_computes_them(cases, name: str):
     case = cases(name)
     robot = case.robot

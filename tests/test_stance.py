@@ -51,6 +51,7 @@ def swings(found) -> np.ndarray:
     return np.stack([~found.support.used_up[:, leg].any(axis=1) for leg in legs], axis=1)
 
 
+@pytest.mark.slow
 def test_a_foot_that_is_taken_to_swing_bears_nothing_in_mujoco():
     found, arrays = prepared(ROBOT, trot), made(ROBOT, trot)
     force = np.stack(

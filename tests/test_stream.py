@@ -205,6 +205,7 @@ def test_a_saved_filter_is_the_same_to_the_last_bit(tmp_path, dtype):
     assert [p.name for p in tmp_path.iterdir()] == ["state.npz"]
 
 
+@pytest.mark.slow
 def test_the_state_of_another_filter_is_refused_in_one_line(tmp_path):
     path = tmp_path / "state.npz"
     ekf = estimator()

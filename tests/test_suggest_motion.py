@@ -77,6 +77,7 @@ def test_limits_hold_in_mujocos_inverse_dynamics_and_some_bind():
     assert max(np.max(x) for x in shares) > 0.9
 
 
+@pytest.mark.slow
 def test_it_is_one_smooth_motion_from_rest_to_rest():
     _, _, _, found = suggested()
     step = found.time[1] - found.time[0]
@@ -200,6 +201,7 @@ def test_bad_requests_are_one_line():
 # --- the command -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_command_writes_a_motion_to_play(tmp_path, capsys):
     (tmp_path / "arm.xml").write_text(ARM.format(wall=""))
     out = tmp_path / "deep" / "motion.csv"

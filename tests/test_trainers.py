@@ -65,6 +65,7 @@ def executed(path):
     return namespace
 
 
+@pytest.mark.slow
 def test_draws_replay_in_mujoco_as_the_corrected_model_does(soft):
     made = executed(soft / "out" / "playground.py")
     model = mujoco.MjModel.from_xml_path(str(soft / "out" / "corrected.xml"))
@@ -113,6 +114,7 @@ def inertias(principal, quaternions):
     return np.array([r @ np.diag(x) @ r.T for r, x in zip(turns, principal, strict=True)])
 
 
+@pytest.mark.slow
 def test_a_draw_at_the_fit_is_the_file(soft):
     log, spec = read_log(soft / "0.npz"), mujoco.MjSpec.from_string(ARM)
     found = diagnose(soft / "arm.xml", log)

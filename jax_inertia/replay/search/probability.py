@@ -41,7 +41,8 @@ def probabilities(
         endless = not np.isfinite([found.table[k].nominal for k in rows]).all()
         evidence += more if endless else min(more, 0.0)
         others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
-        # What has no name is as rare as any odd effect, and what every robot has is not. Behind one that has, it may be it.
+        # What has no name is as rare as any odd effect, and what every robot has is not. Behind an alternative with a
+        # name it may be that one.
         rare = 2.0 * LOG_ODDS * (rows not in odd)
         unnamed = run.unnamed(errors[0], without, numbers_paid(found, rows)) + rare
         if unnamed < min(others, default=np.inf):
