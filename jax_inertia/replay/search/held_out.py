@@ -90,8 +90,8 @@ class Unseen:
     ) -> float:
         """By how much shapes of the motion in an effect's place cost more than its `numbers`, in twice nats."""
         n = len(self._plant.names)
-        positions = (x[:, :n] for x in (with_it, without))
-        return unnamed.cost(self._plant.names, *positions, self._records, self.floor[:n], numbers)
+        joints, least = self._plant.names, self.floor[:n]
+        return unnamed.cost(joints, with_it[:, :n], without[:, :n], self._records, least, numbers)
 
     def taken_back(
         self, found: Fit, effects: Sequence[tuple[int, ...]]
