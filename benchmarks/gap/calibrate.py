@@ -205,7 +205,7 @@ def main() -> None:
     if args.command == "store":
         rows = [r for f in args.rows for r in json.loads(f.read_text()) if "failed" not in r]
         kept = {
-            "sets": f"robots as bought, seeds {' and '.join(args.seeds)} of benchmarks/gap/cad.py",
+            "sets": f"robots as bought ({' and '.join(args.seeds)} as seed of benchmarks/gap/cad.py)",
             "logs": len(rows),
             "date": args.date,
             "commit": args.commit,

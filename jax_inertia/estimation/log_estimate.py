@@ -135,7 +135,26 @@ class LogEstimate:
         return rejected_share(self.trace.innovation)
 
     def filter_sigma(self, i: int) -> tuple[Float[np.ndarray, "10"], Float[np.ndarray, "3"]]:
-        """σ of π and of the centre of mass of the i-th body at the end, with what the filter takes for exact."""
+        """σ of π and of the centre of mass of the i-th body at the end, with what the filter takes for exact.
+
+        Of a constant body the fit of all samples, which marginalises what a filter takes for exact, is right about the
+        same numbers: the filter's intervals hold the fit's.
+        """
+        sigmas = self._own_filter_sigma(i)
+        if self.changed or self.held:
+            return sigmas
+        online, whole = self.trace.estimate, self.fit.estimate
+        out = []
+        for sigma, name in zip(sigmas, ("pi", "com"), strict=True):
+            apart = np.abs(
+                np.asarray(getattr(online, name))[-1, i] - np.asarray(getattr(whole, name))[i]
+            )
+            known = np.asarray(getattr(whole, f"sigma_{name}"))[i]
+            out.append(np.maximum(sigma, apart / Z95 + known))
+        return out[0], out[1]
+
+    def _own_filter_sigma(self, i: int) -> tuple[Float[np.ndarray, "10"], Float[np.ndarray, "3"]]:
+        """The same, whatever the batch fit says."""
         e, p = self.trace.estimate, self.considered.bodies[i]
         pi, com = np.asarray(e.pi)[-1, i], np.asarray(e.com)[-1, i]
         slope = np.concatenate([-com[:, None], np.eye(3)], axis=1) / pi[0]
@@ -172,7 +191,7 @@ class LogEstimate:
 
     def _mass_halves(self, i: int) -> tuple[float, float]:
         """Half of each 95 % interval of the i-th mass, filter and batch fit apart [kg]."""
-        sigmas = self.filter_sigma(i)[0][0], float(self.fit.estimate.sigma_pi[i, 0])
+        sigmas = self._own_filter_sigma(i)[0][0], float(self.fit.estimate.sigma_pi[i, 0])
         online, whole = (Z95 * float(np.hypot(s, self.calibration_sigma)) for s in sigmas)
         return online, whole
 
