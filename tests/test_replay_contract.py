@@ -14,9 +14,10 @@ from test_replay import ARM, arm, run, without_torque
 import jax_inertia as ji
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis.result import Verdict
+from jax_inertia.diagnosis.verdict import Left
 from jax_inertia.logs.log import Log
 from jax_inertia.preflight.joint_ranges import joint_ranges
-from jax_inertia.replay import checks, handover
+from jax_inertia.replay import checks, handover, proof
 from jax_inertia.replay.fitting.errors import Weights
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.inputs import loops_of, split_records
@@ -24,6 +25,7 @@ from jax_inertia.replay.loop import Parameter, position_loop
 from jax_inertia.replay.pipeline import diagnose
 from jax_inertia.replay.record import Commanded, Record, low_passed, record_of
 from jax_inertia.replay.remainder import resemblances
+from jax_inertia.replay.result import Replayed
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.instead import Instead
 from jax_inertia.replay.search.possible import pressed
@@ -268,6 +270,10 @@ def test_what_is_left_is_told_by_its_shape_and_frequency():
     assert first.frequency == pytest.approx(0.7, abs=0.1)
     assert second.shape == "position of hip"
     assert second.share > 0.95
+    told = proof.Told(Verdict.PARTLY, 0.9, (Left("knee", 0.003, 30.0, 0.5),), ())
+    done = Replayed((record,), (path,), (path,), np.full(2, 1e-4), "the log")
+    said = proof.headline(told, done, (first, second))
+    assert "knee is left with 0.003 (30 floors), which goes with the position of hip" in said
 
 
 def test_encoder_steps_are_the_least_where_motion_passes_over_most():

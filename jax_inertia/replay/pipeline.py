@@ -169,10 +169,11 @@ def _told(
     if handed.changed:
         notes += _of_friction(done, found, bare, case.parts.validation)
     left = [x.name for x in told.left if x.name in names]
+    like = resemblances(names, left, replayed.corrected, test)
     return Diagnosis(
-        told.verdict, told.confidence, proof.headline(told, replayed), effects, done.everything, found,
+        told.verdict, told.confidence, proof.headline(told, replayed, like), effects, done.everything, found,
         correction, file.text, changes(case.given, file.model), _clock(found, effects, loop), replayed,
-        discrepancy, told.left, resemblances(names, left, replayed.corrected, test), told.impossible,
+        discrepancy, told.left, like, told.impossible,
         proof.worse(replayed, names), (*notes, *file.remarks),
     )  # fmt: skip
 

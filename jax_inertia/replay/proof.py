@@ -18,7 +18,7 @@ from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record, step_means
-from jax_inertia.replay.result import Effect, Fan, Replayed, Torques, rms, total
+from jax_inertia.replay.result import Effect, Fan, Replayed, Resemblance, Torques, rms, total
 from jax_inertia.replay.search.choice import Chosen
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import misses, replay
@@ -150,8 +150,8 @@ def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:
     return np.where(moves, expit(odds_within(e, errors.limit[: e.shape[1]])), 1.0)
 
 
-def headline(told: Told, r: Replayed) -> str:
-    """One line."""
+def headline(told: Told, r: Replayed, resembles: Sequence[Resemblance] = ()) -> str:
+    """One line; what is left at the worst joint with the shape that most of it goes with."""
     before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
     if told.verdict is Verdict.NO_GAP:
         clock = f", {after:.2g} rad with the loop's clock" if np.any(r.before != r.after) else ""
@@ -164,6 +164,8 @@ def headline(told: Told, r: Replayed) -> str:
     if told.left:
         x = told.left[0]
         left = f"; {x.name} is left with {x.after:.2g} ({x.floors:.2g} floors)"
+        like = next((y for y in resembles if y.joint == x.name and y.share > 0.5), None)
+        left += f", which goes with the {like.shape} (R² {like.share:.2f})" if like else ""
     elif told.impossible:
         left = f"; not possible together: {told.impossible[0]}"
     return f"replay error on {r.of}: {before:.2g} → {after:.2g} rad (floor {floor:.1g}: encoders){torque}{left}"
