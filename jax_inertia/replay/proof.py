@@ -151,7 +151,7 @@ def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:
 
 
 def headline(told: Told, r: Replayed, resembles: Sequence[Resemblance] = ()) -> str:
-    """One line; what is left at the worst joint with the shape that most of it goes with."""
+    """One line; the remainder at the worst joint with the shape that most of it goes with."""
     before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
     if told.verdict is Verdict.NO_GAP:
         clock = f", {after:.2g} rad with the loop's clock" if np.any(r.before != r.after) else ""

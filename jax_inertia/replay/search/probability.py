@@ -64,5 +64,5 @@ def _evidence(found: Fit, rows: Rows) -> float:
 
 
 def numbers_paid(found: Fit, rows: Rows) -> int:
-    """How many numbers an effect is charged for."""
+    """How many numbers of an effect are paid for."""
     return max(sum(found.table[k].family not in COORDINATES for k in rows), 1)
