@@ -2,8 +2,8 @@
 
     e_j = Σ_k a_k s_k(t − l_k) + rest
 
-e is the remainder of replays without an effect, s shapes of the motion and of the targets (`remainder.shapes`), a few of
-them, taken one by one for as long as each brings its price: ln N for its number (BIC, N independent samples) and the
+e is the remainder of replays without an effect, s shapes of the motion and of the targets (`remainder.shapes`): a few
+of them, taken one by one for as long as each brings its price: ln N for its number (BIC, N independent samples) and the
 logarithm of how many it was chosen from. A law that is in the model leaves the sensors' noise, and no handful of shapes
 does. Where much is left with an effect too, they may do as well: then nothing says that the effect is the cause.
 """
