@@ -71,6 +71,7 @@ def test_joint_terms_and_gains_are_recovered():
     assert np.all(is_physical(fit.robot.pi))
 
 
+@pytest.mark.slow
 def test_noise_and_residuals_are_in_newton_metres_whatever_the_gains():
     fit = batch_fit.fit(
         robot(),

@@ -67,6 +67,7 @@ def test_eight_poses_with_friction_are_one_load():
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.slow
 def test_a_load_put_on_between_poses_is_a_change(friction):
     _, _, changed = weighed(posed([0.0] * 4 + [1.0] * 4, friction * FRICTION))
     assert changed

@@ -169,6 +169,7 @@ SMALL = [
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.08])
+@pytest.mark.slow
 def test_columns_through_the_loop_are_what_mujoco_replays_change_by(friction):
     """A replay with a little of a number minus the nominal one, against G times its column.
 

@@ -96,6 +96,7 @@ def test_rows_of_legs_that_swing_show_their_joints_friction():
     assert np.sqrt(np.mean(left**2)) < 0.25 * np.sqrt(np.mean(needed**2))
 
 
+@pytest.mark.slow
 def test_a_trunk_is_weighed_on_its_feet_as_well_as_is_stated():
     log, robot = log_of(made(ROBOT, trot, LOAD)), model()
     found = ji.estimate(robot, log, ["trunk"])

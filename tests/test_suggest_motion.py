@@ -141,6 +141,7 @@ def test_it_tells_more_than_any_of_twenty_random_motions():
     assert np.median(others) - 6.0 < found.random.log_det < max(others) + 3.0
 
 
+@pytest.mark.slow
 def test_what_it_promises_is_what_a_noisy_log_gives():
     """Torques of MuJoCo C with a load drawn from the prior, 300 times, ridge regression: the spread of its errors."""
     model, robot, _, found = suggested()
