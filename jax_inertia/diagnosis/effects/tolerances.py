@@ -9,7 +9,7 @@ from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.signals.held import HOLD_ERROR, lateness
 
 TIMING = -3
-"""Column of a log's tolerances that says when torques act."""
+"""First of a log's columns among its tolerances: it says when torques act."""
 
 
 class InertialTolerances(Effect):
@@ -43,7 +43,7 @@ class InertialTolerances(Effect):
 
     def of_links(self, theta):
         # Timings are of the log.
-        return np.concatenate([theta[:-3], np.zeros(3)])
+        return np.concatenate([theta[:TIMING], np.zeros(-TIMING)])
 
     def size_prior(self, shape):
         return shape[4], shape[6]

@@ -48,3 +48,22 @@ def weights(error: Float[np.ndarray, "N m"], floor: float | Float[np.ndarray, " 
     """From an error as it is."""
     sigma = np.maximum(np.sqrt(np.mean(error**2, axis=0)), floor)
     return Weights(sigma, np.array([autocorrelation_time(e) for e in error.T]))
+
+
+def likelier(
+    new: Float[np.ndarray, "N m"],
+    old: Float[np.ndarray, "N m"],
+    floor: Float[np.ndarray, " m"],
+    correlated: float | Float[np.ndarray, " m"] = 1.0,
+) -> tuple[float, Float[np.ndarray, " m"]]:
+    """By how much rows are likelier by new errors than by old ones, in twice nats, and the independent samples.
+
+        Σ_j N/T_j ln(σ_j² / σ'_j²)
+
+    σ_j: rms of output j's error, at least its `floor`; N/T_j: its independent samples, T_j the longest autocorrelation
+    time of its errors, at least `correlated`.
+    """
+    after, before = (np.maximum(np.mean(e**2, axis=0), floor**2) for e in (new, old))
+    times = np.max([[autocorrelation_time(x) for x in e.T] for e in (new, old)], axis=0)
+    independent = len(new) / np.maximum(times, correlated)
+    return float(np.sum(independent * np.log(before / after))), independent

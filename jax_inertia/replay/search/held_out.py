@@ -6,13 +6,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.maths.sample_weight import autocorrelation_time
 from jax_inertia.replay import checks
-from jax_inertia.replay.fitting.errors import Weights, replay_errors
+from jax_inertia.replay.fitting.errors import Weights, likelier, replay_errors
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search import unnamed
+from jax_inertia.replay.search.unnamed import Shapes
 from jax_inertia.replay.simulation.plant import Plant
 
 WORSE = 1.02
@@ -74,24 +73,21 @@ class Unseen:
     ) -> float:
         """By how much these runs are likelier by errors of one fit's replays than by another's, in twice nats.
 
-            Σ_j N/T_j ln(σ_j² / σ'_j²)
-
-        σ_j: rms of output j's error, at least its `floor`; N/T_j: its independent samples, T_j the
-        longest autocorrelation time of its errors here and as `fitted`. What a fit brings to its own logs and this are
-        one evidence: p(logs, runs) = p(logs) p(runs | logs).
+        Correlated as `fitted` at least. What a fit brings to its own logs and this are one evidence:
+        p(logs, runs) = p(logs) p(runs | logs).
         """
-        after, before = (np.maximum(np.mean(e**2, axis=0), self.floor**2) for e in (new, old))
-        times = [[autocorrelation_time(x) for x in e.T] for e in (new, old)]
-        correlated = np.maximum(np.max(times, axis=0), fitted.correlated)
-        return float(np.sum(len(new) / correlated * np.log(before / after)))
+        return likelier(new, old, self.floor, fitted.correlated)[0]
+
+    @cached_property
+    def _shapes(self) -> Shapes:
+        return Shapes(self._plant.names, self._records)
 
     def unnamed(
         self, with_it: Float[np.ndarray, "N m"], without: Float[np.ndarray, "N m"], numbers: int
     ) -> float:
         """By how much shapes of the motion in an effect's place cost more than its `numbers`, in twice nats."""
         n = len(self._plant.names)
-        joints, least = self._plant.names, self.floor[:n]
-        return unnamed.cost(joints, with_it[:, :n], without[:, :n], self._records, least, numbers)
+        return self._shapes.cost(with_it[:, :n], without[:, :n], self.floor[:n], numbers)
 
     def taken_back(
         self, found: Fit, effects: Sequence[tuple[int, ...]]

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.maths.sample_weight import autocorrelation_time
+from jax_inertia.replay.fitting.errors import likelier
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.remainder import shapes
 
@@ -23,32 +24,30 @@ _LATE = 0.0, 0.04
 """By which a loop passes on what moves it [s]."""
 
 
-def cost(
-    names: Sequence[str],
-    with_it: Float[np.ndarray, "N n"],
-    without: Float[np.ndarray, "N n"],
-    records: Sequence[Record],
-    floor: Float[np.ndarray, " n"],
-    numbers: int,
-) -> float:
-    """By how much shapes in an effect's place cost more than its `numbers`, in twice nats; rows that count [rad]."""
-    worse, largest = 0.0, 1.0
-    more = -numbers
-    for j, least in enumerate(floor):
-        left, count = _left(names, j, without[:, j], records)
-        every = (with_it[:, j], left)
-        independent = len(left) / max(autocorrelation_time(e) for e in every)
-        own, other = (max(float(np.mean(e**2)), least**2) for e in every)
-        worse += independent * float(np.log(other / own))
-        more, largest = more + count, max(largest, independent)
-    return worse + more * float(np.log(largest))
+class Shapes:
+    """Those of some runs, made once for all effects in whose place they are tried."""
+
+    def __init__(self, names: Sequence[str], records: Sequence[Record]):
+        self._columns = [_columns(names, j, records) for j in range(len(names))]
+
+    def cost(
+        self,
+        with_it: Float[np.ndarray, "N n"],
+        without: Float[np.ndarray, "N n"],
+        floor: Float[np.ndarray, " n"],
+        numbers: int,
+    ) -> float:
+        """By how much shapes in an effect's place cost more than its `numbers`, in twice nats; errors in rad."""
+        tried = [_left(x, e) for x, e in zip(self._columns, without.T, strict=True)]
+        left, counts = zip(*tried, strict=True)
+        worse, independent = likelier(with_it, np.stack(left, axis=1), floor)
+        return worse + (sum(counts) - numbers) * float(np.log(max(independent.max(), 1.0)))
 
 
 def _left(
-    names: Sequence[str], j: int, error: Float[np.ndarray, " N"], records: Sequence[Record]
+    columns: Float[np.ndarray, "k N"], error: Float[np.ndarray, " N"]
 ) -> tuple[Float[np.ndarray, " N"], int]:
     """What shapes leave of one joint's error, and how many there are."""
-    columns = _columns(names, j, records)
     independent = len(error) / autocorrelation_time(error)
     price = np.log(independent) + 2.0 * np.log(len(columns))
     chosen = [np.ones(len(error))]
