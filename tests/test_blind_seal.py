@@ -1,6 +1,5 @@
 """The sealed check: no trace of the truth in a log, tampering caught, the diagnoser alone with its log."""
 
-import dataclasses
 import json
 import os
 import signal
@@ -13,164 +12,128 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio_oracle")
-pytest.importorskip("cryptography", reason="the seal")
 BLIND = Path(__file__).parents[1] / "benchmarks" / "blind"
-sys.path.insert(0, str(BLIND))
+for folder in (BLIND.parent / "gap", BLIND.parent, BLIND):
+    sys.path.insert(0, str(folder))
 
+import mixed  # noqa: E402
+import score  # noqa: E402
 import seal  # noqa: E402
 import solve  # noqa: E402
 import vault  # noqa: E402
-from world.draw import ARM, FLOATING  # noqa: E402
-from world.plan import STRATA, Setting, plan  # noqa: E402
-from world.unknowns import UNKNOWN  # noqa: E402
 
-SHORT = Setting(
-    key=(0,),
-    stratum="none",
-    families=(),
-    robot="two",
-    engine="pinocchio",
-    motions=("exciting", "ordinary"),
-    rate=250,
-    wrong=False,
-    loud=1.0,
-    duration=2.0,
-    test_duration=1.5,
-)
+SEED = b"a seed for a test"
+KINDS = (("bare", "", False), ("bare_odd", "cogging", True), ("outside", "clock_skew", False))
 
 
-def three(words, count, robots):
-    """One log without a gap, one with payload, one with what no library has; in this order."""
-    kinds = [("none", ()), ("single", ("payload",)), ("unknown", ("quadratic_friction",))]
+def three(words: int, count: int) -> list[mixed.Task]:
+    """Ordinary physics, one effect with a validation run, and what no library has."""
     return [
-        dataclasses.replace(SHORT, key=(*words, k), stratum=s, families=f)
-        for k, (s, f) in enumerate(kinds[:count])
+        mixed.Task(stratum, kind, words, 3 * k, validation=more)
+        for k, (stratum, kind, more) in enumerate(KINDS[:count])
     ]
 
 
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory):
-    """Logs and answers of three short logs, and the commitment."""
+    """Three tiny logs, their vault and the commitment."""
     home = tmp_path_factory.mktemp("blind")
-    seed = home / "seed"
-    seed.write_bytes(b"a seed for a test")
-    promise = seal.seal_set(home / "logs", home / "sealed", 3, seed, settings=three)
-    return home / "logs", home / "sealed", promise
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mixed, "plan", three)
+        patch.setattr(mixed, "SECONDS", 2.0)
+        patch.setattr(mixed, "OTHER", 2.0)
+        patch.setattr(mixed, "WINDOW", (0.0, np.inf))
+        promise = seal.make(home / "logs", home / "vault", SEED, 3)
+    return home / "logs", home / "vault", promise
 
 
 def test_a_log_holds_the_contract_and_nothing_else(sealed):
-    logs, _, _ = sealed
-    allowed = {
-        *("time", "joint_names", "qpos", "qvel", "tau", "tau_kind", "qpos_target"),
-        *("sigma_qpos", "sigma_tau", "base_pos", "base_quat", "base_linvel", "base_angvel"),
-        *("contact_wrench", "contact_bodies"),
-    }
-    orders = set()
-    for folder in logs.iterdir():
-        assert sorted(p.name for p in folder.iterdir()) == ["log.npz", "nominal.xml", "test.npz"]
-        for file in folder.glob("*.npz"):
-            with zipfile.ZipFile(file) as archive:
-                names = [i.filename.removesuffix(".npy") for i in archive.infolist()]
-                stamps = {i.date_time for i in archive.infolist()}
-                assert not archive.comment.strip(b"\0")
-            assert set(names) <= allowed
-            assert stamps == {(1980, 1, 1, 0, 0, 0)}
-            orders.add(tuple(n for n in names if n not in ("qvel", "qpos_target")))
-            with np.load(file, allow_pickle=False) as arrays:
-                assert all(arrays[n].dtype != object for n in names)
-    assert len({o[:5] for o in orders}) == 1
-
-
-def test_names_sizes_and_times_tell_nothing(sealed):
     logs, hidden, _ = sealed
-    words = {*ARM, *FLOATING, *UNKNOWN, *STRATA, "pinocchio", "wrong", "truth"}
-    for path in [logs, *logs.rglob("*")]:
+    allowed = {
+        *("time", "joint_names", "qpos", "qvel", "tau", "tau_kind", "sigma_qpos", "sigma_tau")
+    }
+    files = sorted(sorted(p.name for p in folder.iterdir()) for folder in logs.iterdir())
+    assert files == [["log.npz", "nominal.xml"]] * 2 + [["log.npz", "nominal.xml", "validation.npz"]]
+    for file in logs.rglob("*.npz"):
+        with zipfile.ZipFile(file) as archive:
+            assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        with np.load(file, allow_pickle=False) as arrays:
+            assert set(arrays.files) <= allowed
+            assert arrays["qpos"].dtype == np.float32
+            np.testing.assert_array_equal(arrays["qpos"] * 2.0**21 % 1.0, 0.0)
+    assert {p.name for p in hidden.iterdir()} == {p.name for p in logs.iterdir()} | {"manifest.json"}
+
+
+def test_names_and_times_tell_nothing(sealed):
+    logs, _, _ = sealed
+    words = {*mixed.ONE, *mixed.OUTSIDE, *mixed.SHARES, "pinocchio", "truth"}
+    for path in logs.rglob("*"):
         assert path.stat().st_mtime == seal.MOMENT
         assert not any(word in path.name for word in words)
-        if path.suffix == ".npz":
-            assert path.stat().st_size % seal.BLOCK == 0
         if path.suffix == ".xml":
-            # MJCF has an attribute `armature` of its own.
-            assert not any(word in path.read_text() for word in words - {"armature"})
-    # Names come from the operating system, not from the seed, and the answers lie elsewhere.
+            assert not any(word in path.read_text() for word in words)
     assert all(len(p.name) == 12 and int(p.name, 16) >= 0 for p in logs.iterdir())
-    assert sorted(p.name for p in hidden.iterdir()) == ["answers.sealed", "commitment.txt", "key"]
-    assert (hidden / "key").stat().st_mode & 0o077 == 0
-    assert b"payload" not in (hidden / "answers.sealed").read_bytes()
+    names = [name for _, name in seal.plan(b"seed", 50)]
+    assert len(set(names)) == 50
+    assert set(names).isdisjoint(name for _, name in seal.plan(b"other", 50))
 
 
-def test_the_nominal_model_does_not_know_the_effect():
-    """The same robot with another effect comes with the same model and the same arrays."""
-    from world.make import make
-
-    made = {}
-    for families in ((), ("payload",), ("encoder_offset",)):
-        setting = dataclasses.replace(SHORT, key=(7, 7), families=families, duration=1.0)
-        log, _, model, truth = make(setting)
-        made[families] = (model, list(log), [v.dtype for v in log.values()])
-        assert len(truth["effects"]) == len(families)
-    first = made[()]
-    assert all(m == first for m in made.values())
+def test_rounding_is_below_what_sensors_add():
+    rng = np.random.default_rng(0)
+    log = {"qpos": rng.normal(size=(50, 2)), "tau": rng.normal(size=(50, 2)) * [1e-3, 80.0]}
+    out = seal.rounded(log | {"time": np.arange(50) / 250})
+    assert np.abs(out["qpos"] - log["qpos"]).max() < 5e-7
+    assert np.all(np.abs(out["tau"] - log["tau"]).max(0) < 2e-4 * np.abs(log["tau"]).max(0))
+    assert out["time"].dtype == float
 
 
-def test_the_answers_open_and_the_seed_makes_the_log_again(sealed):
+def test_the_commitment_holds_end_to_end(sealed, tmp_path, monkeypatch):
+    """The seed makes the same files again; hand-made answers to them are scored; whatever is changed is caught."""
     logs, hidden, promise = sealed
-    answers = vault.unseal(hidden, promise, logs)
-    assert set(answers["logs"]) == {p.name for p in logs.iterdir()}
-    settings = three(seal.words_of(bytes.fromhex(answers["seed"])), 3, None)
-    made = {tuple(s.families): s for s in settings}
-    name, answer = next(
-        (n, a) for n, a in answers["logs"].items() if a["truth"]["setting"]["stratum"] == "single"
-    )
-    truth = answer["truth"]
-    assert truth["effects"][0]["family"] == "payload"
-    log, _, _, again = seal._made(made[("payload",)])
-    assert again["effects"] == truth["effects"]
-    with np.load(logs / name / "log.npz") as held:
-        np.testing.assert_array_equal(held["qpos"], log["qpos"])
-
-
-def test_tampering_is_caught(sealed, tmp_path):
-    logs, hidden, promise = sealed
-    copy = tmp_path / "sealed"
-    copy.mkdir()
-
-    def fresh():
-        for file in hidden.iterdir():
-            (copy / file.name).write_bytes(file.read_bytes())
-
-    fresh()
-    vault.unseal(copy, promise, logs)
-    raw = bytearray((copy / "answers.sealed").read_bytes())
-    raw[len(raw) // 2] ^= 1
-    (copy / "answers.sealed").write_bytes(bytes(raw))
+    manifest = vault.check(logs, hidden, promise, SEED)
+    assert len(manifest["logs"]) == 3
+    monkeypatch.setattr(mixed, "plan", three)
+    monkeypatch.setattr(mixed, "SECONDS", 2.0)
+    monkeypatch.setattr(mixed, "OTHER", 2.0)
+    monkeypatch.setattr(mixed, "WINDOW", (0.0, np.inf))
+    (task, name) = seal.plan(SEED, 3)[1]
+    again = tmp_path / "again"
+    seal.write_log(task, name, again / "logs", again / "vault")
+    assert vault.fingerprint(again / "logs" / name, again / "vault" / name) == manifest["logs"][name]
+    truth = json.loads((hidden / name / "truth.json").read_text())
+    place = tmp_path / "mine" / "results" / name
+    place.mkdir(parents=True)
+    said = {"verdict": "explained", "confidence": 0.9, "effects": [truth["odd"]]}
+    (place / "report.json").write_text(json.dumps(said))
+    tools = {"mine": tmp_path / "mine"}
+    rows = {r["log"]: r for r in score.score(logs, hidden, promise, tools, tmp_path / "s")["mine"]}
+    assert rows[name]["found"]
+    assert rows[name]["errors"]["tool"] > 0
+    assert {r["verdict"] for k, r in rows.items() if k != name} == {"refused"}
     with pytest.raises(vault.SealBroken, match="commitment"):
-        vault.unseal(copy, promise, logs)
-    with pytest.raises(vault.SealBroken, match="commitment"):
-        vault.unseal(hidden, "0" * 64, logs)
-    # Other answers under another key, with a commitment of their own, are not what was published.
-    (tmp_path / "other").mkdir()
-    other = vault.seal({"logs": {}}, tmp_path / "other")
-    assert other != promise
-    with pytest.raises(vault.SealBroken, match="published"):
-        vault.unseal(tmp_path / "other", promise, logs)
-    # The right answers with one log changed, or one log too few.
-    moved = tmp_path / "logs"
-    for folder in logs.iterdir():
-        (moved / folder.name).mkdir(parents=True)
-        for file in folder.iterdir():
-            (moved / folder.name / file.name).write_bytes(file.read_bytes())
-    vault.unseal(hidden, promise, moved)
-    victim = next(moved.iterdir())
-    (victim / "nominal.xml").write_text((victim / "nominal.xml").read_text() + " ")
+        vault.check(logs, hidden, "0" * 64)
+    with pytest.raises(vault.SealBroken, match="seed"):
+        vault.check(logs, hidden, promise, b"another")
+    model = logs / name / "nominal.xml"
+    text = model.read_text()
+    model.write_text(text + " ")
     with pytest.raises(vault.SealBroken, match="changed"):
-        vault.unseal(hidden, promise, moved)
-    for file in victim.iterdir():
-        file.unlink()
-    victim.rmdir()
-    with pytest.raises(vault.SealBroken, match="missing"):
-        vault.unseal(hidden, promise, moved)
+        vault.check(logs, hidden, promise)
+    model.write_text(text)
+    os.utime(model, (seal.MOMENT, seal.MOMENT))
+    (logs / "foreign").mkdir()
+    with pytest.raises(vault.SealBroken, match="foreign"):
+        vault.check(logs, hidden, promise)
+    (logs / "foreign").rmdir()
+
+
+def test_a_seed_is_drawn_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["seal.py", "draw", str(tmp_path / "seed")])
+    seal.main()
+    told = capsys.readouterr().out.strip()
+    assert told == seal.hashlib.sha256((tmp_path / "seed").read_bytes()).hexdigest()
+    with pytest.raises(SystemExit):
+        seal.main()
 
 
 PROBE = """
@@ -179,7 +142,7 @@ from pathlib import Path
 
 def main(arguments):
     found = {"arguments": arguments, "imported": [], "opened": [], "listed": os.listdir("."), "env": sorted(os.environ)}
-    for name in ("benchmarks.blind.seal", "seal", "vault", "world.plan", "world", "exam.marks"):
+    for name in ("benchmarks.blind.seal", "seal", "vault", "mixed", "exam.marks"):
         try:
             importlib.import_module(name)
             found["imported"].append(name)
@@ -216,8 +179,8 @@ def probe_package(hidden: list[str]):
 
 def test_the_diagnoser_sees_its_log_and_nothing_of_the_examination(sealed, tmp_path):
     logs, hidden, _ = sealed
-    names = sorted(p.name for p in logs.iterdir())
-    forbidden = [str(BLIND / "seal.py"), *(str(p) for p in hidden.iterdir())]
+    names = sorted((p.name for p in logs.iterdir()), key=lambda n: len(list((logs / n).iterdir())))
+    forbidden = [str(BLIND / "seal.py"), *(str(p) for p in hidden.rglob("*.*"))]
     forbidden += [str(logs / names[1] / "log.npz"), str(tmp_path / "out" / "note")]
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "note").write_text("a report of another log")
@@ -285,20 +248,3 @@ def test_a_command_that_hangs_or_dies_is_an_answer_of_its_own(sealed, tmp_path):
         assert run["exit"] != 0
         assert "ended" in run["error"]
         assert not (tmp_path / "results" / name / "report.json").exists()
-
-
-def test_strata_robots_and_engines_have_their_shares():
-    settings = plan((3, 1, 4), 400)
-    share = {s: sum(x.stratum == s for x in settings) / 400 for s in STRATA}
-    assert share["none"] >= 0.25
-    assert share["unknown"] >= 0.15
-    assert share["pair"] >= 0.20
-    none = [x for x in settings if x.stratum == "none"]
-    assert abs(sum(x.wrong for x in none) - len(none) / 2) <= 1
-    assert sum(x.engine == "pinocchio" for x in settings) >= 400 / 3
-    assert len({x.robot for x in settings}) == 5
-    assert {f for x in settings if x.stratum == "single" for f in x.families} == {*ARM, *FLOATING}
-    assert {f for x in settings if x.stratum == "unknown" for f in x.families} == {*UNKNOWN}
-    for x in settings:
-        assert len(x.families) == {"none": 0, "pair": 2}.get(x.stratum, 1)
-        assert len(set(x.families)) == len(x.families)

@@ -28,7 +28,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-for folder in (HERE, HERE.parent / "gap"):
+for folder in (HERE, HERE.parent, HERE.parent / "gap"):
     sys.path.append(str(folder))
 
 import adapters  # noqa: E402
@@ -36,7 +36,7 @@ import checkout  # noqa: E402
 import mixed  # noqa: E402
 import position  # noqa: E402
 import solve  # noqa: E402
-from exam import mixed_marks, mixed_page  # noqa: E402
+from exam import marks, page  # noqa: E402
 from own_robot import Unsuitable, own_robot  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.markdown import Markdown  # noqa: E402
@@ -69,7 +69,7 @@ def pace_like(folders: list[Path], out: Path, jobs: int) -> list[dict]:
     if not told:
         return []
     adapters.answer_all(told, out / "pace_like", "pace_like", jobs)
-    return mixed_marks.mark_all(told, out / "pace_like", jobs)
+    return marks.mark_all(told, out / "pace_like", jobs)
 
 
 PACED = position.STRATA[0]
@@ -79,7 +79,7 @@ def examine(folders: list[Path], out: Path, jobs: int) -> list[dict]:
     """Diagnoses what has no answer yet, and marks all."""
     solve.solve([solve.Task(f, out) for f in folders], out / "work", jobs)
     shutil.rmtree(out / "work", ignore_errors=True)
-    return mixed_marks.mark_all(folders, out, jobs)
+    return marks.mark_all(folders, out, jobs)
 
 
 def main() -> None:
@@ -123,9 +123,10 @@ def main() -> None:
     rows = examine(folders, args.out, args.jobs)
     pace = pace_like(folders, args.out, args.jobs)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
-    (args.out / "summary.json").write_text(json.dumps(mixed_page.summary(rows, pace), indent=1))
+    (args.out / "summary.json").write_text(json.dumps(page.summary(rows, pace), indent=1))
     names = ", ".join(p.name for p in args.model) or "the generator's robots"
-    text = mixed_page.page(rows, pace, f"Blind check of {len(rows)} logs: {names}")
+    about = {"set": f"of your own ({names})", "head": [f"Seed {args.seed}."]}
+    text = page.page(about, {"diagnose": rows} | ({page.PACE: pace} if pace else {}))
     (args.out / "RESULTS.md").write_text(text)
     Console().print(Markdown(text))
 

@@ -5,9 +5,9 @@
 
 `least_squares`: viscous and dry friction, rotor inertia and offset of every joint and every body's mass at once
 (`gap/baseline_least_squares`); a term that carries a hundredth of what the fit explains is listed. `mujoco_sysid`:
-MuJoCo's own, told to fit all of these but the offset (`sysid_fit.py`). The others are those of `gap/baselines.py`; of
-logs without torque `pace_like` is the fit of closed-loop replays (`pace_positions.py`), and all but these two refuse
-those. Floating bases are refused. All are `explained` where they list anything.
+MuJoCo's own, told to fit all of these but the offset (`sysid_fit.py`). `pace_like`: the fit of closed-loop replays
+(`pace_positions.py`), of logs of targets alone. The others are those of `gap/baselines.py`. Floating bases are refused,
+and logs without torque by all but these two. All are `explained` where they list anything.
 """
 
 from __future__ import annotations
@@ -114,7 +114,9 @@ def report(folder: Path, tool: str) -> tuple[dict, str | None]:
     log = read(folder / "log.npz")
     if "base_quat" in log:
         raise ValueError("the base floats; expected a fixed one")
-    if tool == "pace_like" and "tau" not in log:
+    if tool == "pace_like":
+        if "tau" in log:
+            raise ValueError("the log has torques; expected targets alone")
         made, corrected = pace_positions.answer(folder, log)
     elif "tau" not in log and tool != "mujoco_sysid":
         raise ValueError("the log has no torque")

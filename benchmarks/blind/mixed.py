@@ -12,10 +12,11 @@
 | `position_torque` | the same | the same, with the torques of its motors |
 | `imu` | as `sound`, or bodies alone | a robot on its feet without base pose and wrenches: nothing, friction, a load |
 
-Every third log of `TWO_ENGINES` is Pinocchio's forward dynamics with another law of dry friction
-(`gap/pinocchio_plant`), all others are MuJoCo's; the truth says which. Robots are `gap/cad_robots`, `replay/robots` and
-`legs`, or any that one names (`gap/own_robot`). Some logs are of an ordinary motion, and some keep 20, 50 or 100 rows a
-second of a loop that is faster. A log depends on the seed and its index alone.
+Some logs of `TWO_ENGINES` are Pinocchio's forward dynamics with another law of dry friction (`gap/pinocchio_plant`),
+all others are MuJoCo's; the truth says which. An odd effect is drawn again until the log shows it by 3 to 30 sigma.
+Robots are `fleet`'s and `legs`', or any that one names (`gap/own_robot`). Some logs are of an ordinary motion, some keep
+20, 50 or 100 rows a second of a loop that is faster, and every sixth comes with a validation run. A log depends on the
+seed and its index alone.
 """
 
 from __future__ import annotations
@@ -32,32 +33,40 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
 
 import cad
+import cad_draw
+import fleet
 import position
 import standing
-from cad_draw import ODD, OUTSIDE
-from cad_robots import CAD_ROBOTS, bare
+from cad_draw import ODD
+from cad_robots import bare
 from many import write_folder
 from misread import FAULTS, misread, mount
 from own_robot import own_robot, rated_torque
 from robots import Robot
 
 SHARES = {
-    "sound": 0.08,
-    "one_effect": 0.12,
-    "bare": 0.12,
-    "bare_odd": 0.22,
-    "outside": 0.08,
-    "misread": 0.10,
-    "position": 0.12,
-    "position_torque": 0.08,
-    "imu": 0.08,
+    "sound": 0.11,
+    "one_effect": 0.19,
+    "bare": 0.11,
+    "bare_odd": 0.21,
+    "outside": 0.12,
+    "misread": 0.08,
+    "position": 0.09,
+    "position_torque": 0.04,
+    "imu": 0.05,
 }
+OUTSIDE = (*cad_draw.OUTSIDE, *cad_draw.FURTHER)
+AT_WEIGHT = ("backlash", "joint_elasticity", "backlash", "joint_elasticity", "joint_coupling")
+"""Come more often than other effects, as do delays and lags."""
+ONE = (*ODD, *AT_WEIGHT, "time_delay", "actuator_lag")
 TWO_ENGINES = ("sound", "one_effect", "bare", "bare_odd", "outside")
-EVERY = 3
-"""Which of their logs are the second engine's: the second of each three."""
+EVERY = 6
+"""Which of their logs are the second engine's: the second of each six. The third of each six has a validation run."""
 SLOW, ORDINARY = 0.3, 0.25
 """Shares of logs that keep some rows of the loop alone, and whose motion is an ordinary one."""
 RATES = (20, 50, 100)
+LOOPS, SECONDS, OTHER = (500, 250), 12.0, 8.0
+WINDOW = (3.0, 30.0)  # sigmas
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,7 @@ class Task:
     """Files of the robots; none for the generator's own."""
     fix_base: bool = False
     engine: str = cad.MUJOCO
+    validation: bool = False
 
 
 def plan(
@@ -106,23 +116,23 @@ def plan(
         kind = str(kinds[before % len(kinds)]) if kinds else ""
         if stratum in (*position.STRATA, standing.STRATUM):
             kind = str(first + before)
-        # Kinds that come in threes are not always the same engine's.
+        # A kind is not always the same engine's.
         turn = before
-        if kinds and len(kinds) % EVERY == 0:
+        if kinds and math.gcd(len(kinds), EVERY) > 1:
             turn += before // len(kinds)
-        second = stratum in TWO_ENGINES and turn % EVERY == 1
-        engine = engines[-1] if second else engines[0]
-        tasks.append(Task(stratum, kind, seed, index, robots, fix_base, engine))
+        place = turn % EVERY if stratum in TWO_ENGINES else -1
+        engine = engines[-1] if place == 1 else engines[0]
+        tasks.append(Task(stratum, kind, seed, index, robots, fix_base, engine, place == 2))
     return tasks
 
 
-KINDS = {"one_effect": ODD, "bare_odd": ODD, "outside": OUTSIDE, "misread": FAULTS}
+KINDS = {"one_effect": ONE, "bare_odd": ODD, "outside": OUTSIDE, "misread": FAULTS}
 
 
 def library(task: Task) -> cad.Robots:
     """Robots by name, without friction and rotors."""
     if not task.robots:
-        return CAD_ROBOTS
+        return fleet.ROBOTS
     return {
         f"own{k}": lambda path=Path(file): _own(path, task.fix_base)
         for k, file in enumerate(task.robots)
@@ -142,6 +152,9 @@ def make(task: Task) -> cad.Made:
         return standing.make(int(task.kind), [task.seed, STANDING, task.index])
     setting = cad.draw_setting(task.seed, task.index, library(task))
     rng = np.random.default_rng([*setting.seed, 10])
+    setting.duration, setting.test_duration = SECONDS, OTHER
+    setting.window, setting.validation = WINDOW, task.validation
+    setting.rate = int(rng.choice(LOOPS, p=[0.3, 0.7]))
     if rng.random() < ORDINARY:
         setting.kinds = ("ordinary", "exciting")
     slow = int(rng.choice(RATES)) if rng.random() < SLOW else None
@@ -160,22 +173,23 @@ def make(task: Task) -> cad.Made:
         setting.mount = mount(setting.robot, np.random.default_rng([*setting.seed, 8]))
     made = cad.simulated(setting, "" if fault else kind)
     if slow:
-        made.log, made.test = (kept(x, setting.rate // slow) for x in (made.log, made.test))
+        every = setting.rate // slow
+        made.log, made.test = (kept(x, every) for x in (made.log, made.test))
+        made.validation = made.validation and kept(made.validation, every)
         made.truth["rate_hz"] = setting.rate / (setting.rate // slow)
     if fault:
         seed = [*setting.seed, 9]
         made.log, made.test = (
             misread(x, fault, setting.robot, seed) for x in (made.log, made.test)
         )
-    made.truth |= {"stratum": task.stratum, "fault": fault}
+    made.truth |= {"stratum": task.stratum, "fault": fault, "validation": task.validation}
     return made
 
 
 def _of_positions(task: Task) -> cad.Made:
-    number, bought = int(task.kind), None
-    if task.robots:
-        robots = library(task)
-        bought = robots[f"own{number % len(robots)}"]()
+    number, robots = int(task.kind), library(task)
+    names = tuple(robots) if task.robots else fleet.LIGHT
+    bought = robots[names[(number // 6 + number) % len(names)]]()
     torque = task.stratum == "position_torque"
     made = position.make(number, [task.seed, POSITION, task.index], torque, bought)
     made.truth |= {"stratum": task.stratum, "engine": cad.MUJOCO}
@@ -197,4 +211,4 @@ def write(task: Task, folder: Path) -> None:
         return
     made = make(task)
     texts = {"nominal.xml": made.nominal, "truth.json": json.dumps(made.truth, indent=1)}
-    write_folder(folder, made.log, made.test, texts)
+    write_folder(folder, made.log, made.test, texts, made.validation)

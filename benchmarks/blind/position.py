@@ -1,4 +1,4 @@
-"""The position-controlled robots of a mixed examination: those of `../replay`, or one's own with a position loop.
+"""The position-controlled robots of a mixed examination: any robot of the fleet, or one's own, with a position loop.
 
 Log `number` of a stratum goes the generator's own round: sound, ordinary physics alone, one odd effect or number
 (three of six), two. What theory calls the same there is stated, and how visible each effect is: what ordinary numbers
@@ -30,9 +30,9 @@ SLOWEST, FASTEST = 12.0, 60.0  # rad/s: bandwidths of a loop
 SWING = 0.4  # of the range, either way
 
 
-def make(number: int, seed: list[int], torque: bool, bought: Bought | None = None) -> Made:
+def make(number: int, seed: list[int], torque: bool, bought: Bought) -> Made:
     """Both logs of robot `number`, with torque or without; RuntimeError where every draw flies off."""
-    robot = None if bought is None else told_positions(bought)
+    robot = told_positions(bought)
     for attempt in range(ATTEMPTS):
         try:
             one = drawn(number, np.random.default_rng([*seed, attempt]), robot)

@@ -1,182 +1,161 @@
-"""Opens the answers of a sealed set, checks the commitment and every log, and writes the tables.
+"""Scores folders of answers on a sealed set, after seed, commitment and every log have been checked.
 
-    python benchmarks/blind/score.py LOGS SEALED FOUND --commitment HEX --out OUT \\
-        [--baseline NAME=FOLDER ...] [--left-out FOLDER] [--summary benchmarks/results/blind.json] [--partial] \\
-        [--still FILE]
+    python benchmarks/blind/score.py run LOGS VAULT --commitment HEX --out OUT [--jobs 1] --tool NAME=FOLDER ...
+    python benchmarks/blind/score.py store OUT/rows.json --set S1 --seed SEED --note "what was run" ...
+    python benchmarks/blind/score.py page [--check]
 
-FOUND is what `solve.py` wrote, each FOLDER what `rivals.py` did. HEX is the commitment as it was published before
-any diagnosis. Writes OUT/RESULTS.md, OUT/rows.json and OUT/figures. A log without a report counts as wrong; with
-`--partial`, logs that `solve.py` has not reached are left out, and the page says how many. FILE of `--still` is what
-`still.py` made for a set that was sealed before effects were measured against the same motion without them.
+Each tool's folder holds results/NAME/report.json (PROTOCOL.md). `run` writes OUT/rows.json, a row a log and tool; the
+tool called pace_like is what the first tool's closed-loop replays are compared with, and a log that a tool has no
+answer to counts as refused. Rows that OUT has are not made again. `store` keeps them under benchmarks/results with the
+opened seed, and `page` writes RESULTS.md beside this file from there, its figure, and the table that docs/results.md
+opens with. NumPy, MuJoCo and matplotlib; nothing of the package.
 """
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import argparse
+import hashlib
 import json
+import re
 import sys
-from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
+HERE = Path(__file__).resolve().parent
+for folder in (HERE, HERE.parent, HERE.parent / "gap"):
+    sys.path.append(str(folder))
 
-import left_out
-import vault
-from exam import figures, tables
-from exam.marks import fine, mark
-from exam.rates import summary
-from report_torque import on_other_run
+import vault  # noqa: E402
+from exam import marks, page  # noqa: E402
+from rich.progress import track  # noqa: E402
 
-
-def reports(found: Path, names: Iterable[str]) -> dict[str, dict | None]:
-    """report.json by log; None where the command failed or has not run."""
-    out = {}
-    for name in names:
-        file = found / "results" / name / "report.json"
-        out[name] = json.loads(file.read_text()) if file.exists() else None
-    return out
+RESULTS = HERE.parent / "results"
+STORED, SUMMARY, PAGE = RESULTS / "sealed_rows.json", RESULTS / "sealed.json", HERE / "RESULTS.md"
+DOCS = HERE.parents[1] / "docs"
+BLOCK = re.compile(r"(?<=<!-- sealed: written by benchmarks/blind/score.py page -->\n).*?(?=<!-- end of sealed -->)", re.DOTALL)
 
 
-def marked(answers: dict, found: Path, logs: Path) -> list[dict]:
-    """One row a log, by name."""
-    said, rows = reports(found, answers["logs"]), []
-    for name, answer in answers["logs"].items():
-        other = said[name] and on_other_run(found / "results" / name, logs / name)
-        rows.append({"log": name} | mark(answer, said[name], other))
-    return rows
+def opened(logs: Path, hidden: Path, name: str, out: Path) -> Path:
+    """A folder with log, model, test run and truth side by side, as the marks want them."""
+    folder = out / "opened" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    for place, files in ((logs, vault.SHOWN), (hidden, vault.HIDDEN)):
+        for file in files:
+            if (place / name / file).exists() and not (folder / file).exists():
+                (folder / file).symlink_to((place / name / file).resolve())
+    return folder
 
 
-def reached(answers: dict, found: Path) -> dict:
-    """The answers to logs that were diagnosed, or failed to be; `sealed` keeps how many there were."""
-    logs = {n: a for n, a in answers["logs"].items() if (found / "results" / n).exists()}
-    return answers | {"logs": logs, "sealed": len(answers["logs"])}
+def marked(folder: Path, place: Path, kept: Path) -> dict:
+    """A row, made once."""
+    if not kept.exists():
+        row = marks.mark(folder, place)
+        part = kept.with_suffix(".part")
+        part.write_text(json.dumps(row))
+        part.rename(kept)
+    return json.loads(kept.read_text())
 
 
-def against_still(answers: dict, visible: dict[str, list[dict]]) -> dict:
-    """Answers whose effects count as visible by what they add to the same motion without them."""
-    for name, answer in answers["logs"].items():
-        for effect, seen in zip(answer["truth"]["effects"], visible[name], strict=True):
-            effect["visibility"] = seen
-    return answers
+def score(
+    logs: Path, hidden: Path, promise: str, tools: dict[str, Path], out: Path, jobs: int = 1
+) -> dict[str, list[dict]]:
+    """Rows of every tool, log by log; `vault.SealBroken` where the set is not the one that was committed to."""
+    names = sorted(vault.check(logs, hidden, promise)["logs"])
+    rows: dict[str, list[dict]] = {}
+    folders = {name: opened(logs, hidden, name, out) for name in names}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = {}
+        for tool, answers in tools.items():
+            kept = out / "rows" / tool
+            kept.mkdir(parents=True, exist_ok=True)
+            for name in names:
+                given = folders[name], answers / "results" / name, kept / f"{name}.json"
+                running[pool.submit(marked, *given)] = tool
+        for done in track(as_completed(running), "scoring", len(running)):
+            rows.setdefault(running[done], []).append(done.result())
+    for some in rows.values():
+        some.sort(key=lambda r: r["log"])
+    return {tool: rows[tool] for tool in tools}
 
 
-def seconds(found: Path) -> list[float]:
-    files = sorted(found.glob("results/*/run.json"))
-    every = [json.loads(f.read_text())["seconds"] for f in files]
-    return [s for s in every if s is not None]
-
-
-def results(
-    answers: dict, promise: str, rows: list[dict], others: dict[str, list[dict]], found: Path,
-    out: Path, pictures: dict[str, str], wrong: dict[str, str], left: Path | None,
-) -> str:  # fmt: skip
-    """RESULTS.md."""
-    file = found / "runs.json"
-    runs = json.loads(file.read_text()) if file.exists() else []
-    failed = [r["log"] for r in rows if r["failed"]]
-    head = [
-        f"# Sealed check of {len(rows)} logs",
-        "",
-        f"Commitment `{promise.strip()}`, published before any log was diagnosed and checked against the answers.",
-        f"Seed `{answers['seed']}` (generator at {answers['commit'][:10]}): `seal.py --seed` makes these logs again.",
-        "",
+def store(rows: dict[str, list[dict]], about: dict) -> None:
+    """Rows, a line each, and what other programs read."""
+    first = next(iter(rows))
+    made = page.summary(rows[first], rows.get(page.PACE, []))
+    SUMMARY.write_text(json.dumps(made, indent=1) + "\n")
+    lines = [
+        f"{json.dumps(tool)}: [\n" + ",\n".join(map(json.dumps, some)) + "\n]"
+        for tool, some in rows.items()
     ]
-    if (sealed := answers.get("sealed", len(rows))) > len(rows):
-        head[4:4] = [
-            f"{len(rows)} of {sealed} sealed logs were diagnosed before the answers were opened; the others were not "
-            "reached and are not counted. Which ones did not depend on the answers: small robots came first.",
-            "",
-        ]
-    for run in runs:
-        versions = ", ".join(f"{k} {v}" for k, v in run["versions"].items() if v)
-        head.append(
-            f"- {run['began']} UTC: `{run['command']}`, commit {run['commit'][:10]}, "
-            f"Python {run['python']}, {run['machine']}, {run['jobs']} jobs, {versions}"
-        )
-    head += ["", tables.times(seconds(found))]
-    if failed:
-        head.append(
-            f"No report for {len(failed)} logs ({', '.join(failed[:8])}): counted as wrong."
-        )
-    parts = [
-        "\n".join(head),
-        tables.wrong_rows(rows, wrong),
-        tables.rates(rows, others),
-        "\n\n".join(f"![{name}]({path})" for name, path in pictures.items()),
-        tables.families(rows),
-        tables.confusion(rows),
-        tables.parameters(rows),
-        "## Where it is hard\n\n" + tables.breakdowns(rows),
-    ]
-    if left is not None:
-        parts.append(left_out.table(answers, left, found))
-    return "\n\n".join(parts) + "\n"
+    tools = "{\n" + ",\n".join(lines) + "\n}"
+    STORED.write_text(f'{{\n"about": {json.dumps(about)},\n"tools": {tools}\n}}\n')
+
+
+def written() -> dict[Path, str]:
+    """RESULTS.md and docs/results.md of the stored rows."""
+    stored = json.loads(STORED.read_text())
+    about, tools = stored["about"], stored["tools"]
+    rows = next(iter(tools.values()))
+    lines = ["", about["head"][0], "", *page.goals(rows, tools.get(page.PACE, [])), "", ""]
+    docs = DOCS / "results.md"
+    return {
+        PAGE: page.page(about, tools),
+        docs: BLOCK.sub(lambda _: "\n".join(lines), docs.read_text()),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("logs", type=Path)
-    parser.add_argument("sealed", type=Path)
-    parser.add_argument("found", type=Path)
-    parser.add_argument("--commitment", required=True, help="as published, or a file that holds it")
-    parser.add_argument("--key", type=Path, help="where the key lies apart from SEALED")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--baseline", action="append", default=[], metavar="NAME=FOLDER")
-    parser.add_argument("--left-out", type=Path, help="what left_out.py wrote")
-    parser.add_argument("--summary", type=Path, help="file for the machine-readable rates")
-    parser.add_argument("--still", type=Path, help="what still.py wrote")
-    parser.add_argument("--partial", action="store_true", help="leave out logs not reached yet")
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run")
+    run.add_argument("logs", type=Path)
+    run.add_argument("vault", type=Path)
+    run.add_argument("--commitment", required=True, help="as published")
+    run.add_argument("--tool", action="append", required=True, metavar="NAME=FOLDER")
+    run.add_argument("--out", type=Path, required=True)
+    run.add_argument("--jobs", type=int, default=1)
+    keep = commands.add_parser("store")
+    keep.add_argument("rows", type=Path)
+    keep.add_argument("--set", required=True)
+    keep.add_argument("--seed", type=Path, required=True)
+    keep.add_argument("--note", action="append", default=[], help="a paragraph of the page")
+    commands.add_parser("page").add_argument("--check", action="store_true")
     args = parser.parse_args()
-    told = Path(args.commitment)
-    promise = told.read_text() if told.exists() else args.commitment
-    try:
-        answers = vault.unseal(args.sealed, promise, args.logs, args.key)
-    except vault.SealBroken as error:
-        raise SystemExit(f"score: {error}") from None
-    if args.still:
-        answers = against_still(answers, json.loads(args.still.read_text()))
-    if args.partial:
-        answers = reached(answers, args.found)
-    score(answers, promise, args.logs, args.found, args.out, _pairs(args.baseline), args.left_out)
-    if args.summary:
-        rows = json.loads((args.out / "rows.json").read_text())
-        args.summary.parent.mkdir(parents=True, exist_ok=True)
-        args.summary.write_text(json.dumps(summary(rows), indent=1) + "\n")
+    if args.command == "run":
+        tools = {name: Path(place) for name, _, place in (t.partition("=") for t in args.tool)}
+        try:
+            rows = score(args.logs, args.vault, args.commitment, tools, args.out, args.jobs)
+        except vault.SealBroken as error:
+            raise SystemExit(f"score: {error}") from None
+        (args.out / "rows.json").write_text(json.dumps(rows))
+        print("\n".join(page.leaderboard(rows)))
+    elif args.command == "store":
+        seed = args.seed.read_bytes()
+        about = {
+            "set": args.set,
+            "seed": seed.decode(),
+            "seed_sha256": hashlib.sha256(seed).hexdigest(),
+            "head": args.note,
+        }
+        store(json.loads(args.rows.read_text()), about)
+    else:
+        pages = written()
+        if args.check:
+            raise SystemExit(int(any(p.read_text() != text for p, text in pages.items())))
+        for place, text in pages.items():
+            place.write_text(text)
+        from exam import figures  # Matplotlib, which scoring does without.
 
-
-def _pairs(texts: list[str]) -> dict[str, Path]:
-    return {name: Path(folder) for name, _, folder in (t.partition("=") for t in texts)}
-
-
-def score(
-    answers: dict, promise: str, logs: Path, found: Path, out: Path,
-    baselines: dict[str, Path], left: Path | None = None,
-) -> list[dict]:  # fmt: skip
-    """Everything `main` writes into OUT but the summary; the rows."""
-    rows = marked(answers, found, logs)
-    others = {name: marked(answers, folder, logs) for name, folder in baselines.items()}
-    drawn = out / "figures"
-    drawn.mkdir(parents=True, exist_ok=True)
-    makers = {
-        "confusion": figures.confusion,
-        "calibration": figures.calibration,
-        "accuracy against size": figures.against_size,
-        "shrink": figures.shrink,
-    }
-    pictures = {
-        name: make(rows, drawn / f"{name.replace(' ', '_')}.png") for name, make in makers.items()
-    }
-    wrong = {
-        r["log"]: figures.one_log(r, logs / r["log"], drawn / f"{r['log']}.png")
-        for r in rows
-        if not fine(r)
-    }
-    (out / "rows.json").write_text(json.dumps(rows, indent=1))
-    text = results(answers, promise, rows, others, found, out, pictures, wrong, left)
-    (out / "RESULTS.md").write_text(text)
-    return rows
+        rows = next(iter(json.loads(STORED.read_text())["tools"].values()))
+        figures.confidence(page.reliability(rows), DOCS / "figures" / "confidence.png")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""Seals an examination: logs with hidden effects under random names, and their answers under lock and key.
+"""Seals a set: draws a seed, makes the logs that follow from it, and fixes them before any diagnosis.
 
-    python benchmarks/blind/seal.py LOGS SEALED --n 400 --jobs 2 [--seed FILE] [--mixed [--again NAMES]]
+    python benchmarks/blind/seal.py draw SEED                                   prints its SHA-256: publish it
+    python benchmarks/blind/seal.py make LOGS VAULT --seed SEED --n 615 --jobs 30 [--engine pinocchio]
 
-LOGS gets one folder a log, named at random: log.npz, test.npz (another motion), nominal.xml, and nothing else. SEALED
-gets the encrypted answers, the key and the commitment, which is printed: publish it before any diagnosis. The seed
-comes from the operating system, or from the bytes of FILE; it is sealed with the answers, so that anyone can make the
-logs again once they are open. `--mixed`: the strata of `mixed.py` instead of one and two effects on a good model
-(`world`); `--again` makes some of their logs once more, under the same names. A second call goes on where the first
-was stopped. Prints nothing about any log.
+`make` writes LOGS/NAME/{log.npz, nominal.xml} and, of some logs, validation.npz: what a tool may see; and
+VAULT/NAME/{test.npz, truth.json}: what the scorer alone opens. Names follow from the seed and tell nothing. A second
+call goes on where the first was stopped; `--engine` makes the logs of one engine alone. Once all are there it writes
+VAULT/manifest.json and prints its SHA-256, the commitment. Sensors' numbers are rounded below their noise, so that
+another processor's last digits do not matter: with the seed, once it is opened, `make` gives the same files.
 """
 
 from __future__ import annotations
@@ -24,33 +24,42 @@ import json
 import secrets
 import shutil
 import zipfile
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import checkout
 import mixed
 import numpy as np
 import vault
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.progress import track
 
-if TYPE_CHECKING:
-    from world.plan import Setting
-
-    Planned = Setting | mixed.Task
-
-BLOCK = 1 << 13
 MOMENT = 946_684_800  # 1 January 2000, of every file
-NOTES = "seed.json"
 TRIES, FURTHER = 5, 1_000_000
 """Other robots where no draw of an effect leaves the loop stable, and how far apart their indices are."""
+STEPS = {
+    **dict.fromkeys(("qpos", "qpos_target", "base_quat"), 2.0**-21),
+    **dict.fromkeys(("qvel", "base_angvel"), 2.0**-17),
+    **dict.fromkeys(("tau", "base_linacc"), 2.0**-13),
+}
+"""What sensors' numbers are rounded to [rad, rad/s, m/s²]; of torques relative to the joint's largest."""
+
+
+def rounded(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The log in single precision, each number a multiple of a power of two below its noise."""
+    out = dict(arrays)
+    for name, step in STEPS.items():
+        if name in arrays:
+            x = arrays[name]
+            if name == "tau":
+                step = 2.0 ** np.floor(np.log2(step * np.abs(x).max(axis=0) + 1e-12))
+            out[name] = (np.round(x / step) * step).astype(np.float32)
+    return out
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """An .npz with fixed stamps and order, filled up to whole blocks: its size tells the robot and the rate alone."""
+    """An .npz with fixed stamps and order."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, value in arrays.items():
@@ -59,203 +68,104 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
             info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o600 << 16
             archive.writestr(info, member.getvalue(), compresslevel=7)
-    raw = buffer.getvalue()
-    with zipfile.ZipFile(buffer, "a") as archive:
-        archive.comment = b"\0" * (-len(raw) % BLOCK)
     return buffer.getvalue()
 
 
-def write_log(setting: Planned, name: str, work: Path) -> dict:
-    """One log in `work`, whole or not at all, and its answer beside it; the answer."""
-    answer_file = work / "answers" / f"{name}.json"
-    folder = work / "logs" / name
-    if answer_file.exists() and folder.exists():
-        return json.loads(answer_file.read_text())
-    log, test, model, truth = _made(setting)
-    part = work / "parts" / name
-    shutil.rmtree(part, ignore_errors=True)
+def write_log(task: mixed.Task, name: str, logs: Path, hidden: Path) -> None:
+    """Both folders of one log, each whole or not at all."""
+    if (logs / name).exists() and (hidden / name).exists():
+        return
+    made = _made(task)
+    files = {"log.npz": npz_bytes(rounded(made.log)), "nominal.xml": made.nominal.encode()}
+    if made.validation:
+        files["validation.npz"] = npz_bytes(rounded(made.validation))
+    truth = json.dumps(made.truth, indent=1).encode()
+    _put(hidden / name, {"test.npz": npz_bytes(rounded(made.test)), "truth.json": truth})
+    _put(logs / name, files)
+
+
+def _put(folder: Path, files: dict[str, bytes]) -> None:
+    part = folder.parent.with_name(f"{folder.parent.name}.parts") / folder.name
+    for place in (part, folder):
+        shutil.rmtree(place, ignore_errors=True)
     part.mkdir(parents=True)
-    (part / "log.npz").write_bytes(npz_bytes(log))
-    (part / "test.npz").write_bytes(npz_bytes(test))
-    (part / "nominal.xml").write_text(model)
-    answer = {"sha256": vault.fingerprint(part), "truth": truth}
-    shutil.rmtree(folder, ignore_errors=True)
+    for name, data in files.items():
+        (part / name).write_bytes(data)
+        os.utime(part / name, (MOMENT, MOMENT))
+    os.utime(part, (MOMENT, MOMENT))
+    folder.parent.mkdir(parents=True, exist_ok=True)
     part.rename(folder)
-    whole = answer_file.with_suffix(".part")
-    whole.write_text(json.dumps(answer))
-    whole.rename(answer_file)
-    return answer
 
 
-def _made(setting: Planned):
-    """Log, other motion, nominal model and truth."""
-    if not isinstance(setting, mixed.Task):
-        return _made_in_world(setting)
+def _made(task: mixed.Task):
+    """Of another robot where no draw of the effect leaves the loop stable."""
     for further in range(TRIES):
         try:
-            made = mixed.make(replace(setting, index=setting.index + further * FURTHER))
-            return made.log, made.test, made.nominal, made.truth
+            return mixed.make(replace(task, index=task.index + further * FURTHER))
         except RuntimeError as error:
             failure = error
     raise failure
 
 
-def _made_in_world(setting: Setting):
-    """`make`, with other robots of the same kind where no draw of an effect leaves the loop stable."""
-    from world.make import make  # It needs Pinocchio, and most mixed strata do not.
-
-    for further in range(TRIES):
-        try:
-            return make(replace(setting, key=(*setting.key, further)))
-        except RuntimeError as error:
-            failure = error
-    raise failure
+def plan(seed: bytes, count: int) -> list[tuple[mixed.Task, str]]:
+    """What each log holds, and its name: who lacks the seed learns nothing from it."""
+    words = int.from_bytes(hashlib.sha256(seed).digest(), "little")
+    names = [hashlib.sha256(b"%b name %d" % (seed, k)).hexdigest()[:12] for k in range(count)]
+    return list(zip(mixed.plan(words, count), names, strict=True))
 
 
-def words_of(seed: bytes) -> tuple[int, ...]:
-    """Eight words of 32 bits from any bytes."""
-    return tuple(int(w) for w in np.frombuffer(hashlib.sha256(seed).digest(), "<u4"))
-
-
-def names_of(seed: bytes, count: int) -> list[str]:
-    """Of the logs in their order: who lacks the seed learns nothing from them."""
-    return [hashlib.sha256(b"%b name %d" % (seed, k)).hexdigest()[:12] for k in range(count)]
-
-
-def again(logs: Path, seed: bytes, count: int, wanted: set[str], jobs: int) -> None:
-    """Some logs of a set of mixed strata, made again of its seed."""
-    todo = zip(plan_mixed(words_of(seed), count, None), names_of(seed, count), strict=True)
-    work = logs.with_name(f"{logs.name}.work")
-    for folder in ("answers", "logs", "parts"):
-        (work / folder).mkdir(parents=True, exist_ok=True)
-    logs.mkdir(parents=True, exist_ok=True)
-    for name, _ in _each([(t, n) for t, n in todo if n in wanted], work, jobs):
-        shutil.move(work / "logs" / name, logs / name)
-    shutil.rmtree(work)
-
-
-def begin(sealed: Path, count: int, seed: Path | None, robots: list[str] | None) -> dict:
-    """What fixes the set: drawn once, read again by a second call."""
-    notes = sealed / NOTES
-    if notes.exists():
-        return json.loads(notes.read_text())
-    sealed.mkdir(parents=True, exist_ok=True)
-    raw = seed.read_bytes() if seed else secrets.token_bytes(32)
-    names = names_of(raw, count)
-    made = {
-        "seed": raw.hex(),
+def make(
+    logs: Path, hidden: Path, seed: bytes, count: int, jobs: int = 1, engine: str | None = None
+) -> str | None:
+    """Every log that is not there yet, and the commitment; None where some are another engine's."""
+    tasks = plan(seed, count)
+    todo = [x for x in tasks if engine in (None, x[0].engine)]
+    # Those of targets take longest: their effects' sizes are measured by further simulations.
+    todo.sort(key=lambda x: x[0].stratum not in mixed.position.STRATA)
+    if jobs == 1:
+        for task, name in todo:
+            write_log(task, name, logs, hidden)
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            running = [pool.submit(write_log, t, n, logs, hidden) for t, n in todo]
+            for done in track(running, "making logs"):
+                done.result()
+    if any(not (logs / name).exists() for _, name in tasks):
+        return None
+    for place in (logs, hidden):
+        shutil.rmtree(place.with_name(f"{place.name}.parts"), ignore_errors=True)
+    about = {
+        "seed_sha256": hashlib.sha256(seed).hexdigest(),
         "count": count,
-        "names": names,
-        "robots": robots,
         "commit": checkout.commit(),
     }
-    part = notes.with_suffix(".part")
-    part.touch(mode=0o600)
-    part.write_text(json.dumps(made))
-    part.rename(notes)
-    return made
-
-
-def seal_set(
-    logs: Path,
-    sealed: Path,
-    count: int,
-    seed: Path | None = None,
-    jobs: int = 1,
-    robots: list[str] | None = None,
-    settings: Callable[..., Sequence[Planned]] | None = None,
-) -> str:
-    """Everything; returns the commitment. `settings(words, count, robots)` plans the logs; None: `plan_world`."""
-    notes = begin(sealed, count, seed, robots)
-    names = notes["names"]
-    words = words_of(bytes.fromhex(notes["seed"]))
-    todo = (settings or plan_world)(words, len(names), notes["robots"])
-    work = sealed / "work"
-    for folder in ("answers", "logs", "parts"):
-        (work / folder).mkdir(parents=True, exist_ok=True)
-    answers: dict[str, dict] = {}
-    columns = ("sealing", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns) as progress:
-        bar = progress.add_task("", total=len(names))
-        for name, answer in _each(list(zip(todo, names, strict=True)), work, jobs):
-            answers[name] = answer
-            progress.advance(bar)
-    logs.mkdir(parents=True, exist_ok=True)
-    for name in sorted(names):
-        shutil.move(work / "logs" / name, logs / name)
-    _same_times(logs)
-    public = {"seed": notes["seed"], "commit": notes["commit"], "robots": notes["robots"]}
-    promise = vault.seal(public | {"logs": dict(sorted(answers.items()))}, sealed)
-    shutil.rmtree(work)
-    (sealed / NOTES).unlink()
-    return promise
-
-
-def plan_world(words: tuple[int, ...], count: int, robots: list[str] | None) -> list[Setting]:
-    """One and two effects on a good model; `robots`: those alone, in the same proportions."""
-    from world.plan import ROBOTS, plan  # Pinocchio, as above.
-
-    shares = {r: ROBOTS[r] for r in robots or ROBOTS}
-    return plan(words, count, {r: s / sum(shares.values()) for r, s in shares.items()})
-
-
-def plan_mixed(words: tuple[int, ...], count: int, robots: list[str] | None) -> list[mixed.Task]:
-    """Tasks of the mixed strata; their seed is all of the set's."""
-    seed = sum(int(w) << 32 * k for k, w in enumerate(words))
-    return mixed.plan(seed, count)
-
-
-def _each(todo: list[tuple[Planned, str]], work: Path, jobs: int):
-    if jobs == 1:
-        for setting, name in todo:
-            yield name, write_log(setting, name, work)
-        return
-    # A fork beside the bar's thread may inherit a lock that nobody opens.
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(write_log, s, n, work): n for s, n in todo}
-        for done in as_completed(running):
-            yield running[done], done.result()
-
-
-def _same_times(logs: Path) -> None:
-    for path in sorted(logs.rglob("*"), reverse=True):
-        os.utime(path, (MOMENT, MOMENT))
-    os.utime(logs, (MOMENT, MOMENT))
+    return vault.seal(logs, hidden, about)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("logs", type=Path)
-    parser.add_argument("sealed", type=Path)
-    parser.add_argument("--n", type=int, default=400)
-    parser.add_argument("--seed", type=Path, help="file whose bytes are the seed")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--robots", nargs="+", help="of sets without --mixed")
-    parser.add_argument("--mixed", action="store_true", help="the strata of mixed.py")
-    parser.add_argument(
-        "--again", type=Path, help="file of names: those logs alone, nothing sealed"
-    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    draw = commands.add_parser("draw")
+    draw.add_argument("seed", type=Path)
+    more = commands.add_parser("make")
+    more.add_argument("logs", type=Path)
+    more.add_argument("vault", type=Path)
+    more.add_argument("--seed", type=Path, required=True)
+    more.add_argument("--n", type=int, default=615)
+    more.add_argument("--jobs", type=int, default=1)
+    more.add_argument("--engine", choices=mixed.cad.ENGINES)
     args = parser.parse_args()
-    if args.again:
-        if not (args.mixed and args.seed):
-            parser.error("--again: expected --mixed and --seed")
-        wanted = set(args.again.read_text().split())
-        again(args.logs, args.seed.read_bytes(), args.n, wanted, args.jobs)
+    if args.command == "draw":
+        if args.seed.exists():
+            parser.error(f"{args.seed} holds a seed already; choose another file")
+        args.seed.touch(mode=0o600)
+        args.seed.write_text(secrets.token_hex(32))
+        print(hashlib.sha256(args.seed.read_bytes()).hexdigest())
         return
-    if args.mixed and args.robots:
-        parser.error("--robots: of sets without --mixed")
-    if args.robots:
-        from world.plan import ROBOTS
-
-        if unknown := sorted(set(args.robots) - set(ROBOTS)):
-            parser.error(f"--robots {' '.join(unknown)}: expected {', '.join(sorted(ROBOTS))}")
-    if (args.sealed / vault.ANSWERS).exists():
-        parser.error(f"{args.sealed} holds sealed answers already; choose another folder")
-    settings = plan_mixed if args.mixed else None
-    promise = seal_set(args.logs, args.sealed, args.n, args.seed, args.jobs, args.robots, settings)
-    print(f"commitment {promise}")
+    promise = make(args.logs, args.vault, args.seed.read_bytes(), args.n, args.jobs, args.engine)
+    print(f"commitment {promise}" if promise else "other logs of the set are still to be made")
 
 
 if __name__ == "__main__":

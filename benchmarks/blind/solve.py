@@ -1,10 +1,11 @@
 """Diagnoses every log of a sealed set with the public command, in processes that know nothing of the examination.
 
-    python benchmarks/blind/solve.py LOGS OUT --jobs 2 [--exclude FAMILY ...] [--fresh] [--only FILE]
+    python benchmarks/blind/solve.py LOGS OUT --jobs 2 [--timeout 300] [--exclude FAMILY ...] [--fresh] [--only FILE]
 
 Each log is copied under a neutral name into a private folder, where a process that can import the package (a copy of
-it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`. The run that judges, test.npz, is not
-among what it gets. The process stays for many logs, so that what JAX compiled is kept (`--fresh`: one process a log).
+it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`, with the log's validation run where it
+has one. The run that judges is not among what it gets. Several processes have a core each, and longest logs come first.
+The process stays for many logs, so that what JAX compiled is kept (`--fresh`: one process a log).
 OUT/results/NAME appears whole or not at all: report.json, corrected.xml and run.json; a second call goes on with what
 is missing. Needs the package's own dependencies alone.
 """
@@ -30,6 +31,7 @@ import checkout
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
+GIVEN = ("log.npz", "nominal.xml", "validation.npz")
 KEPT = ("report.json", "corrected.xml")
 PER_PROCESS = 60
 TIMEOUT = 1800.0
@@ -39,9 +41,16 @@ class Diagnoser:
     """One isolated process, started again when it has done its share, hangs or dies."""
 
     def __init__(
-        self, home: Path, cache: Path | None, per_process: int, timeout: float, package=None
+        self,
+        home: Path,
+        cache: Path | None,
+        per_process: int,
+        timeout: float,
+        package=None,
+        core: int | None = None,
     ):
-        """`package(folder)` puts the package to be examined into an empty folder."""
+        """`package(folder)` puts the package to be examined into an empty folder; `core`: the one it runs on."""
+        self.core = core
         self.home, self.cache, self.package = home, cache, package or copy_package
         self.per_process, self.timeout = per_process, timeout
         self.process: subprocess.Popen | None = None
@@ -70,7 +79,7 @@ class Diagnoser:
             readable.append(str(self.cache))
         libraries = [str(Path(p).resolve()) for p in sys.path[1:] if p and Path(p).is_dir()]
         code = (Path(__file__).parent / "worker.py").read_text()
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-I", "-c", code, str(self.home / "package"), str(self.home),
              os.pathsep.join(libraries), *readable],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
@@ -78,6 +87,9 @@ class Diagnoser:
             # Ctrl-C is for the examination to act on: a command that it ended would pass for one that failed.
             start_new_session=True,
         )  # fmt: skip
+        if self.core is not None:
+            os.sched_setaffinity(process.pid, {self.core})
+        return process
 
     def ask(self, arguments: list[str]) -> dict:
         """Run the command once; {"exit", "seconds", "error"?}. KeyboardInterrupt when stopped meanwhile."""
@@ -115,9 +127,12 @@ class Diagnoser:
             self.process, self.done = self._start(), 0
         for old in job.iterdir():
             shutil.rmtree(old) if old.is_dir() else old.unlink()
-        for name in ("log.npz", "nominal.xml"):
-            shutil.copyfile(log / name, job / name)
+        for name in GIVEN:
+            if (log / name).exists():
+                shutil.copyfile(log / name, job / name)
         arguments = ["diagnose", "log.npz", "--model", "nominal.xml"]
+        if (job / "validation.npz").exists():
+            arguments += ["--validation-log", "validation.npz"]
         if exclude:
             arguments += ["--exclude", *exclude]
         answer = self.ask([*arguments, "--out", "found"])
@@ -169,10 +184,11 @@ def version() -> str:
 
 
 def alike(log: Path) -> tuple:
-    """Logs whose compiled code is the same come one after the other, the largest first: they take longest."""
+    """Those of targets and of feet come first, then the largest: they take longest. Compiled alike, one after the other."""
     with zipfile.ZipFile(log / "log.npz") as archive:
-        sizes = [(i.filename, i.file_size) for i in archive.infolist()]
-    return -sum(size for _, size in sizes), tuple(sorted(sizes)), log.name
+        sizes = {i.filename: i.file_size for i in archive.infolist()}
+    replayed = "qpos_target.npy" in sizes or "base_quat.npy" in sizes
+    return not replayed, -sum(sizes.values()), tuple(sorted(sizes.items())), log.name
 
 
 @dataclass(frozen=True)
@@ -214,7 +230,11 @@ def solve(
 
         count = min(jobs, len(todo))
         share = 1 if fresh else PER_PROCESS
-        diagnosers = [Diagnoser(work / f"{k:02d}", cache, share, timeout) for k in range(count)]
+        cores = sorted(os.sched_getaffinity(0)) if count > 1 else [None]
+        diagnosers = [
+            Diagnoser(work / f"{k:02d}", cache, share, timeout, core=cores[k % len(cores)])
+            for k in range(count)
+        ]
 
         def worker(diagnoser: Diagnoser) -> None:
             try:

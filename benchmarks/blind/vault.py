@@ -1,88 +1,60 @@
-"""The sealed answers: encryption, the commitment, and the fingerprints of the logs that the answers belong to.
+"""What fixes a sealed set: the hash of its seed, published before a log exists, and the manifest of its files.
 
-Fernet (AES-128-CBC with HMAC-SHA256, from the `cryptography` library) is used because its authentication binds key and
-text: AES-GCM would let one ciphertext be opened by two keys into two different answers.
+LOGS/NAME holds what a tool may see, VAULT/NAME what the scorer alone opens, VAULT/manifest.json the SHA-256 of every
+log's files beside the seed's. The SHA-256 of the manifest is the commitment: it is printed before the first diagnosis.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
-import zlib
 from pathlib import Path
 
-ANSWERS, KEY, COMMITMENT = "answers.sealed", "key", "commitment.txt"
-FILES = ("log.npz", "nominal.xml", "test.npz")
+MANIFEST = "manifest.json"
+SHOWN, HIDDEN = ("log.npz", "nominal.xml", "validation.npz"), ("test.npz", "truth.json")
 
 
 class SealBroken(ValueError):
-    """Answers, key, commitment and logs do not belong together."""
+    """Seed, manifest and logs do not belong together."""
 
 
-def fingerprint(folder: Path) -> str:
-    """SHA-256 over the files of one log."""
+def fingerprint(shown: Path, hidden: Path) -> str:
+    """SHA-256 over the names and files of one log."""
     digest = hashlib.sha256()
-    for name in FILES:
-        digest.update(hashlib.sha256((folder / name).read_bytes()).digest())
+    for folder, names in ((shown, SHOWN), (hidden, HIDDEN)):
+        for name in names:
+            if (folder / name).exists():
+                digest.update(name.encode() + hashlib.sha256((folder / name).read_bytes()).digest())
     return digest.hexdigest()
 
 
-def commitment(sealed: bytes, key: bytes) -> str:
-    """SHA-256 that fixes the sealed answers and the key that opens them."""
-    parts = hashlib.sha256(sealed).digest() + hashlib.sha256(key.strip()).digest()
-    return hashlib.sha256(parts).hexdigest()
+def seal(logs: Path, vault: Path, about: dict) -> str:
+    """Write the manifest of all logs; the commitment. `about`: what else it states."""
+    names = sorted(p.name for p in logs.iterdir())
+    prints = {name: fingerprint(logs / name, vault / name) for name in names}
+    (vault / MANIFEST).write_text(json.dumps(about | {"logs": prints}, indent=1) + "\n")
+    return commitment(vault)
 
 
-def seal(answers: dict, folder: Path) -> str:
-    """Encrypt `answers` (JSON) into `folder`, the key beside it readable by its owner alone; the commitment."""
-    from cryptography.fernet import Fernet
-
-    folder.mkdir(parents=True, exist_ok=True)
-    key = Fernet.generate_key()
-    sealed = Fernet(key).encrypt(zlib.compress(json.dumps(answers).encode(), 9))
-    promise = commitment(sealed, key)
-    descriptor = os.open(folder / KEY, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(key)
-    (folder / ANSWERS).write_bytes(sealed)
-    (folder / COMMITMENT).write_text(promise + "\n")
-    return promise
+def commitment(vault: Path) -> str:
+    """SHA-256 of the manifest."""
+    return hashlib.sha256((vault / MANIFEST).read_bytes()).hexdigest()
 
 
-def unseal(
-    folder: Path, promise: str, logs: Path | None, key: Path | None = None, part: bool = False
-) -> dict:
-    """The answers, after commitment and every log have been checked; `SealBroken` with one line otherwise.
+def check(logs: Path, vault: Path, promise: str, seed: bytes | None = None) -> dict:
+    """The manifest, after all has been compared with it; `SealBroken` says in one line what differs.
 
-    `part`: logs may be missing. `promise` is the commitment as published before any diagnosis, not the copy beside the
-    answers.
+    `promise`: the commitment as it was published; `seed`: once it is opened.
     """
-    from cryptography.fernet import Fernet, InvalidToken
-
-    sealed = (folder / ANSWERS).read_bytes()
-    secret = (key or folder / KEY).read_bytes().strip()
-    got = commitment(sealed, secret)
-    if got != promise.strip():
-        raise SealBroken(
-            f"{folder / ANSWERS}: commitment {got[:16]}…; published was {promise.strip()[:16]}…"
-        )
-    try:
-        answers = json.loads(zlib.decompress(Fernet(secret).decrypt(sealed)))
-    except InvalidToken:
-        raise SealBroken(f"{folder / ANSWERS}: not sealed with this key") from None
-    if logs is not None:
-        check_logs(answers, logs, part)
-    return answers
-
-
-def check_logs(answers: dict, logs: Path, part: bool = False) -> None:
-    """`SealBroken` where a log is missing (unless `part`), added or changed since it was sealed."""
+    if (got := commitment(vault)) != promise.strip():
+        raise SealBroken(f"{vault}: commitment {got[:16]}…; published was {promise.strip()[:16]}…")
+    manifest = json.loads((vault / MANIFEST).read_text())
+    if seed is not None and hashlib.sha256(seed).hexdigest() != manifest["seed_sha256"]:
+        raise SealBroken(f"the seed's SHA-256 is not {manifest['seed_sha256'][:16]}…")
     held = {p.name for p in logs.iterdir() if p.is_dir()}
-    told = set(answers["logs"])
-    if held - told or (told - held and not part):
-        odd = sorted(held ^ told)
+    if odd := sorted(held ^ set(manifest["logs"])):
         raise SealBroken(f"{logs}: {len(odd)} logs missing or foreign, such as {odd[0]}")
-    for name in sorted(held):
-        if fingerprint(logs / name) != answers["logs"][name]["sha256"]:
+    for name, told in manifest["logs"].items():
+        if fingerprint(logs / name, vault / name) != told:
             raise SealBroken(f"{logs / name}: changed since it was sealed")
+    return manifest

@@ -46,7 +46,7 @@ from motions import make_motion
 from plant import Noise, Plant, Unstable
 from robots import Robot
 
-ATTEMPTS = 10
+ATTEMPTS, FURTHER = 10, 5
 NUMBER = 20  # of this stratum, in the seeds
 MUJOCO, PINOCCHIO = ENGINES = ("mujoco", "pinocchio")
 """What plays the world: `plant` with `cad_plant`'s bristles, or `pinocchio_plant` with its slipping springs."""
@@ -69,6 +69,10 @@ class Setting:
     good: bool = False
     """The nominal model has every joint's friction and rotor."""
     engine: str = MUJOCO
+    window: tuple[float, float] | None = None
+    """Sigmas that an odd effect is to have; drawn again outside of it, `FURTHER` times at most."""
+    validation: bool = False
+    """A third run, as long as the other motion."""
     mount: np.ndarray | None = None
     """Gravity as it really is, in the base's axes [m/s²]; None: as the model has it."""
 
@@ -172,11 +176,12 @@ def _plant(s: Setting, hidden: Hidden) -> Plant:
 
 
 def simulate(s: Setting, hidden: Hidden, which: int, noise: Noise, preroll: float = 1.0) -> dict:
-    """One clean log (with the noise beside it) of motion 0 (log) or 1 (test)."""
+    """One clean log (with the noise beside it) of motion 0 (log), 1 (test) or 2 (validation)."""
     plant = _plant(s, hidden)
-    motion = make_motion(s.robot, s.kinds[which], [*s.seed, 3, which])
-    duration = (s.duration, s.test_duration)[which]
-    run = nominal_run(s.robot, s.kinds[which], [*s.seed, 3, which], 4.0)
+    kind = (*s.kinds, "exciting")[which]
+    motion = make_motion(s.robot, kind, [*s.seed, 3, which])
+    duration = (s.duration, s.test_duration, s.test_duration)[which]
+    run = nominal_run(s.robot, kind, [*s.seed, 3, which], 4.0)
     loop = JointLoop(s, run.inertia + hidden.armature, hidden.law)
     rng = np.random.default_rng([*s.seed, 4, which])
     start = motion(-preroll)[:2]
@@ -222,12 +227,13 @@ def draw_hidden(s: Setting, kind: str, attempt: int) -> Hidden:
 
 @dataclass
 class Made:
-    """One robot's log and other motion, the model a diagnosis gets, and the truth."""
+    """One robot's log and other motion, the model a diagnosis gets, and the truth; perhaps a third run."""
 
     log: dict[str, np.ndarray]
     test: dict[str, np.ndarray]
     nominal: str
     truth: dict
+    validation: dict[str, np.ndarray] | None = None
 
 
 def make(seed: int, index: int) -> Made:
@@ -241,22 +247,28 @@ def simulated(s: Setting, kind: str) -> Made:
         hidden = draw_hidden(s, kind, attempt)
         noise = draw_noise(s, hidden.scale)
         try:
-            log, test = (simulate(s, hidden, which, noise) for which in (0, 1))
+            log = simulate(s, hidden, 0, noise)
+            seen = cad_truth.judge(s.real, hidden, log, noise, s.rate)
+            if kind and s.window and attempt < FURTHER:
+                low, high = s.window
+                if not low <= seen["visibility"]["sigmas"] <= high:
+                    continue
+            test, *more = (simulate(s, hidden, k, noise) for k in (1, 2)[: 1 + s.validation])
         except Unstable as error:
             reason = str(error)
             s.bandwidth = max(0.8 * s.bandwidth, 6.0)
             continue
-        truth = describe(s, hidden, noise, log, test, attempt)
+        truth = describe(s, hidden, seen, noise, test, attempt)
         nominal = s.robot.xml
         if s.good:
             nominal = good_model(s.robot, hidden, np.random.default_rng([*s.seed, 7]))
         logs = to_contract(s, log, noise), to_contract(s, test, noise)
-        return Made(*logs, nominal, truth)
+        return Made(*logs, nominal, truth, *(to_contract(s, x, noise) for x in more))
     raise RuntimeError(f"log {s.seed[-1]}: {kind or 'none'} on {s.robot.name}: {reason}")
 
 
-def describe(s: Setting, hidden: Hidden, noise: Noise, log, test, attempt: int) -> dict:
-    seen = cad_truth.judge(s.real, hidden, log, noise, s.rate)
+def describe(s: Setting, hidden: Hidden, seen: dict, noise: Noise, test, attempt: int) -> dict:
+    """truth.json; `seen`: `cad_truth.judge` of the log."""
     other = cad_truth.judge(s.real, hidden, test, noise, s.rate)
     odd: Effect | None = hidden.odd
     entry = None

@@ -14,6 +14,7 @@ import friction as fr
 import mujoco
 import numpy as np
 import twomass as tm
+import unknowns as un
 from cad_plant import (
     HystereticHose,
     JointCoupling,
@@ -39,6 +40,11 @@ ODD = (
     "actuator_lag",
 )
 OUTSIDE = ("position_dependent_friction", "resonance", "hysteretic_hose")
+FURTHER = (
+    *("torque_dead_band", "cubic_spring", "length_error", "clock_skew", "load_ripple"),
+    "stop_cushion",
+)
+"""More that no library has, of the sealed set."""
 TOLERANCE = {"mass": 0.02, "com": 1e-3, "inertia": 0.05}  # 1 sigma: share, m, share
 
 
@@ -371,6 +377,52 @@ class DrawOdd:
             "elastic": float(self.rng.uniform(0.0, 0.1)),
         }
         return HystereticHose("joint", name, p)
+
+    def torque_dead_band(self):
+        _, name, s = self.joint()
+        return un.TorqueDeadBand("joint", name, {"half_width": s * self.size(0.04, 0.25)})
+
+    def cubic_spring(self):
+        k, name, s = self.joint()
+        low, high = self.run.span[:, k]
+        half = max(0.5 * float(high - low), 1e-3)
+        p = {"stiffness": s * self.size(0.1, 0.6) / half**3, "rest_angle": float(low + high) / 2}
+        return un.CubicSpring("joint", name, p)
+
+    def length_error(self):
+        model = self.robot.model()
+        parents = [model.body(int(model.body_parentid[b])).name for b in range(2, model.nbody)]
+        far = np.linalg.norm(model.body_pos[2:], axis=1)
+        held = [p for p, x in zip(parents, far, strict=True) if p in self.robot.bodies and x > 0]
+        if not held:
+            return self.cubic_spring()
+        k = int(self.rng.integers(len(held)))
+        reach = float(far[parents.index(held[k])])
+        extension = self.sign() * reach * self.size(0.03, 0.15)
+        return un.LengthError("body", held[k], {"extension": extension})
+
+    def clock_skew(self):
+        return un.ClockSkew("global", "global", {"rate": self.sign() * self.size(1e-3, 8e-3)})
+
+    def load_ripple(self):
+        _, name, _ = self.joint()
+        p = {
+            "coefficient": self.size(0.03, 0.15),
+            "frequency": float(round(self.size(4, 16))),
+            "phase": float(self.rng.uniform(-np.pi, np.pi)),
+        }
+        return un.LoadRipple("joint", name, p)
+
+    def stop_cushion(self):
+        k, name, s = self.joint()
+        low, high = map(float, self.run.span[:, k])
+        side, depth = self.sign(), float(self.rng.uniform(0.1, 0.35)) * (high - low)
+        p = {
+            "stiffness": s * self.size(0.1, 0.8) / depth,
+            "onset": high - depth if side > 0 else low + depth,
+            "side": side,
+        }
+        return un.StopCushion("joint", name, p)
 
 
 def equivalents(robot: Robot, odd: fx.Effect) -> list[dict]:

@@ -24,12 +24,16 @@ def parser(doc: str, count: int) -> argparse.ArgumentParser:
     return out
 
 
-def write_folder(folder: Path, log: dict, test: dict, texts: dict[str, str]) -> None:
-    """log.npz, test.npz and files of text, by name."""
+def write_folder(
+    folder: Path, log: dict, test: dict, texts: dict[str, str], validation: dict | None = None
+) -> None:
+    """log.npz, test.npz, perhaps validation.npz, and files of text, by name."""
     part = folder.with_name(f".{folder.name}.{os.getpid()}")
     part.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
     np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
+    if validation:
+        np.savez_compressed(part / "validation.npz", allow_pickle=False, **validation)
     for name, text in texts.items():
         (part / name).write_text(text)
     if folder.exists():

@@ -34,7 +34,12 @@ def own_robot(path: Path, fix_base: bool = False) -> Robot:
     """
     model = _read(path)
     _check(model, path, fix_base)
-    spec, joints = _bare_bones(model, path.stem)
+    return robot_of(model, path.stem)
+
+
+def robot_of(model: mujoco.MjModel, name: str) -> Robot:
+    """The same of a compiled model on a fixed base."""
+    spec, joints = _bare_bones(model, name)
     plain = spec.compile()
     moves = (plain.body_weldid != 0) & (plain.body_mass > 0)
     bodies = tuple(plain.body(int(b)).name for b in np.flatnonzero(moves))
@@ -42,7 +47,7 @@ def own_robot(path: Path, fix_base: bool = False) -> Robot:
     mass = float(plain.body_mass[1:].sum())
     weight = mass * float(np.linalg.norm(plain.opt.gravity) or 9.81)
     robot = Robot(
-        name=path.stem,
+        name=name,
         xml=spec.to_xml(),
         joints=joints,
         bodies=bodies,

@@ -68,6 +68,27 @@ class StopCushion(_Unknown):
             out[self.dof] -= p["side"] * push
 
 
+class TorqueDeadBand(_Unknown):
+    """A drive that gives nothing of small torques: u less ± half its width, and zero between."""
+
+    mechanism, units = "torque_dead_band", {"half_width": "N m"}
+
+    def actuate(self, t, dt, u):
+        x, w = u[self.joint], self.parameters["half_width"]
+        u[self.joint] = math.copysign(max(abs(x) - w, 0.0), x)
+
+
+class CubicSpring(_Unknown):
+    """A hose or a bellows that stiffens: −k (q − q₀)³."""
+
+    mechanism = "cubic_spring"
+    units = {"stiffness": "N m/rad^3", "rest_angle": "rad"}  # noqa: RUF012
+
+    def load(self, t, data, tau, out):
+        p = self.parameters
+        out[self.dof] -= p["stiffness"] * (data.qpos[self.adr] - p["rest_angle"]) ** 3
+
+
 class LengthError(_Unknown):
     """A link is longer than the model says: its child sits further out; masses stay."""
 

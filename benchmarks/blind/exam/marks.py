@@ -1,205 +1,180 @@
-"""One log: the hidden truth beside what was reported.
+"""One log of a mixed examination (`mixed`): the hidden truth beside what was said.
 
-An effect is *clear* where its χ², after likely errors of the nominal model had their share, is at least `CLEAR`:
-fixed before any log was diagnosed, the same figure as of the development data. Fainter ones are asked for as well
-(sizes start below what can be seen), and reported apart: there, silence is right, too.
+Any tool can be marked: from it come report.json and corrected.xml, or one line that refuses the log (PROTOCOL.md). An
+effect counts as found where one that is listed, or one stated equivalent to it, is the true one or one that theory says
+is the same there. Effects that change the torque by less than `SEEN` standard deviations of what else is uncertain
+(friction's form, the drawing's tolerances, the sensors) are not asked for: silence is right there.
 """
 
 from __future__ import annotations
 
-import math
+import json
+import re
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
 
-CLEAR = 150.0
-NEAR = 0.10
-AT_FLOOR = 1.2
-SKIPPED = ("phase", "rest_angle")
-"""Numbers whose relative error says nothing: an angle's zero is a convention."""
+import evaluate_cad
+import numpy as np
+from evaluate_cad import SEEN, key, keys_of, terms
+from report_torque import ORDINARY
 
-Key = tuple[str, str]
+from exam import imu_marks, position_marks
+
+WORDS = {
+    "no_gravity": r"gravity",
+    "amperes": r"tau-unit|not N m|current",
+    "motor_side": r"tau-unit|not N m|gear",
+    "late_torque": r"shift-torque|behind|ahead|late",
+    "turned_sign": r"sign",
+    "other_order": r"is what|order",
+    "degrees": r"degrees",
+    "other_zero": r"zero",
+    "turned_mount": r"mount",
+}
+"""What a line has to say of each fault; `misread` of a report may name it instead."""
+SHOWN = 300
+"""Characters of what was printed that a row keeps."""
 
 
-def key(effect: dict) -> Key:
-    return effect["family"], effect["location"]["name"]
+def mark_all(folders: list[Path], found: Path, jobs: int) -> list[dict]:
+    """Rows of logs, by what a tool wrote to `found`/results."""
+    places = [found / "results" / f.name for f in folders]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(mark, folders, places))
 
 
-def mark(answer: dict, report: dict | None, other: dict | None = None) -> dict:
-    """A flat row: the setting, the truth, what was found, and every question with True, False or None (not asked).
-
-    `other`: torque error of the run that the tool never saw, {"before", "after"}, of the files as written.
-    """
-    truth = answer["truth"]
-    setting, effects = truth["setting"], truth["effects"]
+def mark(folder: Path, place: Path) -> dict:
+    """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it."""
+    truth = json.loads((folder / "truth.json").read_text())
+    report, said, seconds = _answer(place)
     row = {
-        "stratum": setting["stratum"],
-        "robot": setting["robot"],
-        "engine": setting["engine"],
-        "motion": setting["motions"][0],
-        "rate": setting["rate"],
-        "loud": setting["loud"],
-        "wrong_model": setting["wrong"],
-        "sensors": _habit(truth["sensors"]),
-        "true": [[e["mechanism"], e["location"]["name"]] for e in effects],
-        "clear": [e["visibility"]["distinct"] >= CLEAR for e in effects],
-        "chi2": [e["visibility"]["chi2"] for e in effects],
-        "distinct": [e["visibility"]["distinct"] for e in effects],
+        "log": folder.name,
+        "stratum": truth["stratum"],
+        "robot": truth["robot"],
+        "engine": truth.get("engine", "mujoco"),
+        "validation": truth.get("validation", False),
+        "verdict": "refused" if report is None else report["verdict"],
+        "confidence": None if report is None else report.get("confidence"),
+        "said": said[-SHOWN:],
+        "seconds": seconds,
     }
+    if truth["stratum"] in position_marks.STRATA:
+        return row | position_marks.marks(folder, place, truth, report)
+    if truth["stratum"] == imu_marks.STRATUM:
+        return row | imu_marks.marks(truth, report)
+    odd, stratum = truth["odd"], truth["stratum"]
+    seen = bool(odd) and odd["visibility"]["sigmas"] >= SEEN
+    row |= {
+        "hidden": _hidden(truth),
+        "sigmas": odd["visibility"]["sigmas"] if odd else 0.0,
+        "asked": seen if stratum in ("one_effect", "bare_odd", "outside") else True,
+        "listed": [] if report is None else [list(key(e)) for e in report["effects"]],
+    }
+    if stratum == "misread":
+        return row | _of_fault(truth, report, said)
+    return row | _of_effects(truth, report, row) | _errors(folder, place, truth, report)
+
+
+def _answer(place: Path) -> tuple[dict | None, str, float | None]:
+    """Report, what was printed, and how long it took [s]."""
+    file, run = place / "report.json", place / "run.json"
+    report = json.loads(file.read_text()) if file.exists() else None
+    said = json.loads(run.read_text()) if run.exists() else {}
+    text = f"{said.get('console', '')} {said.get('error', '')}"
+    return report, " ".join(text.split()), said.get("seconds")
+
+
+def _hidden(truth: dict) -> str:
+    if truth.get("fault"):
+        return truth["fault"]
+    odd = truth["odd"]
+    if not odd:
+        return "nothing" if truth["stratum"] == "sound" else "ordinary physics"
+    return f"{odd.get('mechanism', odd['family'])} at {odd['location']['name']}"
+
+
+def _of_fault(truth: dict, report: dict | None, said: str) -> dict:
+    """A fault is named in the line, or in the report's notes; a confident verdict on such a log is wrong."""
+    text = said if report is None else f"{said} {json.dumps(report.get('notes', ''))}"
+    named = bool(re.search(WORDS[truth["fault"]], text, re.IGNORECASE))
+    named |= report is not None and report.get("misread") == truth["fault"]
+    confident = report is not None and report["verdict"] in ("explained", "no_gap")
+    return {"right": named and not confident, "confident_wrong": confident, "named": named}
+
+
+def _of_effects(truth: dict, report: dict | None, row: dict) -> dict:
+    stratum, verdict = truth["stratum"], row["verdict"]
     if report is None:
-        return row | {"failed": True, "found": [], "verdict": "failed", **_answered(truth, _FAILED)}
-    found = [list(key(e)) for e in report["effects"]]
-    row |= {"failed": False, "found": found, "verdict": report["verdict"]}
-    return row | _answered(truth, report) | _numbers(truth, report, other)
-
-
-_FAILED = {"verdict": "failed", "effects": [], "gap": {"share": {}}, "shrink": {}}
-
-
-def _habit(s: dict) -> str:
-    words = [s["law"]] if s["law"] != "normal" else []
-    words += ["drops"] if s["drops"] else []
-    words += ["coarse"] if s["coarse"] else []
-    return "+".join(words) or "plain"
-
-
-def accepted(truth: dict) -> list[set[Key]]:
-    """For each true effect: itself, and what theory says explains the same log exactly."""
-    return [
-        {key(e), *((f, n) for f, n in twins)}
-        for e, twins in zip(truth["effects"], truth["equivalents"], strict=True)
-    ]
-
-
-def _answered(truth: dict, report: dict) -> dict:
-    """The questions. None where one does not apply to the log."""
-    stratum, verdict = truth["setting"]["stratum"], report["verdict"]
-    right = accepted(truth)
-    clear = [e["visibility"]["distinct"] >= CLEAR for e in truth["effects"]]
-    found = [key(e) for e in report["effects"]]
-    sets = [{key(e), *map(key, e.get("equivalent", []))} for e in report["effects"]]
-    out: dict = dict.fromkeys(
-        ["false_alarm", "family", "place", "in_set", "exact", "false_unknown", "unknown", "missed"]
-    )
-    out |= dict.fromkeys(["unknown_place", "pair_recall", "pair_precision", "pair_both"])
-    out |= dict.fromkeys(["pair_in_set", "misled"])
-    if stratum == "none":
-        out["false_alarm"] = verdict != "no_gap"
-        return out
-    if stratum == "unknown":
-        if clear[0]:
-            # One effect of the library may be the same there, by theory.
-            out["unknown"] = verdict == "unknown" or (bool(found) and found[0] in right[0])
-            out["unknown_place"] = _points_at(truth["effects"][0]["location"], report)
-        return out
-    hits = [any(f in r for f in found) for r in right]
-    if stratum == "single":
-        first, one = (found[0] if found else ("", "")), right[0]
-        if not clear[0]:
-            out["misled"] = bool(found) and first not in one and not (sets[0] & one)
-            return out
-        out["family"] = first[0] in {f for f, _ in one}
-        out["place"] = first[1] in {p for _, p in one}
-        out["in_set"] = bool(sets) and bool(sets[0] & one)
-        out["exact"] = len(found) == 1 and first in one and verdict != "unknown"
-        out["false_unknown"] = verdict == "unknown"
-        out["missed"] = verdict == "no_gap"
-        return out
-    asked = [h for h, c in zip(hits, clear, strict=True) if c]
-    if asked:
-        out["pair_recall"] = asked
-        out["pair_precision"] = [any(f in r for r in right) for f in found]
-        out["false_unknown"] = verdict == "unknown"
-    if len(asked) == 2:
-        out["pair_both"] = all(asked) and len(found) == 2
-        out["pair_in_set"] = len(found) == 2 and all(any(s & r for s in sets) for r in right)
-    return out
-
-
-def _points_at(location: dict, report: dict) -> bool | None:
-    """Whether an unknown effect's place is told: by the first effect, the row with most of the gap, or the body."""
-    if location["kind"] == "global":
-        return None
-    told = {key(e)[1] for e in report["effects"][:1]}
-    if share := report["gap"]["share"]:
-        told.add(max(share, key=lambda name: share[name]))
-    bodies = (report.get("where") or {}).get("bodies") or []
-    told |= {b["body"] for b in bodies[:1]}
-    return location["name"] in told
-
-
-def _numbers(truth: dict, report: dict, other: dict | None) -> dict:
-    """Parameters of effects that both name, shrink predicted and achieved, rollouts, probability."""
-    parameters = []
-    for t in truth["effects"]:
-        for e in report["effects"]:
-            if key(t) == key(e):
-                parameters += _compared(t, e)
-    shrink = report["shrink"]
-    own = shrink.get("heldout") or {}
-    held = _shrunk(own)
-    test = _shrunk(other and other | {"noise": own.get("noise")})
-    lasting = all(e["lasting"] for e in truth["effects"])
-    near = None
-    if report["effects"] and lasting and held is not None and test is not None:
-        near = abs(held - test) <= NEAR
-    rolled = shrink.get("rollout")
-    at_floor = None
-    if rolled and report["effects"] and report["verdict"] != "unknown" and rolled["floor"]:
-        at_floor = rolled["after"] <= AT_FLOOR * rolled["floor"]
-    first = report["effects"][0] if report["effects"] else None
+        return {"right": False, "confident_wrong": False, "found": False, "there": []}
+    odd, good = truth["odd"], stratum in ("sound", "one_effect")
+    declared = keys_of(odd) if odd and odd["family"] != "unknown" else set()
+    present = {key(e) for e in truth["present"]}
+    there, hits, strange = [], [], []
+    for e in report["effects"]:
+        hit = bool(keys_of(e) & declared)
+        ordinary = e["family"] in ORDINARY or e.get("ordinary", False)
+        known = (ordinary and not good) or key(e) in present
+        there.append(hit or known)
+        if not ordinary:
+            hits.append(hit)
+        if not (hit or known):
+            strange.append(e)
+    found = any(hits)
+    right = {
+        "sound": verdict == "no_gap",
+        "one_effect": found or not row["asked"],
+        "bare": verdict != "no_gap" and not strange,
+        "bare_odd": found or not row["asked"],
+        "outside": verdict in ("unknown", "partly") or not row["asked"],
+    }[stratum]
+    wrong = {
+        "sound": verdict == "explained",
+        "one_effect": row["asked"] and not found and verdict in ("explained", "no_gap"),
+        "bare": verdict == "no_gap" or (verdict == "explained" and bool(strange)),
+        "bare_odd": row["asked"] and not found and verdict in ("explained", "no_gap"),
+        "outside": row["asked"] and verdict in ("explained", "no_gap"),
+    }[stratum]
     return {
-        "parameters": parameters,
-        "predicted": held,
-        "achieved": test,
-        "shrink_within_10": near,
-        "rollout_at_floor": at_floor,
-        "probability": first["probability"] if first else None,
-        "confidence": report["confidence"],
+        "right": right,
+        "confident_wrong": wrong,
+        "found": found,
+        "first": bool(hits) and hits[0],
+        "there": there,
     }
 
 
-def _shrunk(s: dict | None) -> float | None:
-    """Noise-corrected share of the gap that went away; None where there was hardly a gap."""
-    if not s or s["before"] is None or s["after"] is None:
-        return None
-    noise = s.get("noise") or 0.0
-    if s["before"] < 1.5 * noise:
-        return None
-    return 1.0 - _above(s["after"], noise) / max(_above(s["before"], noise), 1e-12)
+def _errors(folder: Path, place: Path, truth: dict, report: dict | None) -> dict:
+    """Torque error of the test run [N m], moving rows: as given, plain least squares, the truth in such forms, as reported.
+
+    `stated`: after over before by the report itself, on rows of its own log.
+    """
+    errors = evaluate_cad.errors(folder, truth)
+    out = {name: errors[name]["rms"] for name in ("nominal", "least_squares", "oracle")}
+    out |= {"tool": None, "stated": None}
+    if report is None:
+        return {"errors": out}
+    try:
+        own = evaluate_cad.own_error(place, folder, report)
+    except (KeyError, ValueError, TypeError):
+        own = None
+    out["tool"] = own["rms"] if own else None
+    held = (report.get("shrink") or {}).get("heldout") or {}
+    if held.get("before") and held.get("after") is not None:
+        out["stated"] = held["after"] / held["before"]
+    return {"errors": out} | _intervals(truth, report)
 
 
-def _above(x: float, noise: float) -> float:
-    return math.sqrt(max(x * x - noise * noise, 0.0))
-
-
-def _compared(true: dict, found: dict) -> list[dict]:
-    """Relative error (of a vector: of its length) and coverage, number by number."""
-    out = []
-    for name, p in found["parameters"].items():
-        if name not in true["parameters"] or name in SKIPPED or p["value"] is None:
-            continue
-        value = true["parameters"][name]["value"]
-        stem = name[:-2] if name[-2:] in ("_x", "_y", "_z") else None
-        parts = [q["value"] for n, q in true["parameters"].items() if stem and n[:-2] == stem]
-        size = math.sqrt(sum(x * x for x in parts)) if parts else abs(value)
-        low, high = p["ci95"]
-        out.append(
-            {
-                "family": true["family"],
-                "name": name,
-                "error": abs(p["value"] - value) / max(size, 1e-12),
-                "covers": None if low is None or high is None else low <= value <= high,
-            }
-        )
-    return out
-
-
-def fine(row: dict) -> bool:
-    """Whether a log needs no explanation in the list of wrong ones."""
-    if row["failed"]:
-        return False
-    if row["stratum"] == "none":
-        return not row["false_alarm"]
-    if row["stratum"] == "unknown":
-        return row["unknown"] is not False
-    if row["stratum"] == "single":
-        return bool(row["exact"] or row["in_set"]) if row["clear"][0] else not row["misled"]
-    return row["pair_recall"] is None or (all(row["pair_recall"]) and all(row["pair_precision"]))
+def _intervals(truth: dict, report: dict) -> dict:
+    """`covers`: whether each interval of an ordinary number holds the true one; `width`: over the truth's own."""
+    told = [t for t in terms(truth, report) if t["covers"] is not None]
+    ratios = []
+    for t in told:
+        one = report["joints"].get(t["joint"], {}).get(t["family"], {})
+        sigma = truth["joints"][t["joint"]][t["family"]]["sigma"]
+        if one.get("ci95") and sigma > 0:
+            ratios.append((one["ci95"][1] - one["ci95"][0]) / (2 * 1.96 * sigma))
+    return {
+        "covers": [sum(t["covers"] for t in told), len(told)],
+        "width": float(np.median(ratios)) if ratios else None,
+    }

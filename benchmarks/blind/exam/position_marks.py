@@ -1,8 +1,8 @@
 """One log of a robot that is told positions: what was hidden beside what was said, and how far the model still errs.
 
-The model that a tool hands back (corrected.xml) is run by MuJoCo C on the other motion: each actuator gets the targets
-of its joint, late by its own delay; a model without actuators gets the loop that the log states. Joint positions are
-compared with the log's encoders. Nothing of a tool's own figures is used.
+The model that a tool hands back (corrected.xml) is run by MuJoCo C on the test run's targets (`../replay/evaluator.py`);
+one without actuators gets the loop that the log states. Joint positions are compared with the log's encoders. Nothing of
+a tool's own figures is used.
 """
 
 from __future__ import annotations
@@ -12,71 +12,41 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from evaluate_cad import SEEN, key, keys_of
-from mujoco import rollout
+from replay.evaluator import replayed
+from torque_error import read
 
 STRATA = ("position", "position_torque")
-STEP, FINER = 1e-3, 4
-"""Of the replay [s], and moments in one that a target is averaged over."""
 SETTLING, LOST = 0.2, 10.0
+"""Left out at the start [s]; of a robot that flies off [rad]."""
 ORDINARY = {
     "armature", "viscous_friction", "coulomb_friction", "encoder_offset", "kp_scale", "kd_scale", "target_delay",
 }  # fmt: skip
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-Log = dict[str, np.ndarray]
 
 
-def replay(spec: mujoco.MjSpec, log: Log) -> np.ndarray:
-    """Positions (T, n) at the log's stamps of a model that is told the log's targets [rad]."""
-    names = [str(x) for x in log["joint_names"]]
+def error(model: Path, log: dict[str, np.ndarray]) -> float:
+    """Rms over joints and rows after the start [rad]."""
+    names, spec = [str(x) for x in log["joint_names"]], mujoco.MjSpec.from_file(str(model))
+    text = model.read_text()
     if not spec.actuators:
         for name, kp, kd in zip(names, log["kp"], log["kd"], strict=True):
             servo = spec.add_actuator(name=f"{name}_servo", target=name)
             servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
             servo.set_to_position(kp=float(kp), kv=float(kd))
-    late = np.array([float(a.delay) for a in spec.actuators])
-    for a in spec.actuators:
-        # Here, so that what was commanded before the log began is its first target.
-        a.delay, a.nsample = 0.0, 0
-    m = spec.compile()
-    m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    column = [names.index(m.joint(int(m.actuator_trnid[a, 0])).name) for a in range(m.nu)]
-    time, told = np.asarray(log["time"]) - log["time"][0], log["qpos_target"]
-    steps = int(np.ceil(time[-1] / STEP))
-    control = np.zeros((steps, m.nu))
-    for part in (np.arange(FINER) + 0.5) / FINER:
-        for a, j in enumerate(column):
-            at = (np.arange(steps) + part) * STEP - late[a]
-            rows = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
-            control[:, a] += told[rows, j] / FINER
-    d = mujoco.MjData(m)
-    adr = [m.joint(x).qposadr[0] for x in names]
-    d.qpos[adr] = log["qpos"][0]
-    if m.na:
-        d.act[:] = control[0, m.actuator_actadr >= 0]
-    state = np.zeros(mujoco.mj_stateSize(m, _STATE))
-    mujoco.mj_getState(m, d, state, _STATE)
-    path = rollout.rollout(m, d, state[None], control[None])[0][0][:, 1 + np.array(adr)]
-    path = np.concatenate([log["qpos"][:1], path])
-    grid = np.arange(steps + 1) * STEP
-    return np.stack([np.interp(time, grid, x) for x in path.T], axis=1)
-
-
-def error(model: Path, log: Log) -> float:
-    """Rms over joints and rows after the start [rad]; a robot that flies off is `LOST` from where it should be."""
-    path = replay(mujoco.MjSpec.from_file(str(model)), log)
-    miss = np.clip(np.nan_to_num(path - log["qpos"], nan=LOST), -LOST, LOST)
-    moving = log["time"] - log["time"][0] >= SETTLING
-    return float(np.sqrt(np.mean(miss[moving] ** 2)))
+        spec.compile()
+        text = spec.to_xml()
+    time, q, target = (np.asarray(log[x], float) for x in ("time", "qpos", "qpos_target"))
+    path = replayed(text, names, time, q, target)
+    miss = np.clip(np.nan_to_num(path - q, nan=LOST), -LOST, LOST)
+    return float(np.sqrt(np.mean(miss[time - time[0] >= SETTLING] ** 2)))
 
 
 def errors(folder: Path, place: Path) -> dict[str, float]:
     """`nominal`, and `tool`: of the model that it handed back; who hands back none that runs leaves the nominal one."""
-    with np.load(folder / "test.npz") as file:
-        log = {k: file[k] for k in file.files}
+    log = read(folder / "test.npz")
     nominal = error(folder / "nominal.xml", log)
     try:
         mended = error(place / "corrected.xml", log)
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, OSError):
         mended = nominal
     return {"nominal": nominal, "tool": mended}
 

@@ -1,13 +1,16 @@
-"""Shares with Wilson's bounds (Wilson 1927), overall and by any column of the rows."""
+"""Shares with Wilson's bounds (Wilson 1927), medians and confidence with bootstrap ones."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-Z = 1.959964
+import numpy as np
+
+Z, DRAWS = 1.959964, 2000
+Bounded = tuple[float | None, float | None, float | None]
+"""A number and its 95 % interval; None of nothing."""
 
 
 @dataclass(frozen=True)
@@ -44,73 +47,37 @@ def count(values: Iterable[bool | None]) -> Share:
     return Share(sum(asked), len(asked))
 
 
-def _each(rows: list[dict], name: str) -> list[bool | None]:
-    """A column whose cells may be lists."""
-    out: list[bool | None] = []
-    for row in rows:
-        cell = row.get(name)
-        out += cell if isinstance(cell, list) else [cell]
-    return out
+def median(values: Iterable[float]) -> Bounded:
+    x = np.array(list(values))
+    if not len(x):
+        return None, None, None
+    rng = np.random.default_rng(0)
+    draws = np.median(rng.choice(x, (DRAWS, len(x))), axis=1)
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return float(np.median(x)), float(low), float(high)
 
 
-def _parameters(rows: list[dict]) -> list[dict]:
-    return [p for row in rows for p in row.get("parameters", [])]
+def tenths(told: np.ndarray) -> list[tuple[float, float, int]]:
+    """(mean stated, share right, logs) of each tenth of confidence; `told`: (stated, right) of each log (N, 2)."""
+    tenth = np.minimum((10 * told[:, 0]).astype(int), 9)
+    parts = [told[tenth == k] for k in range(10)]
+    return [(*map(float, some.mean(0)), len(some)) for some in parts if len(some)]
 
 
-def _column(name: str) -> Callable[[list[dict]], Share]:
-    return lambda rows: count(_each(rows, name))
+def confidence_error(told: np.ndarray) -> Bounded:
+    """Mean |stated − observed| over tenths, weighted by their logs."""
+    if not len(told):
+        return None, None, None
+
+    def mean(some: np.ndarray) -> float:
+        return sum(abs(s - r) * n for s, r, n in tenths(some)) / len(some)
+
+    rng = np.random.default_rng(0)
+    draws = [mean(told[rng.integers(len(told), size=len(told))]) for _ in range(DRAWS)]
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return mean(told), float(low), float(high)
 
 
-QUESTIONS: dict[str, Callable[[list[dict]], Share]] = {
-    "family": _column("family"),
-    "place": _column("place"),
-    "in_set": _column("in_set"),
-    "exact": _column("exact"),
-    "missed": _column("missed"),
-    "unknown": _column("unknown"),
-    "unknown_place": _column("unknown_place"),
-    "false_unknown": _column("false_unknown"),
-    "false_alarm": _column("false_alarm"),
-    "misled_when_faint": _column("misled"),
-    "pair_recall": _column("pair_recall"),
-    "pair_precision": _column("pair_precision"),
-    "pair_both": _column("pair_both"),
-    "pair_in_set": _column("pair_in_set"),
-    "parameters_within_10": lambda rows: count(p["error"] <= 0.1 for p in _parameters(rows)),
-    "coverage95": lambda rows: count(p["covers"] for p in _parameters(rows)),
-    "shrink_within_10": _column("shrink_within_10"),
-    "rollout_at_floor": _column("rollout_at_floor"),
-}
-GOALS = {
-    "family": "≥ 0.94",
-    "place": "≥ 0.98",
-    "in_set": "≥ 0.99",
-    "unknown": "≥ 0.97",
-    "false_unknown": "≤ 0.03",
-    "false_alarm": "≤ 0.01",
-    "pair_recall": "≥ 0.92",
-    "pair_precision": "≥ 0.95",
-    "pair_both": "≥ 0.80",
-    "coverage95": "0.90–0.98",
-    "shrink_within_10": "≥ 0.94",
-    "rollout_at_floor": "≥ 0.90",
-}
-
-
-def summary(rows: list[dict]) -> dict[str, float | int | None]:
-    """What blind.json holds: each rate with its bounds."""
-    out: dict[str, float | int | None] = {"logs": len(rows)}
-    for name, ask in QUESTIONS.items():
-        share = ask(rows)
-        out[name] = share.rate
-        out[f"{name}_low"], out[f"{name}_high"] = share.bounds
-        out[f"{name}_n"] = share.n
-    return out
-
-
-def by(rows: list[dict], column: str) -> dict[str, list[dict]]:
-    """Rows by the value of a column."""
-    out = defaultdict(list)
-    for row in rows:
-        out[str(row[column])].append(row)
-    return dict(sorted(out.items()))
+def worded(number: Bounded) -> str:
+    """With its interval, or a dash."""
+    return "–" if number[0] is None else "{:.3g} [{:.3g}, {:.3g}]".format(*number)
