@@ -252,9 +252,7 @@ def test_marks_of_effects(hidden, verdict, listed, right, wrong):
     ],
 )
 def test_marks_of_faults(report, said, right):
-    assert (
-        marks._of_fault(truth("misread", fault="no_gravity"), report, said)["right"] == right
-    )
+    assert marks._of_fault(truth("misread", fault="no_gravity"), report, said)["right"] == right
 
 
 def told(kind: str, *effects: dict, sigmas: float = 10.0) -> dict:

@@ -56,7 +56,9 @@ PACE = [row("k", "position", "dead_band at x", named=[], replay={"nominal": 1.0,
 def test_every_number_is_what_one_counts():
     made = page.summary(ROWS, PACE)
     json.dumps(made)
-    assert set(made) == {"logs"} | {f"{n}{end}" for n in page.GOALS for end in ("", "_low", "_high")}
+    assert set(made) == {"logs"} | {
+        f"{n}{end}" for n in page.GOALS for end in ("", "_low", "_high")
+    }
     expected = {
         "logs": 15, "one_effect_family": 1 / 2, "play_and_elasticity": 1.0, "cad_precision": 4 / 5, "cad_odd": 1 / 2,
         "sound_no_gap": 2 / 3, "position_family": 2 / 3, "feet_family": 1 / 2, "handed_over_vs_least_squares": 0.4,

@@ -53,7 +53,9 @@ def test_a_log_holds_the_contract_and_nothing_else(sealed):
         *("time", "joint_names", "qpos", "qvel", "tau", "tau_kind", "sigma_qpos", "sigma_tau")
     }
     files = sorted(sorted(p.name for p in folder.iterdir()) for folder in logs.iterdir())
-    assert files == [["log.npz", "nominal.xml"]] * 2 + [["log.npz", "nominal.xml", "validation.npz"]]
+    assert files == [["log.npz", "nominal.xml"]] * 2 + [
+        ["log.npz", "nominal.xml", "validation.npz"]
+    ]
     for file in logs.rglob("*.npz"):
         with zipfile.ZipFile(file) as archive:
             assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
@@ -61,7 +63,9 @@ def test_a_log_holds_the_contract_and_nothing_else(sealed):
             assert set(arrays.files) <= allowed
             assert arrays["qpos"].dtype == np.float32
             np.testing.assert_array_equal(arrays["qpos"] * 2.0**21 % 1.0, 0.0)
-    assert {p.name for p in hidden.iterdir()} == {p.name for p in logs.iterdir()} | {"manifest.json"}
+    assert {p.name for p in hidden.iterdir()} == {p.name for p in logs.iterdir()} | {
+        "manifest.json"
+    }
 
 
 def test_names_and_times_tell_nothing(sealed):
@@ -99,7 +103,9 @@ def test_the_commitment_holds_end_to_end(sealed, tmp_path, monkeypatch):
     (task, name) = seal.plan(SEED, 3)[1]
     again = tmp_path / "again"
     seal.write_log(task, name, again / "logs", again / "vault")
-    assert vault.fingerprint(again / "logs" / name, again / "vault" / name) == manifest["logs"][name]
+    assert (
+        vault.fingerprint(again / "logs" / name, again / "vault" / name) == manifest["logs"][name]
+    )
     truth = json.loads((hidden / name / "truth.json").read_text())
     place = tmp_path / "mine" / "results" / name
     place.mkdir(parents=True)

@@ -38,7 +38,10 @@ from rich.progress import track  # noqa: E402
 RESULTS = HERE.parent / "results"
 STORED, SUMMARY, PAGE = RESULTS / "sealed_rows.json", RESULTS / "sealed.json", HERE / "RESULTS.md"
 DOCS = HERE.parents[1] / "docs"
-BLOCK = re.compile(r"(?<=<!-- sealed: written by benchmarks/blind/score.py page -->\n).*?(?=<!-- end of sealed -->)", re.DOTALL)
+BLOCK = re.compile(
+    r"(?<=<!-- sealed: written by benchmarks/blind/score.py page -->\n).*?(?=<!-- end of sealed -->)",
+    re.DOTALL,
+)
 
 
 def opened(logs: Path, hidden: Path, name: str, out: Path) -> Path:

@@ -31,6 +31,7 @@ from pathlib import Path
 
 import checkout
 import mixed
+import mujoco
 import numpy as np
 import vault
 from rich.progress import track
@@ -71,17 +72,21 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def write_log(task: mixed.Task, name: str, logs: Path, hidden: Path) -> None:
-    """Both folders of one log, each whole or not at all."""
+def write_log(task: mixed.Task, name: str, logs: Path, hidden: Path) -> str | None:
+    """Both folders of one log, each whole or not at all; why it cannot be made, where that is so."""
     if (logs / name).exists() and (hidden / name).exists():
-        return
-    made = _made(task)
+        return None
+    try:
+        made = _made(task)
+    except (RuntimeError, ValueError, mujoco.FatalError) as error:
+        return f"{task.stratum} {task.kind}: {error}"
     files = {"log.npz": npz_bytes(rounded(made.log)), "nominal.xml": made.nominal.encode()}
     if made.validation:
         files["validation.npz"] = npz_bytes(rounded(made.validation))
     truth = json.dumps(made.truth, indent=1).encode()
     _put(hidden / name, {"test.npz": npz_bytes(rounded(made.test)), "truth.json": truth})
     _put(logs / name, files)
+    return None
 
 
 def _put(folder: Path, files: dict[str, bytes]) -> None:
@@ -122,15 +127,16 @@ def make(
     todo = [x for x in tasks if engine in (None, x[0].engine)]
     # Those of targets take longest: their effects' sizes are measured by further simulations.
     todo.sort(key=lambda x: x[0].stratum not in mixed.position.STRATA)
+    lacking: dict[str, str | None] = {}
     if jobs == 1:
-        for task, name in todo:
-            write_log(task, name, logs, hidden)
+        lacking = {name: write_log(task, name, logs, hidden) for task, name in todo}
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            running = [pool.submit(write_log, t, n, logs, hidden) for t, n in todo]
-            for done in track(running, "making logs"):
-                done.result()
-    if any(not (logs / name).exists() for _, name in tasks):
+            running = {n: pool.submit(write_log, t, n, logs, hidden) for t, n in todo}
+            for name in track(running, "making logs"):
+                lacking[name] = running[name].result()
+    lacking = {name: why for name, why in lacking.items() if why}
+    if any(not (logs / name).exists() for _, name in tasks if name not in lacking):
         return None
     for place in (logs, hidden):
         shutil.rmtree(place.with_name(f"{place.name}.parts"), ignore_errors=True)
@@ -138,6 +144,7 @@ def make(
         "seed_sha256": hashlib.sha256(seed).hexdigest(),
         "count": count,
         "commit": checkout.commit(),
+        "not_made": lacking,
     }
     return vault.seal(logs, hidden, about)
 

@@ -184,7 +184,7 @@ def version() -> str:
 
 
 def alike(log: Path) -> tuple:
-    """Those of targets and of feet come first, then the largest: they take longest. Compiled alike, one after the other."""
+    """Those of targets and of feet come first, then the largest: they take longest. Alike ones share compiled code."""
     with zipfile.ZipFile(log / "log.npz") as archive:
         sizes = {i.filename: i.file_size for i in archive.infolist()}
     replayed = "qpos_target.npy" in sizes or "base_quat.npy" in sizes

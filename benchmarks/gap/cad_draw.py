@@ -386,7 +386,7 @@ class DrawOdd:
         k, name, s = self.joint()
         low, high = self.run.span[:, k]
         half = max(0.5 * float(high - low), 1e-3)
-        p = {"stiffness": s * self.size(0.1, 0.6) / half**3, "rest_angle": float(low + high) / 2}
+        p = {"stiffness": s * self.size(0.03, 0.4) / half**3, "rest_angle": float(low + high) / 2}
         return un.CubicSpring("joint", name, p)
 
     def length_error(self):
@@ -418,7 +418,7 @@ class DrawOdd:
         low, high = map(float, self.run.span[:, k])
         side, depth = self.sign(), float(self.rng.uniform(0.1, 0.35)) * (high - low)
         p = {
-            "stiffness": s * self.size(0.1, 0.8) / depth,
+            "stiffness": s * self.size(0.02, 0.4) / depth,
             "onset": high - depth if side > 0 else low + depth,
             "side": side,
         }

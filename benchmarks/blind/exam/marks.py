@@ -145,7 +145,7 @@ def _of_effects(truth: dict, report: dict | None, row: dict) -> dict:
 
 
 def _errors(folder: Path, place: Path, truth: dict, report: dict | None) -> dict:
-    """Torque error of the test run [N m], moving rows: as given, plain least squares, the truth in such forms, as reported.
+    """Torque error of the test run's moving rows [N m]: as given, least squares, the truth in such forms, as reported.
 
     `stated`: after over before by the report itself, on rows of its own log.
     """

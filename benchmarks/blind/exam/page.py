@@ -175,7 +175,14 @@ def page(about: dict, tools: dict[str, Rows]) -> str:
     pace = tools.get(PACE, [])
     lines = [f"# Sealed set {about['set']}: {len(rows)} logs, {first}", ""]
     lines += [line for note in about["head"] for line in (note, "")]
-    lines += [*goals(rows, pace), "", "## By stratum", "", "| stratum | logs | right | what right means |", "|---|---|---|---|"]
+    lines += [
+        *goals(rows, pace),
+        "",
+        "## By stratum",
+        "",
+        "| stratum | logs | right | what right means |",
+        "|---|---|---|---|",
+    ]
     for stratum in STRATA:
         if some := of(rows, stratum):
             right = count(r["right"] for r in some)

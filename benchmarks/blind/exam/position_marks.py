@@ -1,8 +1,8 @@
 """One log of a robot that is told positions: what was hidden beside what was said, and how far the model still errs.
 
-The model that a tool hands back (corrected.xml) is run by MuJoCo C on the test run's targets (`../replay/evaluator.py`);
-one without actuators gets the loop that the log states. Joint positions are compared with the log's encoders. Nothing of
-a tool's own figures is used.
+The model that a tool hands back (corrected.xml) is run by MuJoCo C on the test run's targets, by
+`../replay/evaluator.py`; one without actuators gets the loop that the log states. Joint positions are compared with the
+log's encoders. Nothing of a tool's own figures is used.
 """
 
 from __future__ import annotations
