@@ -24,6 +24,7 @@ from replay.robots import Robot
 from robots import Robot as Bought
 
 STRATA = ("position", "position_torque")
+SECONDS = 9.0  # of both runs
 CLOCK, SEEN_IN, ALIKE = 1e-3, 6.0, 1.0  # s
 AT_RATED = 0.2  # rad by which a joint lags that needs its rated torque
 SLOWEST, FASTEST = 12.0, 60.0  # rad/s: bandwidths of a loop
@@ -35,7 +36,7 @@ def make(number: int, seed: list[int], torque: bool, bought: Bought) -> Made:
     robot = told_positions(bought)
     for attempt in range(ATTEMPTS):
         try:
-            one = drawn(number, np.random.default_rng([*seed, attempt]), robot)
+            one = drawn(number, np.random.default_rng([*seed, attempt]), robot, SECONDS)
             if torque:
                 # A torque is held from its row to the next, as the protocol says of commanded ones.
                 one.log_hz = one.loop_hz

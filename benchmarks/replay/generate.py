@@ -117,13 +117,15 @@ def one(number: int, seed: int, out: Path) -> None:
     raise Unstable(f"log {number}: every attempt flew off")
 
 
-def drawn(number: int, rng: np.random.Generator, robot: Robot | None = None) -> Drawn:
-    """What log `number` holds, on the robot whose turn it is, or on another."""
+def drawn(
+    number: int, rng: np.random.Generator, robot: Robot | None = None, seconds: float | None = None
+) -> Drawn:
+    """What log `number` holds, on the robot whose turn it is, or on another; as long as usual, or `seconds`."""
     kind = KINDS[number % len(KINDS)]
     if robot is None:
         turn = (number // len(KINDS) + number) % 4
         robot = ROBOTS[("leg", "arm", "quadruped", "rig")[turn]]()
-    seconds = 8.0 if len(robot.joints) > 7 else 14.0
+    seconds = seconds or (8.0 if len(robot.joints) > 7 else 14.0)
     told = targets(robot, seconds, rng, _TOLD), targets(robot, seconds, rng, _TOLD)
     asked, fastest, typical, inertia = nominal_run(robot, told[0])
     truth, effects = Truth.sound(robot), []
