@@ -1,6 +1,7 @@
 """Scores folders of answers on a sealed set, after seed, commitment and every log have been checked.
 
-    python benchmarks/blind/score.py run LOGS VAULT --commitment HEX --out OUT [--jobs 1] --tool NAME=FOLDER ...
+    python benchmarks/blind/score.py run LOGS VAULT --commitment HEX --out OUT [--jobs 1] [--reached] \\
+        --tool NAME=FOLDER [--tool ...]
     python benchmarks/blind/score.py store OUT/rows.json --set S1 --seed SEED --note "what was run" ...
     python benchmarks/blind/score.py page [--check]
 
@@ -66,10 +67,22 @@ def marked(folder: Path, place: Path, kept: Path) -> dict:
 
 
 def score(
-    logs: Path, hidden: Path, promise: str, tools: dict[str, Path], out: Path, jobs: int = 1
+    logs: Path,
+    hidden: Path,
+    promise: str,
+    tools: dict[str, Path],
+    out: Path,
+    jobs: int = 1,
+    reached: bool = False,
 ) -> dict[str, list[dict]]:
-    """Rows of every tool, log by log; `vault.SealBroken` where the set is not the one that was committed to."""
+    """Rows of every tool, log by log; `vault.SealBroken` where the set is not the one that was committed to.
+
+    `reached`: of the logs alone that the first tool was given.
+    """
     names = sorted(vault.check(logs, hidden, promise)["logs"])
+    if reached:
+        first = next(iter(tools.values()))
+        names = [name for name in names if (first / "results" / name).exists()]
     rows: dict[str, list[dict]] = {}
     folders = {name: opened(logs, hidden, name, out) for name in names}
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -125,6 +138,9 @@ def main() -> None:
     run.add_argument("--tool", action="append", required=True, metavar="NAME=FOLDER")
     run.add_argument("--out", type=Path, required=True)
     run.add_argument("--jobs", type=int, default=1)
+    run.add_argument(
+        "--reached", action="store_true", help="the logs alone that the first tool was given"
+    )
     keep = commands.add_parser("store")
     keep.add_argument("rows", type=Path)
     keep.add_argument("--set", required=True)
@@ -135,7 +151,9 @@ def main() -> None:
     if args.command == "run":
         tools = {name: Path(place) for name, _, place in (t.partition("=") for t in args.tool)}
         try:
-            rows = score(args.logs, args.vault, args.commitment, tools, args.out, args.jobs)
+            rows = score(
+                args.logs, args.vault, args.commitment, tools, args.out, args.jobs, args.reached
+            )
         except vault.SealBroken as error:
             raise SystemExit(f"score: {error}") from None
         (args.out / "rows.json").write_text(json.dumps(rows))
