@@ -45,9 +45,18 @@ def mark_all(folders: list[Path], found: Path, jobs: int) -> list[dict]:
 
 
 def mark(folder: Path, place: Path) -> dict:
-    """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it."""
-    truth = json.loads((folder / "truth.json").read_text())
+    """A flat row. `folder` holds the log and truth.json, `place` what a tool made of it; malformed reports are none."""
     report, said, seconds = _answer(place)
+    try:
+        return _row(folder, place, report, said, seconds)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        if report is None:
+            raise
+        return _row(folder, place, None, f"report.json: {error!r}", seconds)
+
+
+def _row(folder: Path, place: Path, report: dict | None, said: str, seconds: float | None) -> dict:
+    truth = json.loads((folder / "truth.json").read_text())
     row = {
         "log": folder.name,
         "stratum": truth["stratum"],
@@ -170,7 +179,7 @@ def _intervals(truth: dict, report: dict) -> dict:
     told = [t for t in terms(truth, report) if t["covers"] is not None]
     ratios = []
     for t in told:
-        one = report["joints"].get(t["joint"], {}).get(t["family"], {})
+        one = report.get("joints", {}).get(t["joint"], {}).get(t["family"], {})
         sigma = truth["joints"][t["joint"]][t["family"]]["sigma"]
         if one.get("ci95") and sigma > 0:
             ratios.append((one["ci95"][1] - one["ci95"][0]) / (2 * 1.96 * sigma))
