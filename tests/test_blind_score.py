@@ -1,5 +1,6 @@
 """The scorer on answers made by hand: every number that sealed.json holds, by counting."""
 
+import hashlib
 import json
 import runpy
 import subprocess
@@ -131,3 +132,13 @@ def test_the_adapter_of_the_protocol_answers_a_folder_of_logs(tmp_path, monkeypa
     assert [e["family"] for e in report["effects"]] == ["viscous_friction"]
     value = report["effects"][0]["parameters"]["damping"]["value"]
     assert value == pytest.approx(0.3, rel=0.02)
+
+
+def test_what_is_opened_was_committed_to():
+    """Seed and manifest of every opened set, by their hashes in COMMITMENTS.md."""
+    told = (BLIND / "COMMITMENTS.md").read_text()
+    for seed in BLIND.glob("*.seed"):
+        manifest = seed.with_suffix(".json")
+        digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in (seed, manifest)]
+        assert all(digest in told for digest in digests)
+        assert json.loads(manifest.read_text())["seed_sha256"] == digests[0]
