@@ -101,6 +101,23 @@ def without_friction(robot: ji.Robot, log: ji.Log):
     return dataclasses.replace(robot, damping=none, frictionloss=none, armature=none), log
 
 
+def lifted(robot: ji.Robot, log: ji.Log):
+    """A model in which MuJoCo's gravcomp lifts every body, and a log of a robot that nothing lifts."""
+    return dataclasses.replace(robot, compensated=robot.pi[:, :4]), log
+
+
+def lifted_in_both(robot: ji.Robot, log: ji.Log):
+    return lifted(robot, weightless(robot, log))
+
+
+def no_gravity(robot: ji.Robot, log: ji.Log):
+    return dataclasses.replace(robot, gravity=0.0 * robot.gravity), log
+
+
+def lifted_and_loaded(name: str):
+    return lambda robot, _: lifted(robot, robots.log_of(name, load=1.0))
+
+
 def late(seconds: float):
     return lambda robot, log: with_later_torque(log, seconds)
 
@@ -145,6 +162,14 @@ SAID = [
     ("sprung", differential, "two motors that drive both joints", "swing = 1"),
     ("leg", large_inertia, "error: thigh: 1.2 kg with", "give kg m²"),
     ("crane", large_inertia, "error: boom: 600 kg with", "give kg m²"),
+    ("leg", lifted, "error: tau holds gravity", "take gravcomp out of the model"),
+    ("crane", lifted, "error: tau holds gravity", "take gravcomp out of the model"),
+    ("sprung", lifted, "error: tau holds gravity", "take gravcomp out of the model"),
+    ("rig", lifted, "error: tau holds gravity", "take gravcomp out of the model"),
+    ("leg", lifted_and_loaded("leg"), "warning: the model takes gravity out", "gravcomp"),
+    ("gantry", lifted_and_loaded("gantry"), "error: tau holds gravity", "gravcomp"),
+    ("leg", no_gravity, "error: tau holds gravity", 'gravity="0 0 -9.81"'),
+    ("gantry", no_gravity, "error: tau holds gravity", 'gravity="0 0 -9.81"'),
     ("leg", late(0.15), "error: tau of every joint runs 14", "--shift-torque -0.1"),
     ("gantry", late(-0.08), "error: tau of every joint runs 8", "--shift-torque 0.08"),
     ("crane", late(0.15), "error: tau of every joint runs 14", "--shift-torque -0.1"),
@@ -169,6 +194,11 @@ def test_what_is_wrong_is_said_in_one_line(name, change, what, way):
 def test_two_faults_are_both_said():
     lines = told("leg", lambda robot, log: with_later_torque(weightless(robot, log), 0.15))
     assert ["holds no gravity" in lines[0], "ms behind" in lines[1]] == [True, True]
+
+
+@pytest.mark.parametrize("name", ["leg", pytest.param("crane", marks=pytest.mark.slow)])
+def test_a_model_without_weight_passes_where_the_torque_has_none(name):
+    assert told(name, lifted_in_both) == []
 
 
 def stiffer(spec) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.logs.log import Log, TorqueUnit
 from jax_inertia.model.robot import Robot
-from jax_inertia.preflight import other_readings, position_readings
+from jax_inertia.preflight import gravity_readings, other_readings, position_readings
 from jax_inertia.preflight.column_order import order
 from jax_inertia.preflight.compared import Compared, norm
 from jax_inertia.preflight.other_readings import FITS, Reading, error
@@ -48,13 +48,13 @@ _DRY = 0.03
 _READINGS = (
     other_readings.unlogged,
     other_readings.gains,
-    other_readings.weightless,
+    gravity_readings.weightless,
     order,
     other_readings.inertia_unit,
     other_readings.external,
     other_readings.pairs,
     *position_readings.READINGS,
-    other_readings.mount,
+    gravity_readings.mount,
     other_readings.own_gains,
 )
 
@@ -81,18 +81,20 @@ def judged(log: Log, robot: Robot) -> tuple[tuple[Finding, ...], bool]:
         return found, False
     if (split := _split(log, robot)) is None:
         return (), False
-    compared = Compared.of(split)
+    light, compared = gravity_readings.lifted(Compared.of(split))
     if not compared.judged.any():
         return (), False
     late: tuple[Finding, ...] = ()
     if split.kp is None:
         late, compared = in_time(compared)
     other = otherwise(compared)
-    sound = not other and compared.left_beside_load(compared.tau - compared.needed) < _SOUND
+    sound = (
+        not (other or light) and compared.left_beside_load(compared.tau - compared.needed) < _SOUND
+    )
     if split.kp is not None:
-        return other or tuple(from_another_zero(split)), sound
+        return (*light, *other) or tuple(from_another_zero(split)), sound
     # What is late by part of a sample still looks like friction.
-    return (*other, *late) or tuple(without_friction(compared)), sound
+    return (*light, *other, *late) or tuple(without_friction(compared)), sound
 
 
 def _split(log: Log, robot: Robot) -> Parts | None:

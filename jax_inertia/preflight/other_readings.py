@@ -1,4 +1,4 @@
-"""Other ways to read a log than its model's, with what each leaves: units, signs, order, gravity, zeros, couplings.
+"""Other ways to read a log than its model's, with what each leaves: units, signs, order, couplings.
 
 Each yields `Reading`s: a finding, and the share of the torque's energy that remains if it is true.
 """
@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.preflight.compared import Compared, norm
@@ -19,18 +18,10 @@ LOW, HIGH = 0.35, 3.0
 _UNITS = 8.0
 # Of one gear: the gains of all joints agree within this share.
 _ALIKE = 0.1
-# What is in a torque leaves so many times as much where it is left out.
-_SEEN = 4.0
 # Loads heavier than so many robots are another unit.
 _HEAVIEST = 20.0
 # Joints that are not part of a reading miss less than this share of their energy.
 FITS = 0.1
-# Below this, tilt is an effect of a diagnosis [rad], which tells it from a constant force.
-_TURNED = 0.5
-# What another cause leaves of what this one does, to be the better of the two: on one link a force is a turned gravity.
-_CLEARLY = 0.5
-# Gravity may come out this much off 9.81 m/s².
-_STRENGTH = 0.15
 # A motor whose joint needs next to nothing is felt from this share of the largest torque on.
 _FELT = 0.02
 # Of a differential the products of the direct and of the crossed gains are opposite and about as large.
@@ -156,24 +147,6 @@ def _unit(gain: np.ndarray) -> Finding:
     )
 
 
-def weightless(c: Compared) -> Iterator[Reading]:
-    """Gravity taken out of the torque by the controller."""
-    if not c.carrying.any():
-        return
-    left = c.left_beside_load(c.tau - c.inertia, c.carrying)
-    # The inertia must be seen, given whatever load is carried: else there is nothing of the robot in it.
-    if c.left_beside_load(c.tau, c.carrying) < _SEEN * left:
-        return
-    gravity, inertia = c.factors(c.inertia + c.carried(c.tau - c.inertia))
-    if abs(gravity) < 0.25:
-        message = (
-            f"tau holds no gravity (factor {gravity:.2f} at the model's gravity torque, {inertia:.2f} at its inertia): "
-            "the controller took it out; --gravity-compensated adds the model's gravity to tau"
-        )
-        plain = c.left_beside_load(c.tau - c.needed, c.carrying)
-        yield Reading(left, error("gravity", message), plain)
-
-
 def inertia_unit(c: Compared) -> Iterator[Reading]:
     """Inertias of the model in another unit, masses right."""
     joints = np.flatnonzero(c.judged)
@@ -271,50 +244,3 @@ def _mixed(matrix: np.ndarray) -> bool:
     """Whether two motors drive two joints about alike, together one and against each other the other."""
     direct, crossed = matrix[0, 0] * matrix[1, 1], matrix[0, 1] * matrix[1, 0]
     return bool(direct * crossed < 0 and _LOWEST_MIX < abs(crossed / direct) < 1.0 / _LOWEST_MIX)
-
-
-def mount(c: Compared) -> Iterator[Reading]:
-    """A base that is mounted at another angle than the model's."""
-    parts = c.parts
-    # Directions of which the robot feels nothing stay the model's.
-    gravity = parts.direction + _best(c, parts.less_friction(parts.gravity), c.judged)
-    before, after = np.linalg.norm(parts.direction), np.linalg.norm(gravity)
-    if before == 0 or abs(after / before - 1.0) > _STRENGTH:
-        return
-    angle = float(np.arccos(np.clip(gravity @ parts.direction / (before * after), -1, 1)))
-    if angle < _TURNED or not c.weighing.any():
-        return
-    needed = c.inertia + parts.less_friction(parts.gravity @ gravity)
-    left = c.left(needed, joints=c.weighing)
-    if any(_beside(c, pull) < _CLEARLY * left for pull in parts.forces()):
-        # A constant force on one body says it better: that is a diagnosis' to find.
-        return
-    message = (
-        f"torques fit the motion if gravity is turned by {np.degrees(angle):.0f}°, to "
-        f"({', '.join(f'{x:.2f}' for x in gravity)}) m/s²: the base is mounted otherwise than in the model; give "
-        f"--mount={mounting(gravity)}"
-    )
-    plain = c.left_beside_load(c.tau - c.needed, c.weighing)
-    yield Reading(left, error("mount", message), plain)
-
-
-def _beside(c: Compared, pull: Float[np.ndarray, "R n 3"]) -> float:
-    """What a load and a constant force leave of the joints that weigh; `pull`: torque against the force."""
-    force = _best(c, pull, c.weighing)
-    return c.left_beside_load(c.tau - c.needed - pull @ force, c.weighing)
-
-
-def _best(
-    c: Compared, pull: Float[np.ndarray, "R n 3"], joints: Bool[np.ndarray, " n"]
-) -> Float[np.ndarray, " 3"]:
-    """The vector that explains most of what the model misses at some joints; `pull`: torque against its axes."""
-    columns = (pull / c.size[:, None])[:, joints].reshape(-1, 3)
-    missing = ((c.tau - c.needed) / c.size)[:, joints]
-    return np.linalg.lstsq(columns, missing.ravel(), rcond=1e-3)[0]
-
-
-def mounting(gravity: np.ndarray) -> str:
-    """Angles "RX,RY" about x and y [degrees] of a base, upright in the model, in which gravity points so."""
-    x, y, z = gravity / np.linalg.norm(gravity)
-    angles = np.degrees([np.arctan2(-y, -z), np.arcsin(np.clip(x, -1.0, 1.0))])
-    return ",".join(f"{angle:.1f}" for angle in angles + 0.0)
