@@ -208,3 +208,52 @@ def test_a_joint_that_the_model_keeps_in_place(arm):
     assert "j4 at 0.2" in note.message
     with pytest.raises(ji.LogError, match="'j4' moves"):
         same_joints(robot, [log])
+
+
+def beside(robot_xml: str, body: str) -> str:
+    """The arm's model and another body on the world."""
+    return robot_xml.replace("</worldbody>", f"{body}</worldbody>")
+
+
+OTHER_ARM = """<body name="torso" pos="0 0.5 0"><joint name="waist" axis="0 0 1"/>
+ <inertial mass="9" pos="0 0 0.2" diaginertia="0.3 0.3 0.1"/><body name="arm" pos="0 0 0.4">
+ <joint name="shoulder" axis="0 1 0"/><inertial mass="3" pos="0.2 0 0" diaginertia="0.02 0.05 0.05"/></body></body>"""
+WHEEL = """<body name="wheel" pos="0.1 0 0"><joint name="roll" axis="0 1 0" pos="0 0 0.01"/>
+ <inertial mass="{mass}" pos="0 0.02 {up}" diaginertia="0.01 0.02 {z}"/></body>"""
+
+
+def held_beside(xml: str):
+    robot, log = ji.load_model(mujoco.MjModel.from_xml_string(xml)), log_of(ARMS["large"])
+    held, (same,), notes = same_joints(robot, [log])
+    return robot, log, held, same, " ".join(note.message for note in notes)
+
+
+def test_joints_of_another_branch_may_stand_anywhere():
+    robot, log, held, same, said = held_beside(beside(ARMS["large"], OTHER_ARM))
+    assert held.joint_names == log.joint_names
+    assert "waist at 0, shoulder at 0: in branches of their own" in said
+    assert preflight(same, held).ok
+    # Nothing that the log has a torque of depends on them: MuJoCo's own numbers.
+    model = mujoco.MjModel.from_xml_string(beside(ARMS["large"], OTHER_ARM))
+    data = mujoco.MjData(model)
+    own = [model.joint(name).dofadr[0] for name in log.joint_names]
+    found = []
+    for stands in (0.0, 1.0):
+        data.qpos[:] = stands
+        data.qpos[own] = np.asarray(log.qpos)[7]
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse[own].copy())
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("mass", "up", "z", "round_"),
+    [(4.0, 0.01, 0.01, True), (4.0, 0.05, 0.01, False), (4.0, 0.01, 0.02, False)],
+    ids=["round", "off its axle", "no body of revolution"],
+)
+def test_a_wheel_may_stand_anywhere_and_a_crank_may_not(mass, up, z, round_):
+    end = ARMS["large"].index("</body>")
+    xml = ARMS["large"][:end] + WHEEL.format(mass=mass, up=up, z=z) + ARMS["large"][end:]
+    robot, log, held, same, said = held_beside(xml)
+    assert ("roll at 0: in branches of their own, or turning what is round" in said) == round_
+    assert (held.joint_names == log.joint_names) == round_

@@ -16,7 +16,7 @@ ORDER: dict[str, str] = {
     "maths": """argument_checks precision over_samples row_runs batch_last scalar lanes
         spatial finite_difference inertial_parameters charts noise gates sample_weight kalman_forms fused_update kalman
         innovation_tests least_squares""",
-    "logs": "npz plain_file atomic_files schema unwrap as_model log findings readers log_files chunks",
+    "logs": "npz plain_file atomic_files schema unwrap joint_names as_model log findings readers log_files chunks",
     "logs.readers": """stamps registers options protobuf plain_messages streams bag_messages bag_targets
         control_messages bag_collect bag column_plan columns
         delimited normalised arrow_columns parquet export""",

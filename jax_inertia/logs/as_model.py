@@ -1,10 +1,11 @@
-"""Joints as the model has them: their names without a prefix of the file's, hinges without jumps by whole turns."""
+"""Joints as the model has them: their names, hinges without jumps by whole turns."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from jax_inertia.logs.joint_names import fitted, note_of
 from jax_inertia.logs.unwrap import beside, unwrapped
 from jax_inertia.text.closest_names import listed
 
@@ -32,26 +33,12 @@ def as_model(
     `before` are the last positions of what came before [rad], by joint.
     """
     out, notes = dict(fields), list(fields.get("notes", ()))
-    if renamed := _without_prefix(out["joint_names"], names):
+    wanted = [name for name, kind in kinds_of(names).items() if kind != "free"]
+    if renamed := fitted(out["joint_names"], wanted):
         out["joint_names"] = tuple(renamed.get(name, name) for name in out["joint_names"])
-        prefix = next(iter(renamed)).removesuffix(next(iter(renamed.values())))
-        notes.append(f"joints are the model's without the file's prefix {prefix[:60]!r}")
+        notes.append(note_of(renamed))
     notes += _lay_out(out, names, before or {})
     return {**out, "notes": tuple(notes)}
-
-
-def _without_prefix(joints: Sequence[str], names: JointNames | None) -> dict[str, str]:
-    """The file's names and the model's, where one prefix makes all of the model's joints from the file's.
-
-    Only where no joint has its name as it stands, and no other prefix would do.
-    """
-    wanted = {name for name, kind in kinds_of(names).items() if kind != "free"}
-    if not wanted or wanted & set(joints):
-        return {}
-    first = min(wanted)
-    prefixes = [name.removesuffix(first) for name in joints if name.endswith(first)]
-    fitting = [p for p in prefixes if {p + name for name in wanted} <= set(joints)]
-    return {fitting[0] + name: name for name in sorted(wanted)} if len(fitting) == 1 else {}
 
 
 def _lay_out(

@@ -6,7 +6,8 @@ import numpy as np
 
 from jax_inertia.logs.findings import Finding, Severity
 from jax_inertia.logs.log import Log, LogError
-from jax_inertia.model.lock import locked
+from jax_inertia.maths.inertial_parameters import pseudo_inertia
+from jax_inertia.model.lock import hinge_motion, locked
 from jax_inertia.model.robot import HINGE, SLIDE, Robot
 from jax_inertia.text.closest_names import listed, suggestion
 
@@ -14,6 +15,8 @@ from jax_inertia.text.closest_names import listed, suggestion
 _SLIGHT = 0.05
 # What is held must not have moved by more than this in the log [rad, m].
 _STILL = 0.02
+# A wheel's masses lie otherwise by no more than this share, of its mass and its radius of gyration, once it has turned.
+_ROUND = 0.01
 
 
 def same_joints(
@@ -27,8 +30,9 @@ def same_joints(
 
     `fix` holds joints of the model at positions [rad, m]; `joints` are those of the logs that count: the others are
     held where the first log has them, if it has. Fingers and the like, at a robot's ends and light against it, are held
-    at the model's reference if the logs lack them, or where their master (URDF mimic) has them. Joints that follow one
-    another (mimic, joint equality) are held where they stand still, and where they are as light as fingers. What the
+    at the model's reference if the logs lack them, or where their master (URDF mimic) has them; and so are wheels, and
+    joints of other branches on a fixed base. Joints that follow one another (mimic, joint equality) are held where they
+    stand still, and where they are as light as fingers. What the
     logs have and the model lacks is left out. Joints that are still missing are for `preflight` to report. Raises
     LogError for a joint that neither has, for one that is to be held and moves, and for joints that follow one another
     and move: the constraint's torque is in no log.
@@ -49,6 +53,12 @@ def same_joints(
             "elsewhere"
         )
         robot = locked(robot, light)
+    if aside := _aside(robot, have):
+        notes.append(
+            f"the log lacks {_told(aside)}: in branches of their own, or turning what is round, so that no "
+            "logged torque depends on where they stand"
+        )
+        robot = locked(robot, aside)
     wanted = set(_scalar(robot))
     out = []
     for log in logs:
@@ -205,4 +215,54 @@ def _light(robot: Robot, logs: Sequence[Log]) -> dict[str, float]:
         if driven is not None and (log := have.get(driven.master)) is not None:
             column = np.asarray(log.qpos)[:, log.joint_names.index(driven.master)]
             out[name] = driven.factor * float(np.nanmedian(column)) + driven.offset
+    return out
+
+
+def _aside(robot: Robot, have: Collection[str]) -> dict[str, float]:
+    """Joints that the logs lack and on whose positions no torque of theirs depends, at the model's reference."""
+    node = {
+        name: int(robot.topology.dof_node[robot.joint_dofadr[robot.joint_index(name)]])
+        for name in _scalar(robot)
+    }
+    moves = robot.topology.ancestors.astype(bool)
+    logged = [node[name] for name in have if name in node]
+    out = {}
+    for name in (name for name in node if name not in have and logged):
+        k = node[name]
+        # What a joint that is logged hangs on tells how it lies.
+        if any(moves[other, k] for other in logged):
+            continue
+        carried = robot.has_free_base or any(moves[k, other] for other in logged)
+        if not carried or _round(robot, k):
+            out[name] = float(robot.joint_reference[k])
+    return out
+
+
+def _round(robot: Robot, node: int) -> bool:
+    """Whether all that a hinge turns has its masses about its axis in every place alike."""
+    top = robot.topology
+    if top.kind[node] != HINGE:
+        return False
+    anchor = np.asarray(robot.joint_position[node])
+    whole = np.zeros((4, 4))
+    for body in np.flatnonzero(top.ancestors[list(top.body_node), node]).tolist():
+        pose, k = np.eye(4), top.body_node[body]
+        while k != node:
+            pose = _placed(robot, k) @ pose
+            k = top.parent[k]
+        pose[:3, 3] -= anchor
+        whole += pose @ np.asarray(pseudo_inertia(robot.pi[body])) @ pose.T
+    turned, _ = hinge_motion(np.asarray(robot.joint_axis[node]), anchor, 1.0)
+    other = np.eye(4)
+    other[:3, :3] = turned
+    size = np.sqrt(max(np.trace(whole[:3, :3]), 1e-300) / max(whole[3, 3], 1e-300))
+    scale = np.array([size, size, size, 1.0])
+    off = (other @ whole @ other.T - whole) / np.outer(scale, scale)
+    return bool(np.linalg.norm(off) <= _ROUND * whole[3, 3])
+
+
+def _placed(robot: Robot, node: int) -> np.ndarray:
+    """Pose of a node in its parent at the model's reference (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = robot.placement_rotation[node], robot.placement_position[node]
     return out

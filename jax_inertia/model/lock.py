@@ -92,7 +92,14 @@ def _motion(
     axis, anchor = (np.asarray(x[node]) for x in (robot.joint_axis, robot.joint_position))
     if robot.topology.kind[node] == SLIDE:
         return np.eye(3), travel * axis
+    return hinge_motion(axis, anchor, travel)
+
+
+def hinge_motion(
+    axis: Float[np.ndarray, " 3"], anchor: Float[np.ndarray, " 3"], angle: float
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+    """Rotation (Rodrigues) by an angle [rad] about an axis of length 1, and what it shifts the origin by [m]."""
     x, y, z = axis
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned = np.eye(3) + np.sin(travel) * k + (1.0 - np.cos(travel)) * k @ k
+    turned = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
     return turned, anchor - turned @ anchor

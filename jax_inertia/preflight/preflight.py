@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.logs.joint_names import proposal
 from jax_inertia.logs.log import Log, LogError, TorqueUnit
 from jax_inertia.logs.schema import check_time
 from jax_inertia.model.robot import Robot
@@ -204,6 +205,14 @@ def _unit(log: Log) -> Iterator[Finding]:
 def _names(log: Log, robot: Names, fixed: Sequence[str]) -> Iterator[Finding]:
     kinds = dict(zip(robot.joint_names, robot.joint_type, strict=True))
     scalar = [name for name, kind in kinds.items() if kind in ("slide", "hinge")]
+    if scalar and not set(log.joint_names) & set(scalar):
+        pairs = proposal(log.joint_names, scalar) or "FILE=MODEL"
+        message = (
+            f"the model has none of the log's joints, {listed(log.joint_names, 8)}, but {listed(scalar, 8)}; where "
+            f"they are the same: jax-inertia convert IN OUT --rename '{pairs}'"
+        )
+        yield Finding(Severity.ERROR, "joint_name", message)
+        return
     for name in log.joint_names:
         if name not in scalar:
             message = f"the model has no hinge or slide {name!r}; {suggestion(name, scalar)}"

@@ -35,7 +35,7 @@ def _add_any(add: Callable[..., object]) -> None:
         type=_pair,
         action="append",
         metavar="FILE=MODEL",
-        help="a joint by the file's name and by the model's",
+        help="a joint by the file's name and by the model's; one * in both stands for what all share",
     )
     add("--json", action="store_true", help="print what was written as JSON")
 

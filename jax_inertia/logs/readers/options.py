@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.logs.joint_names import Affixes
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.registers import signed
 from jax_inertia.logs.readers.stamps import in_seconds
@@ -31,13 +32,13 @@ class Options:
     `{"tau": ("torque.left", "torque.right")}`. `joints` names the entries of list columns. `episode` picks one of a
     dataset, whose positions normalised to ±100 need the JSON file of the motors' ranges as `calibration`.
     `topic_joints` (one or several), `topic_targets` (whose joints `joints` names, where messages do not), `topic_base`,
-    `topic_imu` and `topic_wrenches` (body → topic) are for bags;
-    `wrench_axes` says in which axes the wrenches are, and `flip_wrenches` that they are the robot's on its
-    surroundings. `rename` maps joints as the file calls them to the model's names; `degrees` says that positions and
-    velocities are in degrees. Positions, and targets with them, are `position_scale` · (value − `position_zero`), and
-    targets then `target_offset` + `target_scale` · value, of a joint by its name or of all (""), counted from the
-    position where they are `relative_targets`. `time_unit` is that of the stamps: s, ms, us, ns (without it s, or what
-    is unmistakable, see `stamps.guess`);
+    `topic_imu` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says in which axes the wrenches are, and
+    `flip_wrenches` that they are the robot's on its surroundings. `rename` maps joints as the file calls them to the
+    model's names, with one `*` on both sides for what they share; `degrees` says that positions and velocities are in
+    degrees. Positions, and targets with them, are `position_scale` · (value − `position_zero`), and targets then
+    `target_offset` + `target_scale` · value, of a joint by its name or of all (""), counted from the position where
+    they are `relative_targets`. `time_unit` is that of the stamps: s, ms, us, ns (without it s, or what is
+    unmistakable, see `stamps.guess`);
     `tau_unit` and `tau_kind` are as in the log contract and win over what the file says.
     """
 
@@ -114,10 +115,8 @@ def applied(contents: Contents, options: Options) -> Contents:
     notes = list(contents.notes)
     if options.rename and "joint_names" in arrays:
         names = arrays["joint_names"].tolist()
-        for name in options.rename:
-            if name not in names:
-                raise LogError(f"no joint {name!r} to rename; the file has {', '.join(names)}")
-        arrays["joint_names"] = np.array([options.rename.get(n, n) for n in names], dtype=np.str_)
+        new = _renamed(names, options.rename)
+        arrays["joint_names"] = np.array([new.get(n, n) for n in names], dtype=np.str_)
     if options.degrees and contents.in_radians:
         raise LogError("the file states the unit of its positions itself; leave out degrees")
     if options.degrees:
@@ -139,6 +138,24 @@ def applied(contents: Contents, options: Options) -> Contents:
         if (value := getattr(options, name)) is not None:
             arrays[name] = np.array(value)
     return dataclasses.replace(contents, arrays=arrays, notes=notes)
+
+
+def _renamed(names: Sequence[str], rename: Mapping[str, str]) -> dict[str, str]:
+    """New names of joints; a * on both sides stands for what the names share."""
+    out: dict[str, str] = {}
+    for file, model in rename.items():
+        if file.count("*") != model.count("*") or file.count("*") > 1:
+            raise LogError(f"rename {file}={model}: both sides have one *, or none has")
+        if "*" in file:
+            sides = tuple((x.partition("*")[0], x.partition("*")[2]) for x in (file, model))
+            affixes = Affixes(*sides)
+            found = {x: new for x in names if (new := affixes.of_model(x)) is not None}
+        else:
+            found = {file: model} if file in names else {}
+        if not found:
+            raise LogError(f"no joint {file!r} to rename; the file has {', '.join(names)}")
+        out |= found
+    return out
 
 
 def _scaled(
