@@ -229,7 +229,7 @@ def held_beside(xml: str):
 
 
 def test_joints_of_another_branch_may_stand_anywhere():
-    robot, log, held, same, said = held_beside(beside(ARMS["large"], OTHER_ARM))
+    _robot, log, held, same, said = held_beside(beside(ARMS["large"], OTHER_ARM))
     assert held.joint_names == log.joint_names
     assert "waist at 0, shoulder at 0: in branches of their own" in said
     assert preflight(same, held).ok
@@ -254,6 +254,6 @@ def test_joints_of_another_branch_may_stand_anywhere():
 def test_a_wheel_may_stand_anywhere_and_a_crank_may_not(mass, up, z, round_):
     end = ARMS["large"].index("</body>")
     xml = ARMS["large"][:end] + WHEEL.format(mass=mass, up=up, z=z) + ARMS["large"][end:]
-    robot, log, held, same, said = held_beside(xml)
+    _robot, log, held, _same, said = held_beside(xml)
     assert ("roll at 0: in branches of their own, or turning what is round" in said) == round_
     assert (held.joint_names == log.joint_names) == round_

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers.options import Options
 from jax_inertia.logs.schema import SHAPES
-from jax_inertia.text.closest_names import listed, suggestion
+from jax_inertia.text.closest_names import suggestion
 
 PER_JOINT = tuple(name for name, shape in SHAPES.items() if shape[-1] == "n")
 BASE = {
@@ -22,20 +22,6 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 OF_FOOT = ("contact_force", "contact_flag")
 UNIT_TEXTS = ("imu_body", "tau_unit", "tau_kind")
 _MOST_COLUMNS = 10_000
-
-# What others call the arrays, to guess what a column may be when the contract's name is missing.
-_ALIASES = {
-    "time": (
-        *("t", "stamp", "timestamp", "time_s", "times", "sec", "seconds"),
-        *("__time", "datetime", "date", "stamp_ns", "timestamp_ns", "time_ns"),
-    ),
-    "qpos": ("q", "pos", "position", "positions", "angle", "joint_pos", "jointpos", "actual_q"),
-    "qvel": ("dq", "qd", "vel", "velocity", "velocities", "joint_vel", "actual_qd"),
-    "tau": (
-        *("torque", "torques", "effort", "efforts", "trq", "current", "joint_torque", "tau_j"),
-        *("target_moment", "actual_current", "moment", "i"),
-    ),
-}
 
 
 class Column(NamedTuple):
@@ -112,13 +98,15 @@ def _parsed(name: str, unit: str) -> Column | None:
 def _asked(headings: Sequence[str], options: Options) -> dict[str, Column]:
     """The columns that the options name, by heading."""
     out: dict[str, Column] = {}
+    starred: set[str] = set()
     bare = {heading: _unit_apart(heading)[0] for heading in headings}
     pairs = [
         (target, source)
         for target, given in options.columns.items()
         for source in ((given,) if isinstance(given, str) else given)
     ]
-    for target, source in pairs:
+    # What says more of a heading counts.
+    for target, source in sorted(pairs, key=lambda pair: len(pair[1])):
         if target.count("*") != source.count("*") or target.count("*") > 1:
             raise LogError(f"column {target}={source}: both sides have one *, or none has")
         before, _, after = source.partition("*")
@@ -139,11 +127,24 @@ def _asked(headings: Sequence[str], options: Options) -> dict[str, Column]:
                     "qpos.<joint>, tau.<joint>, qvel.<joint> ..."
                 )
             out[heading], hits = column, hits + 1
+            if "*" in source:
+                starred.add(heading)
         if not hits:
             raise LogError(
                 f"column {target}={source}: the file has none such; {suggestion(source, headings)}"
             )
-    return out
+    return _of_joints(out, starred)
+
+
+def _of_joints(columns: dict[str, Column], starred: set[str]) -> dict[str, Column]:
+    """Columns without those that a star hits besides: of what has no position, where others of its array have one."""
+    placed = {column.of for column in columns.values() if column.array == "qpos"}
+    having = {column.array for column in columns.values() if column.of in placed}
+    return {
+        heading: column
+        for heading, column in columns.items()
+        if heading not in starred or column.of in placed or column.array not in having
+    }
 
 
 def _together(column: Column, options: Options, *headings: str) -> bool:
@@ -164,24 +165,3 @@ def is_current(heading: str) -> bool:
 
 def spelled(column: Column) -> str:
     return ".".join(part for part in (column.array, column.of, column.part) if part)
-
-
-def missing(lacking: Sequence[str], headings: Sequence[str]) -> str:
-    """What to do about arrays that no columns are named after: one command that names them all."""
-    wanted = [_wanted(array, headings) for array in lacking]
-    ways = " ".join(f"--column '{hint}'" for _, hint in wanted)
-    names = ", ".join(name for name, _ in wanted)
-    return f"no column {names}; name the file's (jax-inertia convert {ways}); it has {listed(headings, 12)}"
-
-
-def _wanted(array: str, headings: Sequence[str]) -> tuple[str, str]:
-    """What a column of an array is called, and what of the file's it may be."""
-    bare = [_unit_apart(heading)[0] for heading in headings[:200]]
-    whole = next((name for name in bare if name.lower() in _ALIASES[array]), "")
-    if array == "time":
-        return "time", f"time={whole or 'NAME'}"
-    if whole:
-        return array, f"{array}={whole}"
-    starts = (alias + mark for alias in _ALIASES[array] for mark in "._/ -")
-    found = (name[: len(s)] for s in starts for name in bare if name.lower().startswith(s))
-    return f"{array}.<joint>", f"{array}.*={next(found, 'PREFIX')}*"

@@ -23,6 +23,7 @@ import numpy as np
 
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers import stamps
+from jax_inertia.logs.readers.column_names import suggested
 from jax_inertia.logs.readers.column_plan import (
     BASE,
     OF_FOOT,
@@ -32,7 +33,6 @@ from jax_inertia.logs.readers.column_plan import (
     Column,
     Plan,
     is_current,
-    missing,
     spelled,
 )
 from jax_inertia.logs.readers.options import Contents
@@ -180,7 +180,7 @@ def _found(plan: Plan, values: Mapping[str, np.ndarray]) -> dict[str, dict[tuple
     driven = {"tau", "qpos_target", "contact_wrench"} & found.keys()
     needed = ("time", "qpos", *(() if driven else ("tau",)))
     if lacking := [array for array in needed if array not in found]:
-        raise LogError(missing(lacking, [*plan.others, *plan.columns]))
+        raise LogError(suggested(lacking, [*plan.others, *plan.columns]))
     if not any(len(x) for x in values.values() if x.ndim):
         raise LogError("has headings and no rows; expected at least two samples")
     return found
