@@ -29,7 +29,7 @@ STYLES = {
     "other numbers": ("time", "q{}", "current_J{}", "", ""),
     "targets alone": ("time", "pos_{}", "", "", "cmd_pos_{}"),
 }
-BESIDES = {"libfranka": ["tau_J_d_{}", "O_T_EE_{}"], "UR's RTDE": ["target_moment_{}", "tcp_{}"]}
+OTHERS = {"libfranka": ["tau_J_d_{}", "O_T_EE_{}"], "UR's RTDE": ["target_moment_{}", "tcp_{}"]}
 FIELDS = ("qpos", "tau", "qvel", "qpos_target")
 
 
@@ -50,7 +50,7 @@ def table(style: str, path) -> dict[str, np.ndarray]:
             arrays.setdefault("phase", phase)
             arrays[array] = x
             columns |= {form.format(k): x[:, k - 1] for k in (1, 2, 3)}
-    for form in BESIDES.get(style, ()):
+    for form in OTHERS.get(style, ()):
         columns |= {form.format(k): rng.normal(size=50) for k in (1, 2, 3)}
     text = ",".join(columns) + "\n"
     text += "".join(

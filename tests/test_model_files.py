@@ -296,6 +296,16 @@ def test_a_urdf_with_links_that_mujoco_refuses_is_read_and_said(tmp_path):
     np.testing.assert_allclose(np.linalg.eigvalsh(about), [0.001, 0.02, 0.021], rtol=1e-6)
 
 
+def test_an_inertia_that_is_no_bodys_without_being_negative_is_said(tmp_path):
+    """Six equal numbers, as feet of some robots have: moments 0, 0 and 3, and none may exceed the sum of the others."""
+    moments = MENDED[MENDED.index('<inertia ixx="0.01"') :].split("/>")[0]
+    equal = "<inertia " + " ".join(f'i{x}="0.01"' for x in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    (tmp_path / "r.urdf").write_text(MENDED.replace(moments, equal))
+    with pytest.warns(ji.ModelWarning) as caught:
+        ji.load_model(tmp_path / "r.urdf")
+    assert "no body has were raised: arm" in "\n".join(str(one.message) for one in caught)
+
+
 BUMPER = """<robot name="r"><link name="base"/>
   <link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
     <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.002"/></inertial></link>

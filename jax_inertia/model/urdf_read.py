@@ -21,7 +21,8 @@ class ModelWarning(UserWarning):
 def repair(spec: mujoco.MjSpec) -> list[str]:
     """Make inertials of a URDF's links such that MuJoCo compiles them; a line for what that changes, with names.
 
-    A moment of inertia that is negative is raised to the least that a body can have. A link without inertial,
+    A moment of inertia that is negative, or below the other two's difference, is raised to the least that a body can
+    have. A link without inertial,
     where others have one, has no mass (URDF, link), where MuJoCo would fill its collision shapes with water. Links that
     move and have no mass (three hinges in one place stand for a ball joint) are given a nanogram.
     """
@@ -52,7 +53,7 @@ def repair(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _without_negative(body: mujoco.MjsBody) -> bool:
-    """Replace an inertia that is not positive definite by its moments and axes; whether a moment was negative."""
+    """Replace an inertia that is not positive definite by its moments and axes; whether a moment had to be raised."""
     if np.isnan(body.fullinertia[0]):
         return False
     xx, yy, zz, xy, xz, yz = body.fullinertia
@@ -63,13 +64,13 @@ def _without_negative(body: mujoco.MjsBody) -> bool:
     turn, whole = np.zeros(4), np.zeros(4)
     mujoco.mju_mat2Quat(turn, axes.ravel())
     mujoco.mju_mulQuat(whole, np.asarray(body.iquat), turn)
-    negative = bool(moments[0] < -1e-9 * np.abs(moments).max())
+    before = moments.copy()
     # The least that makes a body of it: no moment is larger than the sum of the others.
     moments = np.maximum(moments, 0.0)
     moments[0] = max(moments[0], moments[2] - moments[1])
     body.iquat, body.inertia = whole, moments
     body.fullinertia = np.full(6, np.nan)
-    return negative
+    return bool(np.any(moments - before > 1e-9 * np.abs(before).max()))
 
 
 def has_mass(geom: mujoco.MjsGeom) -> bool:

@@ -43,7 +43,7 @@ def weightless(c: Compared) -> Iterator[Reading]:
 def lifted(c: Compared) -> tuple[tuple[Finding, ...], Compared]:
     """Gravity that the model takes out, by `gravcomp` or a gravity of 0, and the torque holds; and the model with it.
 
-    Both models are as simple: the one that leaves clearly less beside a load is right; a warning where neither does.
+    Both models are as simple: the one that leaves clearly less, with a load, is right; a warning where neither does.
     """
     robot, direction = c.parts.robot, c.parts.direction
     if robot.compensated is None and np.any(direction):

@@ -24,6 +24,7 @@ from jax_inertia.logs.readers.bag_collect import (
 )
 from jax_inertia.logs.readers.bag_messages import kind_of, messages
 from jax_inertia.logs.readers.options import Contents, Options, WrenchAxes
+from jax_inertia.logs.readers.robot_messages import KINDS
 from jax_inertia.logs.readers.streams import Stream, onto
 from jax_inertia.text.closest_names import listed, suggestion
 
@@ -66,7 +67,7 @@ def read_bag(path: Path, options: Options, max_bytes: int) -> Contents:
     notes.append(f"time counts from {start // 10**9}.{start % 10**9:09d} s")
     if options.topic_base is not None:
         notes += _add_base(out, collected, options.topic_base, stream)
-    if options.topic_imu is not None:
+    if options.topic_imu is not None or len(collected.own_imu) == 1:
         notes += _add_imu(out, collected, options.topic_imu, stream)
     if options.topic_wrenches:
         notes += _add_wrenches(out, collected, options, stream)
@@ -82,14 +83,17 @@ def _check_topics(collected: Collected, options: Options) -> None:
     def topics(kind: str) -> list[str]:
         return [topic for topic, its in collected.seen if its == kind]
 
-    asked: list[tuple[str | None, str]] = [(topic, JOINTS) for topic in options.joint_topics]
+    robots = {topic for topic, its in collected.seen if its in (CONTROLLER, DYNAMIC, *KINDS)}
+    asked: list[tuple[str | None, str]] = [
+        (topic, JOINTS) for topic in options.joint_topics if topic not in robots
+    ]
     asked += [(options.topic_base, ODOMETRY), (options.topic_imu, IMU)]
     asked += [(topic, WRENCH) for topic in options.topic_wrenches.values()]
     for topic, kind in asked:
         if topic is not None and topic not in (own := topics(kind)):
             hint = suggestion(topic, own) if own else "the bag has none"
             raise LogError(f"no {kind} on topic {topic!r}; {hint}")
-    found = topics(JOINTS) + topics(CONTROLLER) + topics(DYNAMIC)
+    found = [topic for kind in (JOINTS, CONTROLLER, DYNAMIC, *KINDS) for topic in topics(kind)]
     if not found:
         there = listed([f"{topic} ({kind})" for topic, kind in collected.seen], 20) or "no messages"
         raise LogError(f"no {JOINTS}; the bag has {there}")
@@ -217,10 +221,10 @@ def _add_base(
 
 
 def _add_imu(
-    out: dict[str, np.ndarray], collected: Collected, topic: str, joints: Stream
+    out: dict[str, np.ndarray], collected: Collected, topic: str | None, joints: Stream
 ) -> list[str]:
     """Attitude, rate and specific force of an IMU that is mounted along the base's axes; what odometry gave stays."""
-    name = f"IMU on {topic}"
+    name = f"IMU on {topic or listed(sorted(collected.own_imu))}"
     stream = collected.imu.stream(name)
     stream.values[:, :4] = _one_sign(stream.values[:, :4])
     moved, note = onto(joints.time_ns, stream, name)
@@ -234,7 +238,7 @@ def _add_imu(
     for array, values in found.items():
         if not np.isnan(values).all():
             out.setdefault(array, values)
-    frames = listed(sorted(frame[:80] for frame in collected.imu_frames))
+    frames = listed(sorted(frame[:80] for frame in collected.imu_frames)) or "in the joint states"
     return [f"the IMU ({frames}) is taken to lie along the base's axes", note]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers import robot_messages
 from jax_inertia.logs.readers.bag_messages import Message
 from jax_inertia.logs.readers.bag_targets import Targets, is_named_command
 from jax_inertia.logs.readers.control_messages import (
@@ -84,6 +85,8 @@ class Collected:
         self.base_frames: set[tuple[str, str]] = set()
         self.imu = Rows()
         self.imu_frames: set[str] = set()
+        self.own_imu: set[str] = set()
+        """Topics of joint states that hold an IMU's readings, too."""
         self.wrenches: dict[str, Rows] = {body: Rows() for body in options.topic_wrenches}
         self.targets = Targets(options.topic_targets)
         self.unstamped = 0
@@ -96,6 +99,9 @@ class Collected:
             raise LogError(f"holds more than {_MOST_TOPICS} topics")
         if kind in _CONTROL and message.encoding == "cdr":
             self._control(message, kind)
+            return
+        if kind in robot_messages.KINDS:
+            self._robot(message, kind)
             return
         if kind == JOINTS and self._is_command(topic):
             read = self._target
@@ -137,6 +143,25 @@ class Collected:
             self._joint_state(message, state)
         if target is not None:
             self._target(message, target)
+
+    def _robot(self, message: Message, kind: str) -> None:
+        """What a message of a robot's own driver says of the state, of the targets and of an IMU in the base."""
+        topic, commands = message.topic, kind in robot_messages.COMMANDS
+        if self._topics and topic not in self._topics and not commands:
+            return
+        joints = self._options.joints
+        try:
+            found = robot_messages.decoded(kind, message.encoding, message.data, joints)
+        except LogError as error:
+            raise LogError(f"a message on {topic} ({kind}): {error}") from None
+        if found.state is not None:
+            self._joint_state(message, found.state)
+        if found.target is not None:
+            self._target(message, found.target)
+        if found.imu is not None and self._options.topic_imu is None:
+            self.own_imu.add(topic)
+            if len(self.own_imu) == 1:
+                self._add(self.imu, message, robot_messages.NO_HEADER, found.imu)
 
     def _target(self, message: Message, target: Any) -> None:
         names = tuple(target.name)

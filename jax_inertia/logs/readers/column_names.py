@@ -41,8 +41,8 @@ _ASKED = (
     "setpoint",
     "action",
 )
-# Words beside these that say nothing more.
-_BESIDES = (
+# Words that say nothing more of what a column holds.
+_MORE = (
     *("actual", "act", "measured", "meas", "present", "state", "states", "observation", "feedback", "fb", "filtered"),
     *("raw", "value", "val", "estimate", "estimated", "est", "msr", "sensor", "joints", "motor", "j", "link", "out"),
     *("control", *_BARE),
@@ -154,7 +154,7 @@ def _forms(array: str, heading: str, asked: bool) -> Iterator[tuple[str, str, st
     if len(words) < 2 or any(said) != asked:
         return
     own = _WORDS[array]
-    plain = [word in own or word in _BESIDES or word in _ASKED for word, _, _ in words]
+    plain = [word in own or word in _MORE or word in _ASKED for word, _, _ in words]
     others = {word for of, every in _WORDS.items() for word in every if of != array} - set(_BARE)
     named = {word for word, _, _ in words} & ((others | set(own)) - set(_BARE))
     for k, (word, _, _) in enumerate(words):

@@ -17,10 +17,10 @@ DYNAMIC = "control_msgs/msg/DynamicJointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 _MOST = 10_000
-_NO_TIME = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0))
+NO_TIME = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0))
 
 
-class _Cdr:
+class Cdr:
     """Fields one after the other out of a message in CDR."""
 
     def __init__(self, data: bytes) -> None:
@@ -57,11 +57,19 @@ class _Cdr:
 
     def numbers(self) -> np.ndarray:
         count = self.count()
-        if count:
-            self._at += -self._at % 8
+        return self.doubles(count) if count else np.zeros(0)
+
+    def doubles(self, count: int) -> np.ndarray:
+        """So many numbers, whose count the message does not tell."""
+        self._at += -self._at % 8
         out = np.frombuffer(self._data, self._order + "f8", count, self._at).astype(float)
         self._at += 8 * count
         return out
+
+    def joint_state(self) -> SimpleNamespace:
+        """sensor_msgs/JointState."""
+        header, names = self.header(), self.texts()
+        return like(header, names, *(self.numbers() for _ in range(3)))
 
     def header(self) -> SimpleNamespace:
         sec, nanosec = self.whole(signed=True), self.whole()
@@ -81,7 +89,7 @@ def decoded(kind: str, data: bytes) -> tuple[SimpleNamespace | None, SimpleNames
 
     An array has no names: `name` is empty. Raises LogError for what is cut off, and for a trajectory of several points.
     """
-    cdr = _Cdr(data)
+    cdr = Cdr(data)
     try:
         if kind == ARRAY:
             for _ in range(cdr.count()):
@@ -89,7 +97,7 @@ def decoded(kind: str, data: bytes) -> tuple[SimpleNamespace | None, SimpleNames
                 cdr.whole()
                 cdr.whole()
             cdr.whole()
-            return None, _like(_NO_TIME, [], cdr.numbers())
+            return None, like(NO_TIME, [], cdr.numbers())
         header = cdr.header()
         names = cdr.texts()
         if kind == DYNAMIC:
@@ -100,17 +108,17 @@ def decoded(kind: str, data: bytes) -> tuple[SimpleNamespace | None, SimpleNames
                     f"a trajectory of {points} points: the target in between is in the controller's state "
                     "(control_msgs/JointTrajectoryControllerState); record that"
                 )
-            return None, _like(header, names, cdr.point().position)
+            return None, like(header, names, cdr.point().position)
         wanted, measured = cdr.point(), cdr.point()
-        state = _like(header, names, measured.position, measured.velocity, measured.effort)
-        return state, _like(header, names, wanted.position)
+        state = like(header, names, measured.position, measured.velocity, measured.effort)
+        return state, like(header, names, wanted.position)
     except (struct.error, ValueError) as error:
         if isinstance(error, LogError):
             raise
         raise LogError(f"cut off or of another type ({error})") from None
 
 
-def _dynamic(cdr: _Cdr, header: SimpleNamespace, names: list[str]) -> SimpleNamespace:
+def _dynamic(cdr: Cdr, header: SimpleNamespace, names: list[str]) -> SimpleNamespace:
     """Positions, velocities and efforts by the names of their interfaces; NaN where a joint has none."""
     table = {field: np.full(len(names), np.nan) for field in ("position", "velocity", "effort")}
     for k in range(cdr.count()):
@@ -118,16 +126,17 @@ def _dynamic(cdr: _Cdr, header: SimpleNamespace, names: list[str]) -> SimpleName
             if interface in table and k < len(names):
                 table[interface][k] = value
     given = [x if np.isfinite(x).any() else np.zeros(0) for x in table.values()]
-    return _like(header, names, *given)
+    return like(header, names, *given)
 
 
-def _like(
+def like(
     header: SimpleNamespace,
     names: list[str],
     position: np.ndarray,
     velocity: np.ndarray | None = None,
     effort: np.ndarray | None = None,
 ) -> SimpleNamespace:
+    """What has the fields of sensor_msgs/JointState."""
     empty = np.zeros(0)
     return SimpleNamespace(
         header=header,
