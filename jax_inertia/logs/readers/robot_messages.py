@@ -30,7 +30,7 @@ class _Motors(NamedTuple):
     before: str
     imu: str
     motor: str
-    count: int
+    motors: int
     after: str
     fields: tuple[int, ...]
     """Places of position, velocity and effort, or of the target, among a motor's fields."""
@@ -94,7 +94,7 @@ def _places(kind: str) -> tuple[np.ndarray, np.ndarray, int, int]:
 
     walked(one.before)
     imu = walked(one.imu)[:10] if one.imu else []
-    motors = [walked(one.motor) for _ in range(one.count)]
+    motors = [walked(one.motor) for _ in range(one.motors)]
     end = at
     if one.after:
         walked(one.after)
@@ -119,10 +119,10 @@ def _of_motors(kind: str, data: bytes, joints: Sequence[str]) -> Found:
     names = list(joints or one.names)
     if not names:
         raise LogError(
-            f"its {one.count} motors have no names; name those that are joints in the order of motors, with --joints"
+            f"its {one.motors} motors have no names; name those that are joints in the order of motors, with --joints"
         )
-    if len(names) > one.count:
-        raise LogError(f"--joints names {len(names)} joints of {one.count} motors")
+    if len(names) > one.motors:
+        raise LogError(f"--joints names {len(names)} joints of {one.motors} motors")
     if len(data) < 4 or data[1] not in (0, 1):
         raise LogError("not plain CDR")
     imu, fields, end, length = _places(kind)
