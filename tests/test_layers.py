@@ -19,7 +19,7 @@ ORDER: dict[str, str] = {
     "logs": "npz plain_file atomic_files schema unwrap joint_names as_model log findings readers log_files chunks",
     "logs.readers": """stamps registers options protobuf plain_messages streams bag_messages bag_targets
         control_messages robot_messages bag_collect bag column_names column_plan columns
-        delimited normalised arrow_columns parquet export""",
+        delimited normalised arrow_columns parquet arrays_by_name export""",
     "model": """mujoco_types joint_inertia mujoco_warnings file_safety model_errors robot geometry finite_numbers
         urdf_text urdf_read shapes descriptions spec urdf_write load robot_spec lock joint_match write
         log_match""",

@@ -15,6 +15,8 @@ from jax_inertia.logs.as_model import JointNames, as_model
 from jax_inertia.logs.atomic_files import check_target, whole_file
 from jax_inertia.logs.log import Log
 from jax_inertia.logs.npz import LogError, read_npz
+from jax_inertia.logs.plain_file import require_content
+from jax_inertia.logs.readers.arrays_by_name import read_hdf5, read_mat
 from jax_inertia.logs.readers.bag import bag_parts, read_bag
 from jax_inertia.logs.readers.bag_messages import kind_of
 from jax_inertia.logs.readers.delimited import read_csv
@@ -36,8 +38,8 @@ def read_log(
     names: JointNames | None = None,
     max_bytes: int = 4 << 30,
 ) -> Log:
-    """Read a log of any kind that people have: .npz, .csv, .parquet, .bag, .mcap, .db3, or the folder of a ROS 2 bag
-    or of a LeRobot dataset. `options` say what the file does not; see `jax_inertia.logs.readers`.
+    """Read a log of any kind that people have: .npz, .csv, .parquet, .hdf5, .mat, .bag, .mcap, .db3, or the folder of a
+    ROS 2 bag or of a LeRobot dataset. `options` say what the file does not; see `jax_inertia.logs.readers`.
 
     With `names` (a `Robot`), joints that the robot does not have are left out where all those that it needs are
     there, as is a prefix that the file has before each of them. Angles of hinges wrapped at a turn are laid end to
@@ -128,10 +130,16 @@ _READERS: Mapping[str, Callable[[Path, Options, int], Contents]] = {
     ".csv": read_csv,
     ".tsv": read_csv,
     ".parquet": read_parquet,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".mat": read_mat,
     ".bag": read_bag,
     ".mcap": read_bag,
     ".db3": read_bag,
 }
+
+
+_PICKLES = (".pkl", ".pickle", ".joblib", ".pt", ".pth")
 
 
 def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
@@ -143,7 +151,13 @@ def _reader(path: Path) -> Callable[[Path, Options, int], Contents]:
         raise LogError("no such file, but a folder without a ROS 2 bag or a LeRobot dataset in it")
     if not path.is_file():
         raise LogError("no such file")
-    if (kind := kind_of(path)) not in _READERS:
+    require_content(path)
+    if (kind := kind_of(path)) in _PICKLES:
+        raise LogError(
+            "a pickle is a program that runs when it is read, so it is not; in yours: numpy.savez('log.npz', time=..., "
+            "qpos=..., tau=..., joint_names=...)"
+        )
+    if kind not in _READERS:
         raise LogError(f"unknown kind of log {path.suffix!r}; expected {', '.join(_READERS)}")
     return _READERS[kind]
 

@@ -3,6 +3,8 @@
 import stat
 from pathlib import Path
 
+_POINTER = b"version https://git-lfs.github.com/spec"
+
 
 def require_plain(path: Path) -> None:
     """Raise OSError, with the path, for what is not there, and for a folder, pipe or device."""
@@ -10,6 +12,15 @@ def require_plain(path: Path) -> None:
     if not stat.S_ISREG(mode):
         what = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
         raise OSError(f"{path}: {what}, not a file")
+
+
+def require_content(path: Path) -> None:
+    """Raise OSError, with the path, for a pointer that Git LFS keeps in place of a file."""
+    with open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise OSError(
+                f"{path}: a pointer of Git LFS, not the file itself; in its folder: git lfs pull"
+            )
 
 
 def read_plain(path: Path, most: int) -> bytes:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from jax_inertia.logs.plain_file import require_content
 from jax_inertia.model.descriptions import PREFIX, description
 from jax_inertia.model.file_safety import ModelError, check_model
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
@@ -47,6 +48,10 @@ def load_spec(path: str | Path, *, floating_base: bool = False) -> MjSpec:
         raise ModelError(f"{path}: a folder; name the MJCF or URDF file in it")
     if not path.is_file():
         raise ModelError(f"{path}: no such model file")
+    try:
+        require_content(path)
+    except OSError as error:
+        raise ModelError(str(error)) from None
     root = check_model(path).root
     if floating_base and root != "robot":
         raise ModelError(

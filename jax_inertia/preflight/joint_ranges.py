@@ -21,10 +21,12 @@ _HARDEST = 50.0
 _HARDLY = 0.05
 # A range is stated to a tenth of itself.
 _ROOM = 0.1
+# What moves by more than so many of its ranges is in another unit, wherever its zero is.
+_TWICE = 2.0
 
 
 def joint_ranges(log: Log, robot: Robot) -> Iterator[Finding]:
-    """Joints that are out of the model's range as logged, and in it with the other sign or in another unit."""
+    """Joints out of the model's range as logged, and in it with the other sign, in another unit, or in none."""
     ranges = dict(zip(robot.joint_names, robot.joint_range, strict=True))
     kinds = [robot.joint_kinds[name] for name in log.joint_names]
     for j, (name, kind) in enumerate(zip(log.joint_names, kinds, strict=True)):
@@ -49,6 +51,15 @@ def joint_ranges(log: Log, robot: Robot) -> Iterator[Finding]:
                 )
                 yield Finding(Severity.ERROR, "range", message)
                 break
+        else:
+            if np.ptp(q) > _TWICE * (high - low):
+                message = (
+                    f"qpos of {name!r} moves by {np.ptp(q):.3g}, and the model's range is {high - low:.3g} "
+                    f"{'rad' if hinge else 'm'} in all, [{low:.3g}, {high:.3g}]: in no unit that is known here; per "
+                    f"cent? jax-inertia convert --position-scale {name}={(high - low) / 100:.3g} (the range of one per "
+                    f"cent) --position-zero {name}=(its zero)"
+                )
+                yield Finding(Severity.ERROR, "range", message)
 
 
 def impossible_motion(log: Log, robot: Robot) -> Iterator[Finding]:

@@ -60,6 +60,8 @@ def position_loop(
             if model.actuator_forcelimited[a]:
                 limit[j] = min(limit[j], abs(gear) * np.abs(model.actuator_forcerange[a]).max())
             affine = model.actuator_biastype[a] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+            # Of an integrated-velocity actuator the control is a velocity.
+            affine &= model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
             if affine and model.actuator_biasprm[a, 1] < 0:
                 # Control is the joint's position where the gear is 1; with another one it is the motor's.
                 own[j] = -(gear**2) * model.actuator_biasprm[a, 1:3]

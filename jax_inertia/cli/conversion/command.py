@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     from jax_inertia.logs.log_files import read_log, write_log
     from jax_inertia.model.load import load_model
     from jax_inertia.model.log_match import afloat
-    from jax_inertia.preflight.preflight import Severity
+    from jax_inertia.preflight.mended import mended
+    from jax_inertia.preflight.preflight import Preflight, Severity
     from jax_inertia.signals.wrench_axes import wrenches_in_world
 
     _require_another(args.out, args.log)
@@ -80,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         if robot is not None and args.model is not None:
             robot, _ = afloat(robot, args.model, log)
         stage("looking at the log")
+        log, left_out = (log, ()) if robot is None else mended(log, kinds=robot.joint_kinds)
         found = _looked_at(log, robot)
         try:
             # Stamps in a wrong unit, or a log of no motion at all, are of no use in any form.
@@ -92,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
             raise LogError(f"{args.log}: {error}") from None
         stage("writing")
         write_log(log, args.out)
+    found = Preflight((*left_out, *found.findings))
     for finding in (*found.of(Severity.ERROR), *found.of(Severity.WARNING)):
         warn(f"{args.log}: {finding.message}")
     if args.json:

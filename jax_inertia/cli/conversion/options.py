@@ -15,15 +15,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options, those of any file first."""
     _add_any(parser.add_argument)
     _add_positions(parser.add_argument_group("positions and targets").add_argument)
-    _add_tables(parser.add_argument_group("CSV, Parquet, LeRobot").add_argument)
+    _add_tables(parser.add_argument_group("CSV, Parquet, HDF5, .mat, LeRobot").add_argument)
     _add_bags(parser.add_argument_group("ROS bags and MCAP").add_argument)
 
 
 def _add_any(add: Callable[..., object]) -> None:
     """Add what holds for a log of any kind."""
-    kinds = (
-        ".csv, .parquet, .bag, .mcap, .db3, .npz, or the folder of a ROS 2 bag or LeRobot dataset"
-    )
+    kinds = ".csv, .parquet, .hdf5, .mat, .bag, .mcap, .db3, .npz, or the folder of a ROS 2 bag or LeRobot dataset"
     add("log", metavar="IN", type=Path, help=kinds)
     add("out", metavar="OUT", type=Path, help=".npz, .csv or .parquet")
     add_model(add, "MJCF or URDF to check joints, bodies and units against", required=False)
@@ -89,6 +87,7 @@ def _add_tables(add: Callable[..., object]) -> None:
         metavar="J",
         help="joints of columns that hold lists and of arrays of targets, in order",
     )
+    add("--rate", type=float, metavar="HZ", help="samples a second of a table without stamps")
     add("--episode", type=_natural, metavar="N", help="which episode of a dataset, from 0")
     calibration_help = (
         "JSON file of the motors' ranges, where a dataset's positions are normalised to ±100"
@@ -136,6 +135,7 @@ def stated(args: argparse.Namespace) -> "Options":
     return Options(
         columns=_columns(args.column),
         joints=tuple(args.joints or ()),
+        rate=args.rate,
         episode=args.episode,
         calibration=args.calibration,
         topic_joints=args.topic_joints,

@@ -111,7 +111,8 @@ def _one_source_a_joint(publishers: list[Publisher]) -> tuple[list[Publisher], l
         if others.issuperset(one.names) and not one.has("position", "effort"):
             kept.remove(one)
             notes.append(
-                f"{one.topic} is left out: it has no {one.lacking()} of joints that others have"
+                f"{len(one.rows)} joint states on {one.topic} are left out: no {one.lacking()} of joints that "
+                "others have"
             )
     counts = Counter(name for one in kept for name in one.names)
     for name, count in counts.items():

@@ -80,7 +80,7 @@ class Collected:
         self._bodies = {topic: body for body, topic in options.topic_wrenches.items()}
         self.seen: Counter[tuple[str, str]] = Counter()
         """How many messages of which topic and type."""
-        self.publishers: dict[tuple[str, frozenset[str]], Publisher] = {}
+        self.publishers: dict[tuple[str, frozenset[str], bool], Publisher] = {}
         self.base = Rows()
         self.base_frames: set[tuple[str, str]] = set()
         self.imu = Rows()
@@ -224,7 +224,8 @@ class Collected:
 
     def _joint_state(self, message: Message, state: Any) -> None:
         names, topic = tuple(state.name), message.topic
-        key = topic, frozenset(names)
+        # Two nodes may write to one topic, one of them without effort.
+        key = topic, frozenset(names), len(state.effort) > 0
         if len(names) > _MOST_JOINTS or len(key[1]) != len(names):
             raise LogError(
                 f"a joint state on {topic} names {len(names)} joints, too many or one twice"

@@ -45,7 +45,7 @@ _ASKED = (
 _MORE = (
     *("actual", "act", "measured", "meas", "present", "state", "states", "observation", "feedback", "fb", "filtered"),
     *("raw", "value", "val", "estimate", "estimated", "est", "msr", "sensor", "joints", "motor", "j", "link", "out"),
-    *("control", *_BARE),
+    *("control", "field", *_BARE),
 )  # fmt: skip
 
 
@@ -104,8 +104,9 @@ def suggested(lacking: Sequence[str], headings: Sequence[str]) -> str:
     if "tau" in lacking and found["tau"] is not None:
         text += " --tau-unit A" * found["tau"].current
         text += " --tau-kind commanded" * (measured is None)
+    unstamped = "; where it has no stamps: --rate HZ" * ("time=NAME" in ways)
     names = ", ".join("time" if array == "time" else f"{array}.<joint>" for array in lacking)
-    return f"no column {names}; name the file's (jax-inertia convert {text}); it has {listed(headings, 12)}"
+    return f"no column {names}; name the file's (jax-inertia convert {text}); it has {listed(headings, 12)}{unstamped}"
 
 
 def _best(

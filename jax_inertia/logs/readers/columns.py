@@ -39,6 +39,7 @@ from jax_inertia.logs.readers.options import Contents
 from jax_inertia.logs.schema import SHAPES
 from jax_inertia.text.closest_names import listed, suggestion
 
+_FASTEST = 1e6
 _CONSTANT = tuple(name for name, shape in SHAPES.items() if shape[0] != "T")
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "°": np.pi / 180, "m": 1.0, "mm": 1e-3}
 _ANGLE |= dict.fromkeys(("rev", "turn", "turns"), 2 * np.pi)
@@ -61,11 +62,19 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 }
 
 
-def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = ()) -> Contents:
+def arrays(
+    plan: Plan,
+    values: Mapping[str, np.ndarray],
+    names: Sequence[str] = (),
+    rate: float | None = None,
+) -> Contents:
     """Put columns, by heading, together into arrays; `names` are the joints of columns that hold lists.
 
-    Joints without position or torque are left out, with a note. Raises `LogError` for what is missing.
+    `rate` [Hz] stands for stamps, where there are none. Joints without position or torque are left out, with a note.
+    Raises `LogError` for what is missing.
     """
+    if rate is not None:
+        plan, values = _timed(plan, values, rate)
     found = _found(plan, values)
     out: dict[str, np.ndarray] = {}
     notes: list[str] = []
@@ -93,6 +102,20 @@ def arrays(plan: Plan, values: Mapping[str, np.ndarray], names: Sequence[str] = 
     stated = any(plan.columns[h].unit for h in found["qpos"].values())
     timed = bool(plan.columns[found["time"]["", ""]].unit)
     return Contents(out | meaning, plan.others, notes + note, stated, timed)
+
+
+def _timed(
+    plan: Plan, values: Mapping[str, np.ndarray], rate: float
+) -> tuple[Plan, dict[str, np.ndarray]]:
+    """The columns with one of stamps."""
+    if any(column.array == "time" for column in plan.columns.values()):
+        raise LogError("the file has stamps of its own; leave out rate")
+    if not 0 < rate < _FASTEST:
+        raise LogError(f"a rate of {rate:g} Hz; expected samples a second")
+    rows = max((len(x) for x in values.values() if x.ndim), default=0)
+    stamps = {"samples at a rate": np.arange(rows) / rate}
+    columns = dict.fromkeys(stamps, Column("time", "", "", "s"))
+    return plan._replace(columns={**plan.columns, **columns}), {**values, **stamps}
 
 
 def _at_contacts(

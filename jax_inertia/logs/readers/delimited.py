@@ -1,6 +1,7 @@
 """CSV and TSV, block by block: a heading row, then numbers."""
 
 import csv
+import dataclasses
 import datetime
 import os
 from collections import Counter
@@ -30,11 +31,13 @@ def read_csv(path: Path, options: Options, max_bytes: int) -> Contents:
     `LogError` with the line for what is no number, for rows of another length, and for a file whose numbers would need
     more than `max_bytes`.
     """
-    size, growing = os.path.getsize(path), _growing(path, options)
+    # In pieces, as logs grow, there is no first sample to count from.
+    growing = _growing(path, dataclasses.replace(options, rate=None))
+    size = os.path.getsize(path)
     table, _ = next(growing)
     for _, taken in growing:
         _check_budget(table, size / max(taken, 1), max_bytes)
-    contents = columns.arrays(table.plan, table.values())
+    contents = columns.arrays(table.plan, table.values(), rate=options.rate)
     contents.notes = [*contents.notes, *table.notes]
     contents.in_seconds |= table.dated
     return contents
@@ -297,14 +300,19 @@ def _header(file: TextIO) -> tuple[list[str], str, int]:
             raise LogError("the file is empty; a log starts with a row of column names")
         if len(line) >= _LONGEST_LINE or "\0" in line:
             raise LogError("the first line is no heading; is it a CSV file?")
-        # NumPy writes its heading as a comment.
-        number, text = number + 1, line.strip().lstrip("#").strip()
+        # NumPy and MATLAB write a heading as a comment, and rostopic.
+        number, text = number + 1, line.strip().lstrip("#%").strip()
     delimiter = max(",;\t", key=text.count)
     if delimiter not in text and len(text.split()) > 1:
         # NumPy's savetxt and UR's recorder part columns by blanks.
         delimiter, headings = _BLANKS, text.split()
     else:
         headings = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+    if 2 * sum(_is_number(name) for name in headings if name) > len(headings):
+        raise LogError(
+            "the first line holds numbers, and names of columns are expected: write a line of names before it, with "
+            "joints' own: time,qpos.elbow,tau.elbow"
+        )
     if repeated := [name for name, count in Counter(headings).items() if name and count > 1]:
         raise LogError(f"two columns are named {repeated[0][:60]!r}; keep one")
     return headings, delimiter, number + 1

@@ -29,8 +29,9 @@ class Options:
 
     `columns` (CSV, Parquet) maps a column of the contract to the file's, one `*` standing for the joint on both
     sides: `{"qpos.*": "q_*"}`; parts of one array in several columns of lists are given together:
-    `{"tau": ("torque.left", "torque.right")}`. `joints` names the entries of list columns. `episode` picks one of a
-    dataset, whose positions normalised to ±100 need the JSON file of the motors' ranges as `calibration`.
+    `{"tau": ("torque.left", "torque.right")}`. `joints` names the entries of list columns, and `rate` [Hz] stands for
+    stamps that a table lacks. `episode` picks one of a dataset, whose positions normalised to ±100 need the JSON file
+    of the motors' ranges as `calibration`.
     `topic_joints` (one or several), `topic_targets` (whose joints `joints` names, where messages do not), `topic_base`,
     `topic_imu` and `topic_wrenches` (body → topic) are for bags; `wrench_axes` says in which axes the wrenches are, and
     `flip_wrenches` that they are the robot's on its surroundings. `rename` maps joints as the file calls them to the
@@ -44,6 +45,7 @@ class Options:
 
     columns: Mapping[str, str | Sequence[str]] = dataclasses.field(default_factory=dict)
     joints: Sequence[str] = ()
+    rate: float | None = None
     episode: int | None = None
     calibration: str | os.PathLike[str] | None = None
     topic_joints: str | Sequence[str] | None = None

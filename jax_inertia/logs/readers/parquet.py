@@ -32,7 +32,7 @@ _SUFFIXES = (
 )
 # Of these arrays there may be a column for each arm: observation.torque.left ...
 _PARTED = {"qvel", "tau"}
-_OPTIONS = ("columns", "joints", "episode", "calibration")
+_OPTIONS = ("columns", "joints", "rate", "episode", "calibration")
 
 
 def read_parquet(path: Path, options: Options, max_bytes: int) -> Contents:
@@ -105,7 +105,7 @@ def _read(
     if options.joints:
         names[own] = list(options.joints)
     plan, values = columns.spread(plan, values, names)
-    contents = columns.arrays(plan, values, options.joints or names.get(own, ()))
+    contents = columns.arrays(plan, values, options.joints or names.get(own, ()), options.rate)
     if lerobot:
         contents.notes = [*contents.notes, *_sources(plan, left_out)]
         normalised.seen_to(contents, options)

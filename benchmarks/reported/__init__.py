@@ -1,0 +1,1 @@
+"""Files and logs that people report trouble with."""
