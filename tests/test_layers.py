@@ -17,9 +17,10 @@ ORDER: dict[str, str] = {
         spatial finite_difference inertial_parameters charts noise gates sample_weight kalman_forms fused_update kalman
         innovation_tests least_squares""",
     "logs": "npz plain_file atomic_files schema unwrap joint_names as_model log findings readers log_files chunks",
-    "logs.readers": """stamps registers options protobuf plain_messages streams bag_messages bag_targets
-        control_messages robot_messages bag_collect bag column_names column_plan columns
+    "logs.readers": """stamps registers options messages streams bag_messages bag_targets
+        bag_collect bag column_names column_plan columns
         delimited normalised arrow_columns parquet arrays_by_name export""",
+    "logs.readers.messages": "protobuf plain control robots",
     "model": """mujoco_types joint_inertia mujoco_warnings file_safety model_errors robot geometry finite_numbers
         urdf_text urdf_read shapes descriptions spec urdf_write load robot_spec lock joint_match write
         log_match""",

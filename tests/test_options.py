@@ -23,6 +23,7 @@ BAD = {
         "--rename": ["elbow", "=", "nobody=elbow"],
         "--column": ["qpos.a", "=x", "time=x"],
         "--joints": ["a", ""],
+        "--rate": ["x", "0", "100"],
         "--episode": ["-1", "x", "1.5", "7"],
         "--calibration": ["no.json", "log.npz"],
         "--topic-joints": ["/x", ""],
@@ -137,6 +138,7 @@ BAD = {
 READS = {
     "--column": ["table.csv"],
     "--joints": ["dataset"],
+    "--rate": ["table.csv"],
     "--episode": ["dataset"],
     "--calibration": ["dataset"],
 }

@@ -7,7 +7,7 @@ from log_files import START, Maker, store, write_bag
 from jax_inertia.logs.log import LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
-from jax_inertia.logs.readers.robot_messages import GO2
+from jax_inertia.logs.readers.messages.robots import GO2
 
 pytest.importorskip("rosbags")
 IMU = "float32[4] quaternion\nfloat32[3] gyroscope\nfloat32[3] accelerometer\nfloat32[3] rpy\n"
@@ -162,7 +162,7 @@ def test_an_arms_state_is_read_with_its_targets(tmp_path, ros1):
 
 @pytest.mark.parametrize("kind", ["LowState", "LowCmd"])
 def test_what_is_cut_off_is_refused_by_its_topic(kind):
-    from jax_inertia.logs.readers.robot_messages import decoded
+    from jax_inertia.logs.readers.messages.robots import decoded
 
     for size in (3, 40, 700):
         with pytest.raises(LogError, match=r"cut off|not plain CDR"):

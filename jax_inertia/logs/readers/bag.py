@@ -23,8 +23,8 @@ from jax_inertia.logs.readers.bag_collect import (
     Publisher,
 )
 from jax_inertia.logs.readers.bag_messages import kind_of, messages
+from jax_inertia.logs.readers.messages.robots import KINDS
 from jax_inertia.logs.readers.options import Contents, Options, WrenchAxes
-from jax_inertia.logs.readers.robot_messages import KINDS
 from jax_inertia.logs.readers.streams import Stream, onto
 from jax_inertia.text.closest_names import listed, suggestion
 

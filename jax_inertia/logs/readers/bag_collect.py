@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
-from jax_inertia.logs.readers import robot_messages
 from jax_inertia.logs.readers.bag_messages import Message
 from jax_inertia.logs.readers.bag_targets import Targets, is_named_command
-from jax_inertia.logs.readers.control_messages import (
+from jax_inertia.logs.readers.messages import robots
+from jax_inertia.logs.readers.messages.control import (
     ARRAY,
     CONTROLLER,
     DYNAMIC,
     TRAJECTORY,
     decoded,
 )
+from jax_inertia.logs.readers.messages.plain import PLAIN, as_object, header, joint_state, plain
 from jax_inertia.logs.readers.options import Options, WrenchAxes, required
-from jax_inertia.logs.readers.plain_messages import PLAIN, as_object, header, joint_state, plain
 from jax_inertia.logs.readers.streams import Rows
 from jax_inertia.text.closest_names import listed
 
@@ -100,7 +100,7 @@ class Collected:
         if kind in _CONTROL and message.encoding == "cdr":
             self._control(message, kind)
             return
-        if kind in robot_messages.KINDS:
+        if kind in robots.KINDS:
             self._robot(message, kind)
             return
         if kind == JOINTS and self._is_command(topic):
@@ -146,12 +146,12 @@ class Collected:
 
     def _robot(self, message: Message, kind: str) -> None:
         """What a message of a robot's own driver says of the state, of the targets and of an IMU in the base."""
-        topic, commands = message.topic, kind in robot_messages.COMMANDS
+        topic, commands = message.topic, kind in robots.COMMANDS
         if self._topics and topic not in self._topics and not commands:
             return
         joints = self._options.joints
         try:
-            found = robot_messages.decoded(kind, message.encoding, message.data, joints)
+            found = robots.decoded(kind, message.encoding, message.data, joints)
         except LogError as error:
             raise LogError(f"a message on {topic} ({kind}): {error}") from None
         if found.state is not None:
@@ -161,7 +161,7 @@ class Collected:
         if found.imu is not None and self._options.topic_imu is None:
             self.own_imu.add(topic)
             if len(self.own_imu) == 1:
-                self._add(self.imu, message, robot_messages.NO_HEADER, found.imu)
+                self._add(self.imu, message, robots.NO_HEADER, found.imu)
 
     def _target(self, message: Message, target: Any) -> None:
         names = tuple(target.name)

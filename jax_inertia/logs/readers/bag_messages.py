@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jax_inertia.logs.npz import LogError
+from jax_inertia.logs.readers.messages.plain import PLAIN, ros_kind
 from jax_inertia.logs.readers.options import required
-from jax_inertia.logs.readers.plain_messages import PLAIN, ros_kind
 
 # `ros2 bag record --compression-mode file`.
 _PACKED = ".zstd"

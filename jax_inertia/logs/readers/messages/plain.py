@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from jax_inertia.logs.npz import LogError
-from jax_inertia.logs.readers import protobuf
+from jax_inertia.logs.readers.messages import protobuf
 
 PLAIN = ("json", "protobuf")
 """Encodings that this module knows."""

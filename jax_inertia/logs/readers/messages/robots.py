@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jax_inertia.logs.npz import LogError
-from jax_inertia.logs.readers.control_messages import NO_TIME, Cdr, like
+from jax_inertia.logs.readers.messages.control import NO_TIME, Cdr, like
 
 GO2 = tuple(
     f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")
