@@ -3,6 +3,7 @@
 import argparse
 import re
 import shlex
+import time
 
 import numpy as np
 import pytest
@@ -110,3 +111,13 @@ def test_where_nothing_is_known_a_place_is_held_for_each(tmp_path):
     assert suggested(tmp_path / "log.csv") == [
         *("--column", "time=NAME", "--column", "qpos.*=PREFIX*", "--column", "tau.*=PREFIX*")
     ]
+
+
+@pytest.mark.parametrize("part", ["[", "(", "a_", "Aa", "1", " "])
+def test_a_long_heading_takes_no_longer_than_others(tmp_path, part):
+    """A file may hold any: what is quadratic in its length would never end."""
+    (tmp_path / "log.csv").write_text(f"t,q1,q2,{part * 100_000}x\n1,2,3,4\n")
+    begin = time.process_time()
+    with pytest.raises(LogError):
+        read_log(tmp_path / "log.csv")
+    assert time.process_time() - begin < 5.0

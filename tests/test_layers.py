@@ -18,7 +18,7 @@ ORDER: dict[str, str] = {
         innovation_tests least_squares""",
     "logs": "npz plain_file atomic_files schema unwrap joint_names as_model log findings readers log_files chunks",
     "logs.readers": """stamps registers options messages streams bag_messages bag_targets
-        bag_collect bag column_names column_plan columns
+        bag_collect bag column_plan column_names columns
         delimited normalised arrow_columns parquet arrays_by_name export""",
     "logs.readers.messages": "protobuf plain control robots",
     "model": """mujoco_types joint_inertia mujoco_warnings file_safety model_errors robot geometry finite_numbers

@@ -61,6 +61,8 @@ def proposal(joints: Sequence[str], wanted: Sequence[str]) -> str:
     >>> proposal(("fr3_joint1", "fr3_joint2"), ("panda_joint1", "panda_joint2"))
     'fr3*=panda*'
     """
+    if max(map(len, (*joints, *wanted)), default=0) > _LONGEST:
+        return ""
     theirs, ours = ({x: x for x in names[:_MOST]} for names in (joints, wanted))
     for one, other in _ends(theirs, ours):
         a, b, size = difflib.SequenceMatcher(None, one, other, autojunk=False).find_longest_match()

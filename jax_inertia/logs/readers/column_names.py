@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from jax_inertia.logs.readers.column_plan import unit_apart
 from jax_inertia.text.closest_names import listed
 
 _MOST, _LONGEST = 400, 80
@@ -74,7 +75,7 @@ def suggested(lacking: Sequence[str], headings: Sequence[str]) -> str:
     >>> line[line.index("convert") : line.index(")")]
     "convert --column 'time=t' --column 'qpos.*=*_pos' --column 'tau.*=*_cur' --tau-unit A"
     """
-    bare = [re.sub(r"\s*[\[(][^])]*[\])]$", "", h.strip())[:_LONGEST] for h in headings[:_MOST]]
+    bare = [unit_apart(heading)[0][:_LONGEST] for heading in headings[:_MOST]]
     positions = _best("qpos", bare) if "qpos" in lacking else None
     joints = positions.joints if positions else ()
     measured = _best("tau", bare, joints)

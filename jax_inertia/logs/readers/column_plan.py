@@ -50,7 +50,7 @@ def plan(headings: Sequence[str], options: Options) -> Plan:
     taken: dict[tuple[str, str, str], str] = {}
     asked = _asked(headings, options)
     for heading in headings:
-        name, unit = _unit_apart(heading)
+        name, unit = unit_apart(heading)
         column = asked.get(heading) or _parsed(name, unit)
         if column is None:
             continue
@@ -70,7 +70,7 @@ def plan(headings: Sequence[str], options: Options) -> Plan:
     return Plan(columns, others)
 
 
-def _unit_apart(heading: str) -> tuple[str, str]:
+def unit_apart(heading: str) -> tuple[str, str]:
     """`name [unit]` or `name (unit)` in its two parts; no regular expression, which would try every blank."""
     whole = heading.strip()
     opened = max(whole.rfind("["), whole.rfind("("))
@@ -99,7 +99,7 @@ def _asked(headings: Sequence[str], options: Options) -> dict[str, Column]:
     """The columns that the options name, by heading."""
     out: dict[str, Column] = {}
     starred: set[str] = set()
-    bare = {heading: _unit_apart(heading)[0] for heading in headings}
+    bare = {heading: unit_apart(heading)[0] for heading in headings}
     pairs = [
         (target, source)
         for target, given in options.columns.items()
@@ -120,7 +120,7 @@ def _asked(headings: Sequence[str], options: Options) -> dict[str, Column]:
                 wanted = target.replace("*", name[len(before) : len(name) - len(after)])
             elif source not in (heading, name):
                 continue
-            column = _parsed(wanted, _unit_apart(heading)[1])
+            column = _parsed(wanted, unit_apart(heading)[1])
             if column is None:
                 raise LogError(
                     f"column {target}={source}: {wanted!r} is no column of a log; those are time, "
