@@ -179,7 +179,8 @@ def shrink_interval(
 
 
 RIPPLE = 0.03
-"""Of a joint's torque, rms: how far a motor is from its command at random. Torque ripple of servo drives: 1 to 3 %."""
+"""Of a joint's peak torque: how far a motor is from its command at random, rms. Torque ripple of servo drives: 1 to 3 %
+of what they are rated for, whatever a motion needs of it."""
 
 
 def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.ndarray, " n"]:
@@ -192,7 +193,8 @@ def noise_of(residual: Residual, left: Float[np.ndarray, "R n"]) -> Float[np.nda
     out = residual.sensors
     if residual.log.tau_kind is not TorqueKind.COMMANDED or residual.log.sigma_tau is not None:
         return out
-    own, most = rows(left, residual.weight), RIPPLE * rows(residual.torque, residual.weight)
+    own = rows(left, residual.weight)
+    most = RIPPLE * np.percentile(np.abs(residual.torque), 99.5, axis=0)
     unit = left / np.maximum(own, 1e-300)
     fits = [SlowNoise(w).likeliest(z) for w, z in zip(residual.weight.T, unit.T, strict=True)]
     short = own * np.sqrt([1.0 - fit.lasting for fit in fits])
@@ -223,22 +225,34 @@ class OtherRun(_Run):
         return self.residual.y - np.sum([torque for _, torque in self.torques(now)], axis=0)
 
     def torques(self, now):
-        """At numbers from the first run.
-
-        What happens once and was found in the first may happen in this one too: when, and how hard, this one tells.
-        """
+        """At numbers from the first run; what happens once, at numbers from this one."""
         left = self.residual.y.copy()
         for h in now.chosen:
             if h.family not in PASSING and not h.effect.of_log:
                 torque = elsewhere(h, self.residual).torque(now.mean[now.part(h)], left.shape)
                 left -= torque
                 yield h, torque
+        yield from self._passing(now, left)
+
+    def once_more(
+        self, now: Posterior, left: Float[np.ndarray, "R n"]
+    ) -> Float[np.ndarray, "R n"]:
+        """Torque of what happens once in this run too [N m], of what all that lasts leaves of it (`left`).
+
+        What was found in the first run may happen in this one too, and is no part of the robot: when, and how hard,
+        this one tells.
+        """
+        return sum((torque for _, torque in self._passing(now, left)), np.zeros_like(left))
+
+    def _passing(
+        self, now: Posterior, left: Float[np.ndarray, "R n"]
+    ) -> Iterator[tuple[Hypothesis, Float[np.ndarray, "R n"]]]:
         for h in {h.key: h for h in now.chosen if h.family in PASSING}.values():
-            torque = self._once_more(left, h)
+            torque = self._again(left, h)
             left = left - torque
             yield h, torque
 
-    def _once_more(self, left: Float[np.ndarray, "R n"], h: Hypothesis) -> Float[np.ndarray, "R n"]:
+    def _again(self, left: Float[np.ndarray, "R n"], h: Hypothesis) -> Float[np.ndarray, "R n"]:
         """Torque of the same in this run, zero where its evidence does not pay its odds."""
         noise = np.sqrt(np.mean(self.evidence.noise.variance, axis=0))
         evidence = Evidence(left, self.residual.weight, noise)

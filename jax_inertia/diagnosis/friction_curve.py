@@ -11,7 +11,7 @@ all of them predict.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -107,6 +107,15 @@ TURNING = frozenset({"bristle", "creep", "slow", "load", "by_direction"})
 """Forms that turn round with the direction."""
 
 
+class LinkApart(NamedTuple):
+    """A link behind a spring or play, along a log."""
+
+    ahead: Float[np.ndarray, " T"]
+    """Its speed less its motor's [rad/s]."""
+    held: Float[np.ndarray, " T"]
+    """Direction of its dry friction, in [−1, 1]: while its motor crosses a play, friction holds it in whole or part."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Moving:
     """A joint's motion, as its friction sees it; arrays (T,)."""
@@ -122,6 +131,8 @@ class Moving:
     share: float = 0.0
     scale: float = 1.0
     """Of logged positions over real ones."""
+    link_apart: LinkApart | None = None
+    """The joint's link, where its friction is that of the link, apart from the motor whose position is logged."""
 
     @classmethod
     def along(cls, context: Context, row: int) -> "Moving":
@@ -140,7 +151,8 @@ class Moving:
     @property
     def v(self) -> Float[np.ndarray, " T"]:
         """Speed [rad/s]."""
-        return self._of(self.context.v)
+        own = self._of(self.context.v)
+        return own if self.link_apart is None else own + self.link_apart.ahead
 
     def direction(self, term: Term) -> Float[np.ndarray, " T"]:
         """z of a bristle, or of a friction that creeps.
@@ -149,6 +161,8 @@ class Moving:
         that a simulator runs has no rest of its own.
         """
         context, row = self.context, self.row
+        if self.link_apart is not None:
+            return self.link_apart.held
         if term.form == "creep":
             if self.other < 0:
                 return context.creeping_at(row, term.scale)

@@ -89,18 +89,21 @@ class Causes:
 
         What the files lose of the fit comes on top of what rows are predicted with by the others.
         """
-        by_files = handed.residual(run.residual) - self.late(run.residual)
+        by_files = handed.residual(run.residual) - self.of_log(run.residual)
         return run.left(self.now) + by_files - (run.residual.y - self.now.fitted)
 
-    def late(self, residual: Residual) -> Float[np.ndarray, "R n"]:
-        """Torque by which a log's stamps are off [N m]: fitted, and of how the log is read, no part of the robot."""
-        base = next((h for h in self.now.chosen if h.family == "tolerances"), None)
-        if base is None:
-            return np.zeros_like(residual.y)
+    def of_log(self, residual: Residual) -> Float[np.ndarray, "R n"]:
+        """Torque of how a log is read, no part of the robot [N m]: when its torques and its wrenches acted, what feet
+        that give and hold make of them. Fitted; of what each log has numbers of its own, nothing of another one.
+        """
+        out = np.zeros_like(residual.y)
         own = residual.log is self.told.residual.log
-        there = base if own else elsewhere(base, residual)
-        theta = self.now.of(base)[0]
-        return there.columns @ (theta - base.effect.of_links(theta))
+        for h in self.now.chosen:
+            if h.effect.marginal and (own or not h.effect.of_log):
+                theta = self.now.of(h)[0]
+                there = h if own else elsewhere(h, residual)
+                out += there.torque((theta - h.effect.of_links(theta)) / h.scale, out.shape)
+        return out
 
 
 def causes_of(
@@ -200,7 +203,9 @@ def concluded(
     again = handed.on_another_run()
     others = [run for run in (validation, test) if run is not None]
     runs: list[tuple[HeldOut | OtherRun, Float[np.ndarray, "R n"]]] = [heldout]
-    runs += [(x, again.residual(x.residual) - causes.late(x.residual)) for x in others]
+    for other in others:
+        left = again.residual(other.residual) - causes.of_log(other.residual)
+        runs.append((other, left - other.once_more(causes.now, left)))
     checks = [run.check(causes.now, left) for run, left in runs]
     own = causes.selection.residual
     shrinks = [_shrink(run, left, causes.ordinary, own) for run, left in runs]

@@ -1,9 +1,10 @@
 """The torque error of a diagnosis' files as written: report.json and corrected.xml, read back and run along a log.
 
-    e = F[needed − reached / g],   needed = ID(corrected.xml; q, q̇, q̈) + friction law − forces on bodies
+    e = F[needed − g reached] / g,   needed = ID(corrected.xml; q, q̇, q̈) + friction law − forces on bodies
 
 ID is MuJoCo's inverse dynamics without constraints and without the damping of joints, which the friction law of
-report.json holds; `reached` is the logged torque after delay, lag, limits and gain g; F is the chain's last low-pass.
+report.json holds; `reached` is the logged torque after delay, lag and limits, g the motor's gain; F is the chain's last
+low-pass.
 What a soft joint bends by is taken from the motion, never from the torque that is to be predicted.
 What the two files do not hold is not counted, whatever the fit knew.
 """
@@ -25,7 +26,7 @@ from jax_inertia.diagnosis.effects.couplings import DEFLECTION
 from jax_inertia.diagnosis.effects.identified import GAIN, Identified, effects_in
 from jax_inertia.diagnosis.effects.registry import known
 from jax_inertia.diagnosis.features.context import Context
-from jax_inertia.diagnosis.friction_curve import FrictionCurve, Moving
+from jax_inertia.diagnosis.friction_curve import FrictionCurve, LinkApart, Moving
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.simulate.plant import rows_and_places, twists
 from jax_inertia.diagnosis.simulate.step_law import Law, centre_velocity, law
@@ -72,8 +73,8 @@ class HandedOver:
         needed = self._needed(context, gain, reached)
         # What the nominal model needs holds the contacts, measured or taken from the legs: they are in both.
         change = needed - self._nominal(context) - context.prepared.dry
-        whole = (context.inverse + change) / gain - reached
-        return residual.prepared.finish_torque(whole)
+        # In units of the joints' torque first: what legs carry on forces of the ground that are not measured is of it.
+        return residual.prepared.finish_torque(context.inverse + change - gain * reached) / gain
 
     # --- what reaches the joints
 
@@ -171,7 +172,8 @@ class HandedOver:
         for name, row in context.joint_dofs.items():
             curve = self.curves[name]
             loads = needed[:, row] - rotor[:, row], needed[:, row]
-            own = Moving(context, row, *loads, scale=path.scale.get(name, 1.0))
+            link = path.links.get(name)
+            own = Moving(context, row, *loads, scale=path.scale.get(name, 1.0), link_apart=link)
             out[:, row] += curve.torque(own)
             if name in coupled:
                 e = coupled[name]
@@ -202,7 +204,11 @@ class _Path:
                 self.q[:, places[e.name]] /= share
                 self.v[:, row] /= share
                 self.a[:, row] /= share
-        for name, (twist, rate) in twists(context, effects, predicted=True).items():
+        self.links: dict[str, LinkApart] = {}
+        """Of each joint whose friction is its link's, how that moves and is held."""
+        for name, (twist, rate, held) in twists(context, effects, predicted=True).items():
+            if held is not None:
+                self.links[name] = LinkApart(rate, held)
             hinge = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name + DEFLECTION)
             if hinge >= 0:
                 own = model.jnt_qposadr[hinge], model.jnt_dofadr[hinge]

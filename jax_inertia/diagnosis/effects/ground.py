@@ -17,6 +17,10 @@ from jax_inertia.signals.torque_residual import needed_torques, without_friction
 class _Ground(Effect):
     named, marginal, form_error = False, True, 0.0
 
+    def of_links(self, theta):
+        # They say how a log is read.
+        return np.zeros_like(theta)
+
     def numbers(self, context, place, shape, theta):
         return {}
 
@@ -83,8 +87,8 @@ def _held(context: Context) -> Bool[np.ndarray, "T nv"]:
     return context.at_rest & support.used_up & (context.frictionloss > 0)
 
 
-SAMPLED = 0.25
-"""Of the log's period, when within it a wrench acted, one standard deviation; half of it at most."""
+SAMPLED, FARTHEST = 0.25, 0.5
+"""Of the log's period, when within it a wrench acted: one standard deviation, and by how much at most."""
 
 
 class WrenchTiming(_Ground):
@@ -100,7 +104,7 @@ class WrenchTiming(_Ground):
         return super().places(context) if measured else []
 
     def columns(self, context, place, shape):
-        late, most = SAMPLED * shape[0], 0.5 * shape[0]
+        late, most = SAMPLED * shape[0], FARTHEST * shape[0]
         assert context.wrench is not None
         slope = derivative(context.time, context.wrench)
         shifts = late * slope, 0.5 * late * most * derivative(context.time, slope)

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -60,10 +61,21 @@ class _Torque:
         return (1 - share) * self.tau[k] + share * self.tau[k + 1]
 
 
+class Twist(NamedTuple):
+    """A hinge between a motor and its link along a log, the link's turn less the motor's."""
+
+    position: Float[np.ndarray, " T"]
+    """[rad]."""
+    velocity: Float[np.ndarray, " T"]
+    """[rad/s]."""
+    held: Float[np.ndarray, " T"] | None
+    """Dry friction of the link over its level, in [−1, 1], where the joint's friction is the link's."""
+
+
 def twists(
     context: Context, effects: Sequence[Identified], *, predicted: bool = False
-) -> dict[str, tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
-    """Position and velocity along a log of the hinge between each soft joint's motor and its link [rad, rad/s].
+) -> dict[str, Twist]:
+    """How the hinge between each soft joint's motor and its link turns along a log.
 
     `predicted`: by the motion alone, and not by the logged torque too.
     """
@@ -72,8 +84,11 @@ def twists(
         if e.family in ("joint_elasticity", "backlash"):
             play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
             coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
-            ahead = link(context.joint_dofs[e.name]).separation(coupling)
-            out[e.name] = -ahead, -derivative(context.time, ahead)
+            row = context.joint_dofs[e.name]
+            between, level = link(row), float(context.frictionloss[row])
+            ahead = between.separation(coupling)
+            held = between.rubbing(coupling) / level if on_link and level > 0 else None
+            out[e.name] = Twist(-ahead, -derivative(context.time, ahead), held)
     return out
 
 
@@ -234,7 +249,7 @@ class Plant:
         q[self.adr[own]] /= self.scale[own]
         v[own] /= self.scale[own]
         data.qpos[self.places], data.qvel[self.rows] = q, v
-        for name, (twist, rate) in recording.twists.items():
+        for name, (twist, rate, _) in recording.twists.items():
             hinge = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name + DEFLECTION)
             if hinge >= 0:
                 data.qpos[model.jnt_qposadr[hinge]] = twist[k]
