@@ -11,10 +11,11 @@ Each output j (a joint's torque or its replayed position) that moves is judged b
 | condition | verdict |
 |---|---|
 | no effect is named, nothing stands against it, and b ≤ 1.5 √(f² + d²) at every output of every run | no_gap |
-| one is, nothing stands against it, and a ≤ 1.5 f, or a ≤ 1.5 √(f² + d²) and a ≤ 0.1 b, at every output | explained |
+| one is, nothing stands against it, and at every output a ≤ 1.5 f, or a ≤ 1.5 √(f² + d²) and a ≤ 0.1 b | explained |
 | else: one is, and Σ max(a² − f², 0) / f² < Σ max(b² − f², 0) / 2 f² | partly |
 | else | unknown |
 
+Of an output whose b ≤ 1.5 f there is nothing that a tenth might be of: there a ≤ 1.5 √(f² + d²) is enough.
 The model as given has its numbers where they fit within its stated tolerances, and a position loop's clock likewise.
 Against a verdict stand numbers that are not possible together, numbers of the model beyond its tolerances (against
 no_gap), one more effect that is more likely there than not, and a remainder that is distinct and has no name.
@@ -70,8 +71,10 @@ class Errors:
     @property
     def limit(self) -> Float[np.ndarray, " m"]:
         """Up to what error the corrected model leaves nothing that is to be explained."""
-        nearly = np.minimum(FLOORS * np.hypot(self.floor, self.discrepancy), NEARLY * self.before)
-        return np.maximum(FLOORS * self.floor, nearly)
+        own = FLOORS * self.floor
+        # Of an output at which the model as given shows no gap, there is nothing that a share might be of.
+        most = np.where(self.before <= own, self.silence, NEARLY * self.before)
+        return np.maximum(own, np.minimum(self.silence, most))
 
     @property
     def unexplained(self) -> float:

@@ -45,9 +45,12 @@ class TorqueGain(Effect):
         return everywhere_and_at_joints(context)
 
     def columns(self, context, place, shape):
-        # The needed torque is the instrument: the logged one correlates with its own noise.
+        # The needed torque is the instrument: the logged one correlates with its own noise. A leg by whose logged torque
+        # the ground's force is taken has no other while it stands, and swings by the same gain.
         rows = rows_of(context, place)
-        return on_rows(context.inverse[:, rows], context, place, rows)
+        bears = [_bears(context, row) for row in rows]
+        torque = np.where(bears, context.tau[:, rows], context.inverse[:, rows])
+        return on_rows(torque, context, place, rows)
 
     def scale(self, context, place, shape):
         return np.array([0.15])
@@ -56,9 +59,8 @@ class TorqueGain(Effect):
         return bool(abs(1.0 / (1.0 - min(theta[0], 0.9)) - 1.0) < 0.5)
 
     def numbers(self, context, place, shape, theta):
-        support = context.prepared.support
-        if place.kind == "joint" and support is not None and support.bears(place.index):
-            # Of a leg by whose logged torque the ground's force is taken, that torque is all that it seems to need.
+        if place.kind == "joint" and _bears(context, place.index):
+            # y = (g − 1) logged.
             return {"gain": Parameter(1.0 + float(theta[0]), "1", factor=True)}
         # Friction at the joint is what the motor's torque is after its gain, so y = (1 − 1/g) needed + ....
         return {"gain": Parameter(1.0 / (1.0 - min(float(theta[0]), 0.9)), "1", factor=True)}
@@ -74,6 +76,12 @@ class TorqueGain(Effect):
     def step(self, xp, now, at, applied):
         tau = applied.torque
         return applied._replace(torque=xp.where(at.rows, at.values["gain"] * tau, tau))
+
+
+def _bears(context, row: int) -> bool:
+    """Whether a row is a leg's by whose logged torque the ground's force is taken."""
+    support = context.prepared.support
+    return support is not None and support.bears(row)
 
 
 class DriveGain(TorqueGain):

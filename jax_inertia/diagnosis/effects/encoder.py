@@ -146,6 +146,11 @@ class TwoMass(Effect):
     def coupling(self, shape: Shape) -> Coupling:
         """(K, ζ, b, o, h) of a shape, see `features.two_mass`."""
 
+    @staticmethod
+    def rubs_link(shape: Shape) -> bool:
+        """Whether the joint's own friction, as the model has it, is the link's."""
+        return bool(shape[-2])
+
     @abc.abstractmethod
     def grid(self, context: Context, place: Place) -> tuple[np.ndarray | tuple[float, ...], ...]:
         """Every value of each nonlinear number."""

@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from jax_inertia.diagnosis.effects.actuator import Late
 from jax_inertia.diagnosis.effects.base import Effect, Place
 from jax_inertia.diagnosis.effects.dry_friction import CoulombFriction
+from jax_inertia.diagnosis.effects.encoder import TwoMass
 from jax_inertia.diagnosis.effects.friction_forms import (
     FrictionForms,
     FrictionTurning,
@@ -346,9 +347,25 @@ def _forms(residual, now: Posterior, presliding: dict[int, float], settings) -> 
     return out
 
 
+def _stated(residual: Residual, now: Posterior) -> Iterator[Hypothesis]:
+    """The form of each joint's stated friction, where that is not its link's."""
+    effect = StatedFriction()
+    there = {h.place: h for h in now.chosen if isinstance(h.effect, StatedFriction)}
+    couplings = (h for h in now.chosen if isinstance(h.effect, TwoMass))
+    of_links = {h.place for h in couplings if h.effect.rubs_link(h.shape)}
+    for place in effect.places(residual.context):
+        if place not in of_links:
+            shape = next(iter(effect.shapes(residual.context, place)))
+            yield there.get(place) or hypothesis(residual, effect, place, shape, 0.0)
+
+
 def with_turning(residual: Residual, now: Posterior) -> tuple[Hypothesis, ...]:
-    """The chosen; with dry friction that was found beyond a calibrated model's comes how it turns round."""
-    kept = [h for h in now.chosen if not isinstance(h.effect, FrictionTurning)]
+    """The chosen; with dry friction that was found beyond a calibrated model's comes how it turns round.
+
+    How a stated one does is of the joint's motion: a friction that is a link's holds that along its own path.
+    """
+    kept = [h for h in now.chosen if not isinstance(h.effect, FrictionTurning | StatedFriction)]
+    kept += _stated(residual, now)
     there = {(h.place, h.shape[:2]): h for h in now.chosen if isinstance(h.effect, FrictionTurning)}
     for h in now.chosen:
         if h.fills == CoulombFriction.name:

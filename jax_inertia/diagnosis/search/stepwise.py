@@ -92,7 +92,9 @@ def _refined(residual, evidence: Evidence, now: Posterior, bank: Bank) -> Poster
                     break
                 rest = turned(residual, evidence, now.without(h))
                 again = with_one_more(residual, evidence, rest, h, bank)
-                now = evidence.posterior((*rest.chosen, h)) if again is None else again
+                if again is None:
+                    again = turned(residual, evidence, evidence.posterior((*rest.chosen, h)))
+                now = again
             if now.log_evidence < before + STAYS:
                 moving.discard(key)
         now = learned(evidence, now.chosen, 1)
