@@ -21,7 +21,14 @@ from jax_inertia.diagnosis.corrected.handed_over import HandedOver
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.identified import Identified, effects_in
 from jax_inertia.diagnosis.effects.joint import JointSpring
-from jax_inertia.diagnosis.friction_curve import EQUATION, NUMBERS_OF, UNITS, FrictionCurve
+from jax_inertia.diagnosis.friction_curve import (
+    EQUATION,
+    NUMBERS_OF,
+    UNITS,
+    FrictionCurve,
+    LinkApart,
+    Moving,
+)
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.pipeline import diagnose
 from jax_inertia.diagnosis.report.json_report import to_report
@@ -251,6 +258,20 @@ def test_a_law_reads_back_what_was_written(robot):
     with pytest.raises(ValueError, match=r"no term 'magic'; terms: bristle"):
         FrictionCurve.read({"terms": [{"form": "magic"}]})
     assert set(UNITS) == set(NUMBERS_OF)
+
+
+def test_friction_of_a_link_is_of_its_own_motion(robot):
+    """While its motor crosses the play a link stands still, and its friction holds it with any part of its level."""
+    context = Residual(robot, made(0), Settings()).context
+    row = 0
+    term = {"form": "bristle", "displacement": 2e-4, "straight": 0.0, "value": 0.4}
+    slope = {"form": "viscous", "value": 0.3}
+    ends = ({"ci95": [0, 1], "unit": unit} for unit in ("N m", "N m s/rad"))
+    law = {"terms": [x | more for x, more in zip((term, slope), ends, strict=True)]}
+    held = np.linspace(-1.0, 1.0, len(context.v))
+    stands = LinkApart(-context.v[:, row], held)
+    moving = dataclasses.replace(Moving.along(context, row), link_apart=stands)
+    np.testing.assert_allclose(FrictionCurve.read(law).torque(moving), 0.4 * held, atol=1e-12)
 
 
 def test_what_is_named_and_not_handed_over_is_in_no_model(robot):

@@ -55,6 +55,17 @@ def test_a_stated_discrepancy_explains_no_more_than_a_tenth():
     assert far.left[0].floors == pytest.approx(8.5)
 
 
+def test_a_joint_without_a_gap_may_err_by_what_is_stated():
+    """Of no gap there is no tenth."""
+    stated = {"discrepancy": np.array([0.0, 2.0])}
+    for before, after, wanted in (
+        (1.4, 3.3, Verdict.EXPLAINED),
+        (1.4, 3.4, Verdict.PARTLY),
+        (1.6, 3.3, Verdict.PARTLY),
+    ):
+        assert judged(errors((60.0, before), (1.0, after), **stated), True).verdict is wanted
+
+
 def test_what_cannot_be_and_what_has_no_name_explains_nothing():
     good = errors((90.0, 3.0), (1.0, 1.0))
     assert judged(good, named=True).verdict is Verdict.EXPLAINED

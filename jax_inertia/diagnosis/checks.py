@@ -234,9 +234,7 @@ class OtherRun(_Run):
                 yield h, torque
         yield from self._passing(now, left)
 
-    def once_more(
-        self, now: Posterior, left: Float[np.ndarray, "R n"]
-    ) -> Float[np.ndarray, "R n"]:
+    def once_more(self, now: Posterior, left: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R n"]:
         """Torque of what happens once in this run too [N m], of what all that lasts leaves of it (`left`).
 
         What was found in the first run may happen in this one too, and is no part of the robot: when, and how hard,

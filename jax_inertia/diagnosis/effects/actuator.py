@@ -45,8 +45,8 @@ class TorqueGain(Effect):
         return everywhere_and_at_joints(context)
 
     def columns(self, context, place, shape):
-        # The needed torque is the instrument: the logged one correlates with its own noise. A leg by whose logged torque
-        # the ground's force is taken has no other while it stands, and swings by the same gain.
+        # The needed torque is the instrument: the logged one correlates with its own noise. A leg by whose logged
+        # torque the ground's force is taken has no other while it stands, and swings by the same gain.
         rows = rows_of(context, place)
         bears = [_bears(context, row) for row in rows]
         torque = np.where(bears, context.tau[:, rows], context.inverse[:, rows])

@@ -351,8 +351,9 @@ def _stated(residual: Residual, now: Posterior) -> Iterator[Hypothesis]:
     """The form of each joint's stated friction, where that is not its link's."""
     effect = StatedFriction()
     there = {h.place: h for h in now.chosen if isinstance(h.effect, StatedFriction)}
-    couplings = (h for h in now.chosen if isinstance(h.effect, TwoMass))
-    of_links = {h.place for h in couplings if h.effect.rubs_link(h.shape)}
+    of_links = {
+        h.place for h in now.chosen if isinstance(h.effect, TwoMass) and h.effect.rubs_link(h.shape)
+    }
     for place in effect.places(residual.context):
         if place not in of_links:
             shape = next(iter(effect.shapes(residual.context, place)))
