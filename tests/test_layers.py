@@ -44,7 +44,7 @@ ORDER: dict[str, str] = {
         handover proof command inputs pipeline output entry""",
     "replay.simulation": "spec_edits model_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit draws",
-    "replay.output": "figures policy report",
+    "replay.output": "figures policy report recording",
     "replay.search": """ties parsimony causal unnamed held_out candidates tries by_law afresh odd exchange undecided
         instead clock entries closed_loop possible probability choice""",
     "trainers": "exports",

@@ -1,8 +1,10 @@
 """Stages of long computations, piped and on a terminal; compiled programs that commands keep."""
 
+import contextlib
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -139,3 +141,28 @@ jax.jit(lambda x: x + 1.0)(1.0)
         )
         assert len(done.stderr.splitlines()) == 1, done.stderr
     assert any(tmp_path.iterdir())
+
+
+def test_ctrl_c_that_somebody_swallows_ends_the_command_at_the_next_stage():
+    """An import, or a callback of C code, may swallow the exception; Python asks for no more."""
+    with stages.interruptible(), stages.stages() as stage:
+        stage("before")
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            stage("after")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with stages.interruptible(), stages.stages() as stage:
+        stage("of the next command")
+
+
+def test_where_ctrl_c_is_somebody_else_s_it_stays():
+    def own(number, frame):
+        pass
+
+    before = signal.signal(signal.SIGINT, own)
+    try:
+        with stages.interruptible():
+            assert signal.getsignal(signal.SIGINT) is own
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -42,6 +42,7 @@ _LOG_HELP = ".npz, .csv, .parquet, ROS bag or MCAP (what needs options: see jax-
 
 _PRODUCTS = (
     "report.json", "report.html", "corrected.xml", "corrected.urdf", "policy.json", "draws.npz",
+    "diagnosis.mcap",
     *(f"{name}.py" for name in SIMULATORS),
 )  # fmt: skip
 
@@ -84,6 +85,10 @@ def add_parser(subparsers) -> None:
         "also write files to train a policy with, from a log of targets (see docs/training.md)"
     )
     add("--export", nargs="+", action="extend", default=[], choices=SIMULATORS, help=export_help)
+    record_help = (
+        "also write diagnosis.mcap: measured, predicted and residual along time, for Foxglove"
+    )
+    add("--mcap", action="store_true", help=record_help)
     uncertain_help = (
         "standard deviations of the model's masses (relative), centres of mass [m] and inertias (relative); "
         "default: typical errors of drawings of built arms"
@@ -119,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
             inputs = dataclasses.replace(inputs, uncertainty=tuple(args.nominal_uncertainty))
         with output_folder(out, products=_PRODUCTS) as folder:
             show = pipeline.diagnosed(
-                folder, inputs, args.exclude, args.max_effects, stage, gains, args.export
+                folder, inputs, args.exclude, args.max_effects, stage, gains, args.export, args.mcap
             )
     show(out, as_json=args.json)
     return 0

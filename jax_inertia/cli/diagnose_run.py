@@ -31,6 +31,7 @@ from jax_inertia.preflight.preflight import Finding as Quality
 from jax_inertia.preflight.preflight import Severity
 from jax_inertia.replay import entry
 from jax_inertia.replay.loop import one_each
+from jax_inertia.replay.output import recording
 
 _NOT_REPLAYED = (
     "--export needs a log of targets (qpos_target), by whose replay a position loop is known: nothing is exported; "
@@ -156,8 +157,11 @@ def diagnosed(
     stage: Callable[[str], None],
     gains: Gains = SILENT,
     exports: Sequence[str] = (),
+    record: bool = False,
 ) -> Callable[..., None]:
     """Diagnose, and write everything into a folder; what prints it, given where it is and `as_json`.
+
+    With `record` diagnosis.mcap, too.
 
     By replays of the targets where the loop is known, torque or none; else by torque, and the loop on its own.
     """
@@ -170,13 +174,17 @@ def diagnosed(
         )  # fmt: skip
         if not entry.left_to_torque(found, logs):
             stage("writing")
+            if record:
+                lines = recording.by_replays(found, inputs.log.joint_names)
+                recording.write(folder / recording.NAME, lines)
             return replay_run.written(folder, paths, found, inputs.log, inputs.quality, exports)
         if exports:
             warn(_NOT_REPLAYED)
         exclude = [x for x in exclude if x in BY_TORQUE]
-    show_it = functools.partial(
-        output.show, *by_torque(folder, inputs, exclude, max_effects, stage)
-    )
+    told = by_torque(folder, inputs, exclude, max_effects, stage)
+    if record:
+        recording.write(folder / recording.NAME, recording.by_torque(told[0]))
+    show_it = functools.partial(output.show, *told)
     if inputs.of_loop:
         return show_it
     return replay_run.add_command(folder, inputs.model, inputs.log, gains, show_it)

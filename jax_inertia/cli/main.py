@@ -132,6 +132,7 @@ def _done(args: argparse.Namespace) -> int:
     """The command's exit status, once it has run."""
     from jax_inertia.cli.console import end_with_input, in_utf_8, one_line, warnings_as_lines
     from jax_inertia.cli.running.compiled import keep_compiled
+    from jax_inertia.cli.running.stages import interruptible
     from jax_inertia.model.file_safety import includes_below
 
     in_utf_8()
@@ -140,18 +141,20 @@ def _done(args: argparse.Namespace) -> int:
     # XLA complains of its own compilation cache in hundreds of lines that no user can act on; read once, at its import.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
-        import jax
+        with interruptible():
+            import jax
 
-        # Logs last minutes and covariances span twelve decades: single precision is for the library's users to choose.
-        jax.config.update("jax_enable_x64", True)
-        if not args.no_cache:
-            keep_compiled()
-        with warnings_as_lines(), includes_below(getattr(args, "include_root", None)):
-            return args.run(args)
+            # Logs last minutes and covariances span twelve decades: single precision is for the library's users to
+            # choose.
+            jax.config.update("jax_enable_x64", True)
+            if not args.no_cache:
+                keep_compiled()
+            with warnings_as_lines(), includes_below(getattr(args, "include_root", None)):
+                return args.run(args)
     except BrokenPipeError:
         raise
     except KeyboardInterrupt as stopped:
-        print(f"jax-inertia: interrupted; {stopped or 'nothing was written'}", file=sys.stderr)
+        print(f"jax-inertia: interrupted; {str(stopped) or 'nothing was written'}", file=sys.stderr)
         return 130
     except (ValueError, OSError) as error:
         print(f"jax-inertia: error: {usable(one_line(error))}", file=sys.stderr)

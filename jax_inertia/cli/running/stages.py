@@ -1,9 +1,12 @@
 """What is being done, while it is being done: a bar on a terminal, else a line for each stage, both on stderr."""
 
 import contextlib
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from types import FrameType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
@@ -16,6 +19,48 @@ EVERY = 10.0
 """A stage of many steps prints a line no more often than this [s]."""
 
 
+class _Interrupts:
+    """Ctrl-C, where it was pressed."""
+
+    pressed = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.pressed = True
+        raise KeyboardInterrupt
+
+
+_interrupts = _Interrupts()
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """While the block runs, Ctrl-C ends it at the next stage at the latest.
+
+    Python raises KeyboardInterrupt wherever it is: in a callback or a module that is being imported it is swallowed.
+    """
+    usual = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if not usual:
+        yield
+        return
+    _interrupts.pressed = False
+    signal.signal(signal.SIGINT, _interrupts)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _unless_interrupted(show: Callable[[str], None]) -> Callable[[str], None]:
+    def one(stage: str) -> None:
+        if _interrupts.pressed:
+            raise KeyboardInterrupt
+        show(stage)
+
+    return one
+
+
 @contextlib.contextmanager
 def stages() -> Iterator[Callable[[str], None]]:
     """A callback that shows each stage that it is given, while the block runs.
@@ -25,7 +70,7 @@ def stages() -> Iterator[Callable[[str], None]]:
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield shared(_Lines())
+        yield shared(_unless_interrupted(_Lines()))
         return
     columns = (
         SpinnerColumn(),
@@ -35,7 +80,8 @@ def stages() -> Iterator[Callable[[str], None]]:
         TextColumn("{task.fields[left]}{task.description}"),
     )
     with Progress(*columns, console=console, transient=True) as progress:
-        yield shared(_Bar(progress, progress.add_task("starting", total=1.0, left="")))
+        bar = _Bar(progress, progress.add_task("starting", total=1.0, left=""))
+        yield shared(_unless_interrupted(bar))
 
 
 class _Bar:
