@@ -6,6 +6,7 @@ import io
 import json
 import re
 
+import jsonschema
 import mujoco
 import numpy as np
 import pytest
@@ -115,7 +116,7 @@ def diagnosed(data):
                 str(data / "log.npz"),
                 *("--model", str(data / "arm.xml"), "--test-log", str(data / "other.npz")),
                 *("--exclude", "friction_drift", "--max-effects", "2", "--json"),
-                *("--out", str(out)),
+                *("--mcap", "--out", str(out)),
             ]
         )
     return status, out, text.getvalue()
@@ -133,8 +134,44 @@ def refuse(constant: str):
 def test_writes_three_files_and_prints_the_report(diagnosed, report):
     status, out, printed = diagnosed
     assert status == 0
-    assert sorted(p.name for p in out.iterdir()) == ["corrected.xml", "report.html", "report.json"]
+    names = ["corrected.xml", "diagnosis.mcap", "report.html", "report.json"]
+    assert sorted(p.name for p in out.iterdir()) == names
     assert json.loads(printed, parse_constant=refuse) == report
+
+
+def test_the_recording_holds_what_was_measured_and_what_remains(data, diagnosed, report):
+    """Read by the package mcap: topics, schemas that validate each message, stamps, and numbers of the run itself."""
+    reader = pytest.importorskip("mcap.reader")
+    lines, schemas = {}, {}
+    with open(diagnosed[1] / "diagnosis.mcap", "rb") as file:
+        for schema, channel, message in reader.make_reader(file).iter_messages():
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            schemas.setdefault(channel.topic, json.loads(schema.data))
+            content = json.loads(message.data, parse_constant=refuse)
+            jsonschema.validate(content, schemas[channel.topic])
+            lines.setdefault(channel.topic, []).append((message.log_time, content))
+    assert set(lines) == {
+        *(f"/torque/{x}" for x in ("measured", "nominal", "corrected", "residual")), "/events",
+    }  # fmt: skip
+    assert report["headline"] in [content["message"] for _, content in lines["/events"]]
+    log, left, gap = read_log(data / "other.npz"), 0.0, 0.0
+    for name in NAMED:
+        time = np.array([stamp for stamp, _ in lines["/torque/measured"]]) * 1e-9
+        parts = {
+            topic: np.array([content[name] for _, content in rows])
+            for topic, rows in lines.items() if topic != "/events"
+        }  # fmt: skip
+        tau = np.interp(time, log.time, np.asarray(log.tau)[:, log.joint_names.index(name)])
+        off = parts["/torque/measured"] - tau
+        assert np.sqrt(np.mean(off**2)) < 0.1 * np.std(tau)
+        np.testing.assert_allclose(
+            parts["/torque/residual"],
+            parts["/torque/corrected"] - parts["/torque/measured"],
+            atol=1e-9,
+        )
+        left += np.var(parts["/torque/residual"])
+        gap += np.var(parts["/torque/nominal"] - parts["/torque/measured"])
+    assert left < gap
 
 
 def is_number(x) -> bool:
