@@ -67,7 +67,7 @@ def suggested(path) -> list[str]:
         read_log(path)
     line = str(refused.value)
     assert line.isprintable()
-    (command,) = re.findall(r"\(jax-inertia convert (.*?)\); it has", line)
+    (command,) = re.findall(r"\(jax-inertia convert IN OUT (.*?)\); it has", line)
     return shlex.split(command)
 
 

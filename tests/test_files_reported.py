@@ -32,7 +32,9 @@ def test_a_mat_file_is_read_by_the_names_of_its_arrays(tmp_path):
         cell=np.array([1, "a"], object),
         image=np.ones((4, 4, 4)),
     )
-    with pytest.raises(LogError, match=r"--column 'time=t' --column 'qpos=q' --column 'tau=trq'"):
+    with pytest.raises(
+        LogError, match=r"--column 'time=t' --column 'qpos=q' --column 'tau=trq' --joints NAMES\)"
+    ):
         read_log(path)
     with pytest.raises(LogError, match="name their joints with --joints"):
         read_log(path, options=Options(columns=OWN.columns))
@@ -68,6 +70,10 @@ def test_hdf5_is_read_by_paths_and_mat_since_7_3_is_it_turned(tmp_path, suffix):
             file[name] = x.T if turned else x
         file["obs/images"] = np.zeros((60, 4, 4, 3))
         file["elsewhere"] = h5py.ExternalLink("/etc/passwd", "/")
+    with pytest.raises(
+        LogError, match=r"--column 'qpos=obs/q' --column 'tau=obs/trq' --joints NAMES\)"
+    ):
+        read_log(path)
     own = Options(columns={"time": "t", "qpos": "obs/q", "tau": "obs/trq"}, joints=JOINTS)
     log = read_log(path, options=own)
     np.testing.assert_array_equal(log.qpos, data["qpos"])

@@ -122,7 +122,7 @@ def test_csv_with_names_of_its_own(tmp_path):
         for k, v in columns().items()
     }
     path = write_csv(tmp_path / "log.csv", table)
-    assert "jax-inertia convert --column 'time=t'" in refusal(path)
+    assert "jax-inertia convert IN OUT --column 'time=t'" in refusal(path)
     given = {"time": "t"}
     assert "--column 'qpos.*=q_*'" in refusal(path, Options(columns=given))
     given |= {"qpos.*": "q_*", "tau.*": "I_*"}

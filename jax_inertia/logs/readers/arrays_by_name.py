@@ -12,6 +12,7 @@ import scipy.io
 
 from jax_inertia.logs.npz import LogError
 from jax_inertia.logs.readers import column_plan, columns
+from jax_inertia.logs.readers.column_names import suggested
 from jax_inertia.logs.readers.options import Contents, Options, required
 
 _OPTIONS = ("columns", "joints", "rate")
@@ -59,6 +60,11 @@ def _read(
     with _as_log_errors(what), contextlib.ExitStack() as opened:
         arrays = {one.name: one for one in found(opened)}
         plan = column_plan.plan(list(arrays), options)
+        there = {column.array for column in plan.columns.values()}
+        needed = ("time",) * (options.rate is None) + ("qpos", "tau")
+        if "qpos" not in there:
+            lacking = [array for array in needed if array not in there]
+            raise LogError(suggested(lacking, list(arrays), lists=True))
         wanted = {heading: arrays[heading] for heading in plan.columns}
         if sum(8 * int(np.prod(one.shape)) for one in wanted.values()) > max_bytes:
             raise LogError(f"needs more than the limit of {max_bytes} bytes; cut the log")

@@ -67,13 +67,15 @@ class _Pattern(NamedTuple):
         return f"{self.before}*{self.after}"
 
 
-def suggested(lacking: Sequence[str], headings: Sequence[str]) -> str:
+def suggested(lacking: Sequence[str], headings: Sequence[str], lists: bool = False) -> str:
     """What to do about arrays (`time`, `qpos`, `tau` ...) that no columns are named after, in one line.
+
+    `lists`: a column holds an array of all joints.
 
     >>> from jax_inertia.logs.readers.column_names import suggested
     >>> line = suggested(("time", "qpos", "tau"), ("t", "J1_pos", "J2_pos", "J1_cur", "J2_cur"))
     >>> line[line.index("convert") : line.index(")")]
-    "convert --column 'time=t' --column 'qpos.*=*_pos' --column 'tau.*=*_cur' --tau-unit A"
+    "convert IN OUT --column 'time=t' --column 'qpos.*=*_pos' --column 'tau.*=*_cur' --tau-unit A"
     """
     bare = [unit_apart(heading)[0][:_LONGEST] for heading in headings[:_MOST]]
     positions = _best("qpos", bare) if "qpos" in lacking else None
@@ -89,25 +91,29 @@ def suggested(lacking: Sequence[str], headings: Sequence[str]) -> str:
         # A robot that is sent positions needs no torque.
         lacking = [array for array in lacking if array != "tau"]
     ways = []
-    for array in lacking:
-        usual = _TIME if array == "time" else _WORDS[array]
-        whole = next((x for word in usual for x in bare if x.lower() == word), "")
+    for array in [*lacking, *(x for x in found if x not in lacking and "qpos" in lacking)]:
+        words = _TIME if array == "time" else _ASKED if array == "qpos_target" else _WORDS[array]
+        whole = next((x for word in words for x in bare if _last(x) == word), "")
         if array == "time":
             ways.append(f"time={whole or 'NAME'}")
-        elif whole and not found[array]:
+        elif whole and (lists or not found[array]):
             ways.append(f"{array}={whole}")
-        else:
+        elif array in lacking or (found[array] and not lists):
             ways.append(f"{array}.*={found[array] or 'PREFIX*'}")
-    if "qpos" in lacking:
-        more = {array: one for array, one in found.items() if array not in lacking}
-        ways += [f"{array}.*={one}" for array, one in more.items() if one is not None]
     text = " ".join(f"--column '{way}'" for way in ways)
+    text += " --joints NAMES" * lists
     if "tau" in lacking and found["tau"] is not None:
         text += " --tau-unit A" * found["tau"].current
         text += " --tau-kind commanded" * (measured is None)
     unstamped = "; where it has no stamps: --rate HZ" * ("time=NAME" in ways)
     names = ", ".join("time" if array == "time" else f"{array}.<joint>" for array in lacking)
-    return f"no column {names}; name the file's (jax-inertia convert {text}); it has {listed(headings, 12)}{unstamped}"
+    way = f"name the file's (jax-inertia convert IN OUT {text})"
+    return f"no column {names}; {way}; it has {listed(headings, 12)}{unstamped}"
+
+
+def _last(heading: str) -> str:
+    """The last part of a path, in small letters."""
+    return heading.lower().rpartition("/")[2]
 
 
 def _best(
