@@ -152,6 +152,7 @@ def test_ctrl_c_that_somebody_swallows_ends_the_command_at_the_next_stage():
         with pytest.raises(KeyboardInterrupt):
             stage("after")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert sys.unraisablehook is not stages._unless_keyboard
     with stages.interruptible(), stages.stages() as stage:
         stage("of the next command")
 

@@ -36,7 +36,8 @@ _interrupts = _Interrupts()
 def interruptible() -> Iterator[None]:
     """While the block runs, Ctrl-C ends it at the next stage at the latest.
 
-    Python raises KeyboardInterrupt wherever it is: in a callback or a module that is being imported it is swallowed.
+    Python raises KeyboardInterrupt wherever it is: in a callback, as JAX's garbage collection makes many, it is swallowed
+    and shown as a traceback.
     """
     usual = threading.current_thread() is threading.main_thread() and (
         signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -46,10 +47,17 @@ def interruptible() -> Iterator[None]:
         return
     _interrupts.pressed = False
     signal.signal(signal.SIGINT, _interrupts)
+    shown, sys.unraisablehook = sys.unraisablehook, _unless_keyboard
     try:
         yield
     finally:
+        sys.unraisablehook = shown
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _unless_keyboard(unraisable: "sys.UnraisableHookArgs") -> None:
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
 
 
 def _unless_interrupted(show: Callable[[str], None]) -> Callable[[str], None]:
