@@ -36,8 +36,8 @@ _interrupts = _Interrupts()
 def interruptible() -> Iterator[None]:
     """While the block runs, Ctrl-C ends it at the next stage at the latest.
 
-    Python raises KeyboardInterrupt wherever it is: in a callback, as JAX's garbage collection makes many, it is swallowed
-    and shown as a traceback.
+    Python raises KeyboardInterrupt wherever it is: in a callback, of JAX's garbage collection say, it is swallowed and
+    shown as a traceback.
     """
     usual = threading.current_thread() is threading.main_thread() and (
         signal.getsignal(signal.SIGINT) is signal.default_int_handler
