@@ -102,7 +102,8 @@ def shares(rows: Rows) -> dict[str, Share]:
 def medians(rows: Rows, pace: Rows) -> dict[str, Bounded]:
     """Every median likewise; `pace`: rows of the PACE-like fit on the same logs, whose refusals are no match."""
     errors = _errors(rows)
-    other = {r["log"]: r["replay"]["tool"] for r in of(pace, "position")}
+    fitted = [r for r in of(pace, "position") if r["verdict"] != "refused"]
+    other = {r["log"]: r["replay"]["tool"] for r in fitted}
     replays = [r for r in _replays(rows) if r["log"] in other]
     stated = [e for e in errors if e["stated"]]
     return {
