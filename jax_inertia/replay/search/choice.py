@@ -29,6 +29,11 @@ _FIRST = 6
 """Rounds of the fits that say whether friction creeps."""
 _IDLE = 0.005
 _SPARSER = 1.01
+_GAINS = "kp_scale", "kd_scale"
+_TOGETHER = _GAINS, ("torque_speed",)
+"""Families whose numbers are given up together: gains that the log says, of which a little more of one takes back what a
+little more of another does to the torque; and by how much limits fall with speed, without which each is a limit still.
+"""
 _DROPPED = 3
 """Effects at most that are dropped because the validation rows' replay is worse for them."""
 
@@ -187,7 +192,7 @@ def _creeps(
 
 
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
-    """The ordinary numbers that are needed, refitted alone; all of them where the held-out replay is better for it.
+    """The numbers that are needed, refitted alone; all of them where the held-out replay is better for it.
 
     What a clock leaves open of the others they stay free by, as a nominal model's tolerances are.
     """
@@ -205,8 +210,22 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
     few = fit(
         plant, table, records, start, free=free, floor=least, rounds=5, exact=True, progress=progress
     )  # fmt: skip
-    whole, fewer = Unseen(plant, held, least).misses(full.table, np.stack([full.theta, few.theta]))
-    return few if np.all(fewer <= _SPARSER**2 * whole) else full
+    run = Unseen(plant, held, least)
+    most = _SPARSER**2 * run.missed(full)
+    found = few if np.all(run.missed(few) <= most) else full
+    for families in _TOGETHER:
+        if families == _GAINS and plant.loop.source == "model":
+            continue
+        given_up = np.array([p.family in families for p in found.table])
+        start = np.where(given_up, nominal, found.theta)
+        if np.array_equal(start, found.theta):
+            continue
+        free = found.free & ~given_up
+        fewer = fit(
+            plant, found.table, records, start, free=free, floor=least, rounds=5, exact=True
+        )
+        found = fewer if np.all(run.missed(fewer) <= most) else found
+    return found
 
 
 def gated(

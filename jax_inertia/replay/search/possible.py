@@ -2,13 +2,14 @@
 
 On the cost's parabola about a fit, gradient g and inverse curvature C of all free numbers, the one at its bound would
 go by −(C g)_k were there no bound, and the cost would fall by (C g)_k² / C_kk. Where that is more than a factor of
-twenty in likelihood, the robot does something that these numbers only stand in for.
+twenty in likelihood, the robot does something that these numbers only stand in for. A clock's phase is in C of a delay.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from jax_inertia.replay import checks
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.fitting.problem import normal
 from jax_inertia.replay.loop import LOGARITHMIC, UNITS, Parameter
@@ -34,7 +35,7 @@ def pressed(found: Fit, names: Sequence[str]) -> tuple[str, ...]:
     hessian, gradient = normal(found.error, found.columns, found.weights, found.theta, mean, sd)
     inverse = np.linalg.inv(hessian[np.ix_(free, free)])
     step = -inverse @ gradient[free]
-    falls = step**2 / np.diagonal(inverse)
+    falls = step**2 / (np.diagonal(inverse) + checks.loose(found.table)[free] ** 2)
     out = []
     for i in np.argsort(-falls):
         p, x = found.table[free[i]], float(found.theta[free[i]])
