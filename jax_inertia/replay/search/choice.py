@@ -31,8 +31,8 @@ _IDLE = 0.005
 _SPARSER = 1.01
 _GAINS = "kp_scale", "kd_scale"
 _TOGETHER = _GAINS, ("torque_speed",)
-"""Families whose numbers are given up together: gains that the log says, of which a little more of one takes back what a
-little more of another does to the torque; and by how much limits fall with speed, without which each is a limit still.
+"""Families whose numbers are given up together: gains that the log says, of which a little more of one takes back what
+a little more of another does to the torque; and by how much limits fall with speed: without that they are limits.
 """
 _DROPPED = 3
 """Effects at most that are dropped because the validation rows' replay is worse for them."""
