@@ -1,9 +1,17 @@
 """What a joint's dry friction may be off by, marginalised: mild forms of it, how it turns round at a reversal."""
 
+import itertools
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Effect, Term, of_row
-from jax_inertia.diagnosis.effects.dry_friction import BENT, bristle_of, direction, ways
+from jax_inertia.diagnosis.effects.dry_friction import (
+    BENT,
+    STRAIGHT,
+    bristle_of,
+    direction,
+    ways,
+)
 
 FORM_TOLERANCE = 0.05
 """How far from level plus viscous a joint's friction is on ordinary robots, each form, relative to its rms: mild
@@ -128,8 +136,8 @@ what bends away from the slope at high speed."""
 class StatedFriction(Effect):
     """The form of a friction that the model states, marginalised: no model of two numbers states it.
 
-    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968); with it bristles over
-    other ways, Stribeck's at three speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
+    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968) or a straight spring's that
+    slips (Prandtl 1928): by the one a robot's joints stop as by the other. With it bristles over other ways, Stribeck's at three speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
     way, as of the joint's dry friction.
     """
 
@@ -142,7 +150,8 @@ class StatedFriction(Effect):
     def shapes(self, context, place):
         # Its level is known, and so is how fast a soft constraint lets it creep.
         own = -float(context.frictionloss[place.index])
-        return [(x, BENT) for x in (*ways(context, place), own)]
+        own_way = (own, BENT)
+        return [*itertools.product(ways(context, place), (BENT, STRAIGHT)), own_way]
 
     def columns(self, context, place, shape):
         row = place.index
