@@ -136,9 +136,9 @@ what bends away from the slope at high speed."""
 class StatedFriction(Effect):
     """The form of a friction that the model states, marginalised: no model of two numbers states it.
 
-    How it turns round, F (sign(q̇) − z), is θ = 1 where all of it is a bristle's (Dahl 1968) or a straight spring's that
-    slips (Prandtl 1928): by the one a robot's joints stop as by the other. With it bristles over other ways, Stribeck's at three speeds and a slope that changes with speed. Shape: presliding displacement [rad] and
-    way, as of the joint's dry friction.
+    How it turns round, F (sign(q̇) − z), is θ = 1 where all is a bristle's (Dahl 1968), or a straight spring's that
+    slips (Prandtl 1928); with it bristles over other ways, Stribeck's at three speeds and a slope that changes with
+    speed. Shape: presliding displacement [rad] and way, as of the joint's dry friction.
     """
 
     name, named, marginal, form_error = "stated_friction", False, True, 0.25
