@@ -192,7 +192,6 @@ FOUND = {
     "quadratic_viscous": {"coefficient": 0.15},
     "joint_spring": {"stiffness": 1.5, "rest_angle": 0.4},
     "asymmetric_coulomb": {"bias": -0.06},
-    "com_shift": {"com_shift_x": 0.03, "com_shift_z": -0.02},
 }
 
 
@@ -203,17 +202,39 @@ def test_what_a_spec_or_a_callback_can_hold_is_found_and_replayed(family):
     found = pipeline.diagnose([log], two, test_log=other)
     odd, wanted = odd_effects(found), FOUND[family]
     (effect,) = odd.values()
-    place = "left" if family == "com_shift" else "a"
     if family == "asymmetric_coulomb":
         # F + d one way and F − d the other is F and a torque of −d.
         assert any(t.family == family and t.exact for t in effect.ties)
         family = "torque_bias"
-    assert (effect.family, effect.name) == (family, place)
+    assert (effect.family, effect.name) == (family, "a")
     sizes = dict(effect.sizes)
     for name, size in wanted.items():
-        # What turns a joint that moves alone is a shift or an offset of its encoder: near one posture they are one.
-        assert sizes[name].value == pytest.approx(size, rel=0.15 if family != "com_shift" else 0.25)
-        assert sizes[name].low <= size <= sizes[name].high or family != "com_shift"
+        assert sizes[name].value == pytest.approx(size, rel=0.15)
+    assert_replayed(found, other)
+
+
+@pytest.mark.slow
+def test_a_shifted_centre_of_a_lone_joint_is_named_or_a_tie():
+    """(I + m c²) q̈ + m g c sin(q + φ) + F + d q̇ = kp (q* − q), all but I less by one factor, is the same motion.
+
+    So an encoder's offset with less kp, kd and friction does what the shift does, within what a mass is known by.
+    """
+    log, other = (hidden("com_shift", seed) for seed in (2, 3))
+    found = pipeline.diagnose([log], two, test_log=other)
+    named = {(e.family, e.name): e for e in found.effects}
+    if ("com_shift", "left") in named:
+        sizes = dict(named["com_shift", "left"].sizes)
+        for name, size in {"com_shift_x": 0.03, "com_shift_z": -0.02}.items():
+            assert sizes[name].low <= size <= sizes[name].high
+    else:
+        offset = named["encoder_offset", "a"]
+        assert ("com_shift", "left") in {(t.family, t.name) for t in offset.ties}
+        assert offset.probability <= 0.5
+    assert_replayed(found, other)
+
+
+def assert_replayed(found, other):
+    """A tenth of the error is left on another run, and corrected.xml leaves as much in MuJoCo alone."""
     assert np.all(found.replayed.after < 0.1 * found.replayed.before.max())
     spec = two()
     corrected(spec, found.correction)
