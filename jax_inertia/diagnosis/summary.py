@@ -89,8 +89,13 @@ class Causes:
 
         What the files lose of the fit comes on top of what rows are predicted with by the others.
         """
-        by_files = handed.residual(run.residual) - self.of_log(run.residual)
+        by_files = self.by_files(run.residual, handed)
         return run.left(self.now) + by_files - (run.residual.y - self.now.fitted)
+
+    def by_files(self, residual: Residual, handed: HandedOver) -> Float[np.ndarray, "R n"]:
+        """Residual of a log by what is handed over, less what is of that log alone [N m]."""
+        left = handed.residual(residual) - self.of_log(residual)
+        return left - handed.ringing(residual, left)
 
     def of_log(self, residual: Residual) -> Float[np.ndarray, "R n"]:
         """Torque of how a log is read, no part of the robot [N m]: when its torques and its wrenches acted, what feet
@@ -204,7 +209,7 @@ def concluded(
     others = [run for run in (validation, test) if run is not None]
     runs: list[tuple[HeldOut | OtherRun, Float[np.ndarray, "R n"]]] = [heldout]
     for other in others:
-        left = again.residual(other.residual) - causes.of_log(other.residual)
+        left = causes.by_files(other.residual, again)
         runs.append((other, left - other.once_more(causes.now, left)))
     checks = [run.check(causes.now, left) for run, left in runs]
     own = causes.selection.residual

@@ -23,12 +23,13 @@ from jax_inertia.diagnosis.checks import PASSING
 from jax_inertia.diagnosis.effects.actuator import Late
 from jax_inertia.diagnosis.effects.base import Effect, Moment
 from jax_inertia.diagnosis.effects.couplings import DEFLECTION
+from jax_inertia.diagnosis.effects.encoder import off_path
 from jax_inertia.diagnosis.effects.identified import GAIN, Identified, effects_in
 from jax_inertia.diagnosis.effects.registry import known
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.diagnosis.friction_curve import FrictionCurve, LinkApart, Moving
 from jax_inertia.diagnosis.residual import Residual
-from jax_inertia.diagnosis.simulate.plant import rows_and_places, twists
+from jax_inertia.diagnosis.simulate.plant import coupling_of, rows_and_places, twists
 from jax_inertia.diagnosis.simulate.step_law import Law, centre_velocity, law
 from jax_inertia.maths.finite_difference import derivative
 from jax_inertia.model.mujoco_types import MjData, MjModel
@@ -75,6 +76,29 @@ class HandedOver:
         change = needed - self._nominal(context) - context.prepared.dry
         # In units of the joints' torque first: what legs carry on forces of the ground that are not measured is of it.
         return residual.prepared.finish_torque(context.inverse + change - gain * reached) / gain
+
+    def ringing(
+        self, residual: Residual, left: Float[np.ndarray, "R n"]
+    ) -> Float[np.ndarray, "R n"]:
+        """Of a residual `left`, what links on springs ring by from how a log found them [N m].
+
+        Two numbers of each soft joint and each log, by least squares in units of the sensors' noise: no encoder sees
+        where a link is when a log begins.
+        """
+        context, columns = residual.context, []
+        for e in self.effects:
+            if e.family == "joint_elasticity":
+                row = context.joint_dofs[e.name]
+                rings = context.driven_link(row).ringing(coupling_of(e))
+                rotor = float(context.armature[row]), float(context.damping[row])
+                columns.append(off_path(context, row, rings, rotor).values)
+        if not columns:
+            return np.zeros_like(left)
+        every = residual.prepared.finish_torque(np.concatenate(columns, axis=-1))
+        every /= self._gains(context)[:, None]
+        root = np.sqrt(residual.weight) / np.maximum(residual.sensors, 1e-12)
+        flat = (every * root[..., None]).reshape(-1, every.shape[-1])
+        return every @ np.linalg.lstsq(flat, (root * left).ravel(), rcond=1e-9)[0]
 
     # --- what reaches the joints
 

@@ -78,6 +78,8 @@ class DrivenLink:
     friction: OwnFriction | None = None
     offset: float = 0.0
     """Constant torque that the robot has and the model has not [N m]."""
+    predicted: bool = False
+    """Whether `carried` is no torque that was logged."""
     _paths: dict[Coupling, np.ndarray] = dataclasses.field(default_factory=dict)
     _begins: dict[int, np.ndarray] = dataclasses.field(default_factory=dict)
     """s and ṡ of either friction at the first sample, by how many samples they are read off."""
@@ -96,12 +98,24 @@ class DrivenLink:
         """The same whose paths are predictions: `needed`, n within the chain's band, is taken for what is carried.
 
         A path drawn to the logged torque holds a part of what it is to predict: a false spring that resonates within
-        the band then explains all of the torque there.
+        the band then explains all of the torque there. What its link would need on a stiff joint is not what a spring
+        carries near its resonance: its path is drawn to nothing, and how it begins is no part of it (`ringing`).
         """
         own = self.friction
         if own is not None:
             own = dataclasses.replace(own, carried=needed + own.carried - self.carried)
-        return dataclasses.replace(self, carried=needed, friction=own, _paths={}, _begins={})
+        return dataclasses.replace(
+            self, carried=needed, friction=own, predicted=True, _paths={}, _begins={}
+        )
+
+    def ringing(self, coupling: Coupling) -> Float[np.ndarray, "T 2"]:
+        """How a link on a spring rings by itself, from apart and from moving: exp(−ζ'ωt) cos and sin ω't [1]."""
+        stiffness, ratio, *_ = coupling
+        omega = np.sqrt(stiffness / np.mean(self.inertia))
+        loss = ratio + 0.5 * np.mean(self.damping) / np.sqrt(stiffness * np.mean(self.inertia))
+        since = self.time - self.time[0]
+        turn = omega * np.sqrt(max(1.0 - loss**2, 0.0)) * since
+        return np.exp(-loss * omega * since)[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
 
     def separation(self, coupling: Coupling) -> Float[np.ndarray, " T"]:
         """δ: how far the motor is ahead of the link through a coupling."""
@@ -131,7 +145,8 @@ class DrivenLink:
         rates = [derivative(self.time, s) for s in carried]
         # As arrays: a number would be compiled in, and every log has another.
         first, slope = self._begun(carried, values)
-        of_either = jnp.array([own.viscous, own.dry, self.offset, self.leans])
+        drawn = 0.0 if self.predicted else OBSERVED
+        of_either = jnp.array([own.viscous, own.dry, drawn, self.offset, self.leans])
         numbers = (of_either, jnp.asarray(first), jnp.asarray(slope))
         substeps = max(1, math.ceil(period / STEP))
         paths = _separation(
@@ -174,10 +189,10 @@ def _separation(
     substeps: int,
 ) -> Array:
     k, ratio, gap, pulled, on_link = coupling.T
-    (*rubs, offset, leans), first, slope = numbers
+    (*rubs, of_spring, offset, leans), first, slope = numbers
     viscous, dry = (on_link * x for x in rubs)
     critical = 2.0 * jnp.sqrt(k * jnp.mean(signals[1]))
-    d, drawn = ratio * critical, OBSERVED * critical
+    d, drawn = ratio * critical, jnp.where(gap == 0.0, of_spring, OBSERVED) * critical
     half, h, constant = 0.5 * gap, period / substeps, pulled * offset
 
     def of_side(motor, link):

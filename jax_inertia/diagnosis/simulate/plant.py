@@ -12,6 +12,7 @@ from jax_inertia.diagnosis.effects.base import Effect
 from jax_inertia.diagnosis.effects.couplings import DAMPING_RATIO, DEFLECTION
 from jax_inertia.diagnosis.effects.identified import Identified
 from jax_inertia.diagnosis.features.context import Context
+from jax_inertia.diagnosis.features.two_mass import Coupling
 from jax_inertia.diagnosis.simulate.step_law import Callback, law
 from jax_inertia.logs.log import Log, TorqueKind
 from jax_inertia.maths.finite_difference import derivative
@@ -72,6 +73,12 @@ class Twist(NamedTuple):
     """Dry friction of the link over its level, in [−1, 1], where the joint's friction is the link's."""
 
 
+def coupling_of(e: Identified) -> Coupling:
+    """Of an elastic or loose joint, as corrected.xml holds it."""
+    play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
+    return e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
+
+
 def twists(
     context: Context, effects: Sequence[Identified], *, predicted: bool = False
 ) -> dict[str, Twist]:
@@ -82,8 +89,7 @@ def twists(
     out, link = {}, context.predicted_link if predicted else context.driven_link
     for e in effects:
         if e.family in ("joint_elasticity", "backlash"):
-            play, on_link = (e.values.get(n, 0.0) for n in ("dead_zone", "friction_on_link"))
-            coupling = e.values["stiffness"], DAMPING_RATIO, play, 0.0, on_link
+            coupling, on_link = coupling_of(e), e.values.get("friction_on_link", 0.0)
             row = context.joint_dofs[e.name]
             between, level = link(row), float(context.frictionloss[row])
             ahead = between.separation(coupling)
