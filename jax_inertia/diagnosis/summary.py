@@ -208,9 +208,7 @@ def concluded(
     again = handed.on_another_run()
     others = [run for run in (validation, test) if run is not None]
     runs: list[tuple[HeldOut | OtherRun, Float[np.ndarray, "R n"]]] = [heldout]
-    for other in others:
-        left = causes.by_files(other.residual, again)
-        runs.append((other, left - other.once_more(causes.now, left)))
+    runs += [(other, _of_another_run(other, causes, again)) for other in others]
     checks = [run.check(causes.now, left) for run, left in runs]
     own = causes.selection.residual
     shrinks = [_shrink(run, left, causes.ordinary, own) for run, left in runs]
@@ -238,6 +236,19 @@ def concluded(
         trace=_trace(run.residual, check),
     )
     return dataclasses.replace(out, headline=headline(out, _lacking(own, out.found), causes.bent))
+
+
+def _of_another_run(run: OtherRun, causes: Causes, handed: HandedOver) -> Float[np.ndarray, "R n"]:
+    """Residual of another run by what is handed over [N m], less what happens once and does so in this run too.
+
+    When and how hard this run tells: so that is believed where nothing else is left. A part of something else that a
+    push may take is none of it.
+    """
+    left = causes.by_files(run.residual, handed)
+    passing = run.once_more(causes.now, left)
+    if not passing.any() or not np.all(run.check(causes.now, left - passing).errors.done):
+        return left
+    return left - passing
 
 
 def _by_other_stretches(
