@@ -13,6 +13,9 @@ What a robot may have that its model lacks: a torque e on the joints besides the
 searches take effects from one registry, `jax_inertia/diagnosis/effects/registry.py`; how to add one:
 [contributing.md](contributing.md#recipe-an-effect). This page is written by `python docs/effects.py`.
 
+What only the loop of a position-controlled robot may have (a dead band, a low-pass of targets, the integral of a drive)
+replays alone look for: [position_controlled.md](position_controlled.md#what-is-done).
+
 *Step law*: what no attribute of a model can say is done before each step, in MuJoCo C and in MJX
 (`jax_inertia.diagnosis.simulate.step_law`). Numbers are a hinge's; of a slide read m for rad and N for N m,
 and 0.1 m where a prior has a radian: the radius of a pulley or pinion.

@@ -64,6 +64,21 @@ NUMBERS = {
     "friction": {("coulomb_friction", 0): 0.5, ("quadratic_viscous", 1): 0.05},
     "low pass": {("target_low_pass", ALL): 0.039},
     "rubs": {("load_friction", 0): 0.2, ("coulomb_friction", 0): 0.1},
+    "integral": {
+        ("drive_integral", ALL): 30.0,
+        ("integral_windup", 0): 1.25,
+        ("integral_windup", 1): 1.0,
+    },
+    "late integral": {
+        ("drive_integral", 1): 20.0,
+        ("integral_windup", 1): 1.0,
+        ("target_delay", ALL): 0.013,
+    },
+    "lagging integral": {
+        ("drive_integral", 1): 20.0,
+        ("integral_windup", 1): 1.0,
+        ("target_lag", ALL): 0.03,
+    },
     "weak": {("torque_saturation", 0): np.log(2.5)},
     "masses": {("payload", "lower"): 0.2, ("mass_share", "upper"): 0.03},
 }
@@ -77,7 +92,7 @@ def test_the_file_moves_as_the_fit_did(what):
     assert apart(planned, done) < 0.02 * apart(planned, sound) + 2e-6
 
 
-@pytest.mark.parametrize("what", ["low pass", "lag", "rubs"])
+@pytest.mark.parametrize("what", ["low pass", "lag", "rubs", "integral"])
 def test_a_program_that_shares_no_code_moves_the_file_so(what, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks" / "replay"))
     evaluator = importlib.import_module("evaluator")

@@ -2,13 +2,15 @@
 
 Targets are held from stamp to stamp and set before each of the model's own steps, at their mean over it. The file's
 text `step_law` holds what no attribute can: friction that varies along the motion, and a low-pass of the targets
-(equations in docs/position_controlled.md).
+(equations in docs/position_controlled.md). What the integral of a drive has reached before the first stamp no log has:
+it is that by which the replay ends the first 0.2 s where the joint does.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -33,16 +35,41 @@ def replayed(
         model.actuator_gainprm[each, 0] *= factor
         model.actuator_biasprm[each, 1] *= factor
     at, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-    data, h = mujoco.MjData(model), float(model.opt.timestep)
-    time = time - time[0]
+    h, time = float(model.opt.timestep), time - time[0]
+    steps = int(np.ceil(time[-1] / h)) + 1
+    sent = means(time, filtered(law, names, time, target), h, steps)
+    move = partial(_moved, model, law, acts, at, dofs, time, q)
+    return move(sent, _wound(model, acts, time, q, sent, move))
+
+
+def _wound(model, acts, time, q, sent, move) -> dict[int, float]:
+    """The force of each integral's actuator at the first stamp."""
+    pid = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_PID
+    of = {a: j for j, each in enumerate(acts) for a in each.tolist() if pid[a]}
+    force, end = dict.fromkeys(of, 0.0), min(0.2, 0.1 * time[-1])
+    late = np.flatnonzero((time > 0.5 * end) & (time <= end)) if time[1] <= end else np.array([1])
+    head = sent[: int(np.ceil(time[late[-1]] / model.opt.timestep)) + 1]
+    for _ in range(4 * bool(of)):
+        error = (q - move(head, force))[late].mean(axis=0)
+        for a, j in of.items():
+            most = model.actuator_actrange[a, 1] * model.actuator_gainprm[a, 0] or np.inf
+            main = acts[j][0]
+            kp = -model.actuator_biasprm[main, 1] * model.actuator_gear[main, 0]
+            force[a] = float(np.clip(force[a] + kp * error[j], -most, most))
+    return force
+
+
+def _moved(model, law, acts, at, dofs, time, q, sent, force) -> np.ndarray:
+    """Positions at the stamps, by targets of each step; `force`: of each integral's actuator at the start."""
+    data, h, steps = mujoco.MjData(model), float(model.opt.timestep), len(sent)
     data.qpos[at] = q[0]
     head = time <= max(0.05, time[min(4, len(time) - 1)])
     for k, d in enumerate(dofs):
         data.qvel[d] = np.polyfit(time[head], q[head, k], 2)[1]
-    steps = int(np.ceil(time[-1] / h)) + 1
-    sent = means(time, filtered(law, names, time, target), h, steps)
     _hold(model, data, acts, sent[0])
-    path = np.empty((steps + 1, len(names)))
+    for a, f in force.items():
+        data.act[model.actuator_actadr[a]] = f / model.actuator_gainprm[a, 0]
+    path = np.empty((steps + 1, len(at)))
     path[0] = data.qpos[at]
     for k in range(steps):
         for each, x in zip(acts, sent[k], strict=True):
@@ -93,13 +120,13 @@ def means(time: np.ndarray, held: np.ndarray, h: float, steps: int) -> np.ndarra
 
 
 def _actuators(model: mujoco.MjModel, joint: int) -> np.ndarray:
-    """The last actuator on a joint, and that of its dead band, which has the same targets."""
+    """The last actuator on a joint, and those of its dead band and integral, which have the same targets."""
     on = [
         a for a in range(model.nu)
         if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[a, 0] == joint
     ]  # fmt: skip
-    dead = [a for a in on if model.actuator(a).name.endswith("_dead_band")]
-    return np.array([[a for a in on if a not in dead][-1], *dead])
+    more = [a for a in on if model.actuator(a).name.endswith(("_dead_band", "_integral"))]
+    return np.array([[a for a in on if a not in more][-1], *more])
 
 
 def _hold(model: mujoco.MjModel, data: mujoco.MjData, acts, first: np.ndarray) -> None:
@@ -110,5 +137,5 @@ def _hold(model: mujoco.MjModel, data: mujoco.MjData, acts, first: np.ndarray) -
             if model.actuator_delay[a] > 0:
                 past = np.full(model.actuator_history[a, 0], data.ctrl[a])
                 mujoco.mj_initCtrlHistory(model, data, a, None, past)
-            if model.actuator_actadr[a] >= 0:
+            if model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_FILTEREXACT:
                 data.act[model.actuator_actadr[a]] = data.ctrl[a]

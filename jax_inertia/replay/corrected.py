@@ -20,14 +20,18 @@ from jax_inertia.replay.simulation.model_edits import change_body, changed_bodie
 from jax_inertia.replay.simulation.plant import HOLD
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
+    INTEGRAL,
     PLAY,
     PULL,
     actuator_of,
     add_dead_band,
     add_force,
+    add_integral,
     add_play,
     set_limit,
+    share_limit,
     with_loop,
+    without_integral,
 )
 from jax_inertia.text.closest_names import listed
 
@@ -41,6 +45,7 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
         with_loop(spec, names, loop)
     x = found.numbers.at_joint.lumped
     for j, name in enumerate(names):
+        without_integral(spec, name)
         joint, actuator = spec.joint(name), actuator_of(spec, name)
         if found.holds:
             joint.solimp_friction = HOLD
@@ -68,10 +73,13 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
             second = [a for a in spec.actuators if a.name == f"{name}{DEAD}"][-1]
             if late:
                 set_timing(spec, second, x.delay[j], x.lag[j])
-            if np.isfinite(x.limit[j]):
-                actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-                joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-                joint.actfrcrange = x.limit[j] * np.array([-1.0, 1.0])
+        if x.integral[j] > 0:
+            add_integral(spec, name, x.integral[j], x.windup[j])
+            second = [a for a in spec.actuators if a.name == f"{name}{INTEGRAL}"][-1]
+            # Of a lag, the integral has the delay: ∫y = ∫x − T y.
+            set_delay(spec, second, x.delay[j] + x.lag[j])
+        if x.shares_limit[j]:
+            share_limit(spec, name, x.limit[j])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
     _set_bodies(spec, x)
@@ -134,6 +142,12 @@ def _remarks(spec: MjSpec, found: Correction) -> tuple[str, ...]:
         out.append(
             f"the play of {where(x.play > 0)} is a second joint (NAME{PLAY}): the encoder is on the motor's side"
         )
+    if (x.integral > 0).any():
+        out.append(
+            f"the integral of the drive at {where(x.integral > 0)} is a second actuator (NAME{INTEGRAL}, MuJoCo's PID, "
+            "which MJX and older MuJoCo do not have): give it the target of the first; it starts at 0 unless "
+            "StepLaw(model).start gets what it has reached"
+        )
     if x.varies:
         out.append(
             f"friction of {where(x.varies_at)} varies with torque, speed or position: corrected.xml has its "
@@ -171,6 +185,18 @@ def _set_gains(actuator, found: Correction, j: int) -> None:
         set_limit(actuator, x.limit[j] / abs(gear))
 
 
+def set_delay(spec: MjSpec, actuator, delay: float) -> None:
+    """Give an actuator of a spec a delay [s]; none below a step, of which MuJoCo would make a whole one."""
+    h = float(spec.option.timestep)
+    actuator.delay, actuator.nsample = 0.0, 0
+    if delay >= h:
+        actuator.delay = delay
+        # By default longer ones are rounded up to whole steps too; along straight lines they are what they say.
+        actuator.interp = 1
+        # Enough of the past for whoever steps finer than the model says.
+        actuator.nsample = int(np.ceil(delay / min(h, _FINEST))) + 2
+
+
 def set_timing(spec: MjSpec, actuator, delay: float, lag: float) -> None:
     """Give an actuator of a spec a delay and a first-order lag [s] that are those of the plant in the model's own
     steps.
@@ -182,13 +208,7 @@ def set_timing(spec: MjSpec, actuator, delay: float, lag: float) -> None:
     if delay < h:
         late = delay + (h / np.expm1(h / lag) if lag > 0 else 0.0)
         lag, delay = (h / np.log1p(h / late) if late > 0 else 0.0), 0.0
-    actuator.delay, actuator.nsample = 0.0, 0
-    if delay > 0:
-        actuator.delay = delay
-        # By default longer ones are rounded up to whole steps too; along straight lines they are what they say.
-        actuator.interp = 1
-        # Enough of the past for whoever steps finer than the model says.
-        actuator.nsample = int(np.ceil(delay / min(h, _FINEST))) + 2
+    set_delay(spec, actuator, delay)
     actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
     if lag > 0:
         actuator.dyntype, actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, True

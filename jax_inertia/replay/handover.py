@@ -22,7 +22,7 @@ from jax_inertia.replay.corrected import corrected
 from jax_inertia.replay.loop import Loop
 from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.result import Correction
-from jax_inertia.replay.simulation.simulate import LOST
+from jax_inertia.replay.simulation.simulate import LOST, WINDINGS, between_steps, wound
 from jax_inertia.replay.simulation.spec_edits import with_loop
 from jax_inertia.replay.step_law import StepLaw
 
@@ -92,29 +92,45 @@ def replayed(
     law = StepLaw(model, names)
     model = _with_gains(model, law, loop, record.loop)
     law.model = model
+    joints, torque = law.integrals, None
+    if joints:
+        torque, late = np.zeros(len(joints)), record.head
+        for _ in range(WINDINGS):
+            head = record.upto(late.stop)
+            error = (head.q - _moved(model, names, law, head, torque))[late][:, joints]
+            torque = wound(error, torque, law.stiffness, law.windup)
+    return _moved(model, names, law, record, torque)
+
+
+def _moved(
+    model: MjModel,
+    names: Sequence[str],
+    law: StepLaw,
+    record: Record,
+    torque: Float[np.ndarray, " i"] | None,
+) -> Float[np.ndarray, "T n"]:
+    """`torque`: what integrals have reached at the record's start."""
     data = mujoco.MjData(model)
     joints = [model.joint(name).id for name in names]
     at, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
     data.qpos[at], data.qvel[dofs] = record.q[0], record.start
-    targets, first = _targets(record), len(record.commanded.time) - len(record.time)
-    law.start(data, targets[max(first - 1, 0)])
+    told = record.commanded
+    targets, first = _targets(record), int(np.searchsorted(told.time, 0.0, side="right")) - 1
+    law.start(data, targets[max(first - 1, 0)], torque)
     h = model.opt.timestep
     steps = int(np.ceil(record.time[-1] / h)) + 1
     none = np.zeros(len(names))
-    sent = step_means(record.commanded.time, targets, h, steps, none, none)
+    sent, aims = (step_means(told.time, x, h, steps, none, none) for x in (targets, told.position))
     path = np.empty((steps + 1, len(names)))
     path[0] = data.qpos[at]
-    for k, now in enumerate(sent):
-        law.set(data, now)
+    for k in range(steps):
+        law.set(data, sent[k], aims[k])
         mujoco.mj_step(model, data)
         path[k + 1] = data.qpos[at]
         if data.time < 0.5 * (k + 1) * h:
             # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
             return record.q + LOST
-    where = record.time / h
-    k = np.minimum(where.astype(int), steps - 1)
-    out = path[k] + (where - k)[:, None] * (path[k + 1] - path[k])
-    return np.nan_to_num(out, nan=LOST)
+    return np.nan_to_num(between_steps(path, record.time / h), nan=LOST)
 
 
 def _targets(record: Record) -> Float[np.ndarray, "S n"]:

@@ -12,7 +12,8 @@ from jax_inertia.replay.loop import ALL, OFF, SHARES, Loop, Parameter
 class Numbers(NamedTuple):
     """One number for each of the log's joints (n,), in SI units at the joint.
 
-        τ = gain · (clip(kp dz(q*(t − d) − q; dead) + bias − (kd − back) q̇, ± limit) − back q̇)
+        τ = gain · (clip(kp dz(q*(t − d) − q; dead) + I + bias − (kd − back) q̇, ± limit) − back q̇)
+        I = clip(integral ∫(q*(t − d) − q) dt, ± windup), the integral held at the clamp
         friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇)
                    + damping q̇ + drag |q̇| q̇
         spring torque = wound − spring q
@@ -65,6 +66,10 @@ class Numbers(NamedTuple):
     low_pass: Float[np.ndarray, " n"]
     """Time constant of a low-pass that targets go through once a `low_pass_period` [s]."""
     low_pass_period: Float[np.ndarray, " n"]
+    integral: Float[np.ndarray, " n"]
+    """Of the drive: torque by one of ∫(q* − q) dt [N m/(rad s)]."""
+    windup: Float[np.ndarray, " n"]
+    """Largest torque of it, beyond which the drive integrates no more [N m]; infinite where it has no clamp."""
     mass: Mapping[str, float]
     """Added to bodies."""
     centres: Mapping[str, Float[np.ndarray, " 3"]]
@@ -89,6 +94,11 @@ class Numbers(NamedTuple):
         return (self.load > 0) | (self.stiction > 0) | (self.slant != 0)
 
     @property
+    def shares_limit(self) -> Bool[np.ndarray, " n"]:
+        """At which joints several actuators have one limit."""
+        return (self.dead > 0) | (self.integral > 0)
+
+    @property
     def at_joint(self) -> "Numbers":
         """The same numbers as the joint feels them: every torque times the gain, by a loop that holds nothing.
 
@@ -96,7 +106,10 @@ class Numbers(NamedTuple):
         kd, or damping where there is less kd than that, and armature; neither is less than none. What the model's own
         steps do to its inertia (`Plant`), and `steps` undoes, is armature too.
         """
-        felt = {k: self.gain * getattr(self, k) for k in ("kp", "kd", "bias", "limit", "back")}
+        felt = {
+            k: self.gain * getattr(self, k)
+            for k in ("kp", "kd", "bias", "limit", "back", "integral", "windup")
+        }
         lost = felt["kp"] * self.hold
         kd = np.maximum(felt["kd"] - lost, 0.0)
         felt["damping"] = np.maximum(self.damping - (lost - (felt["kd"] - kd)), 0.0)
@@ -120,7 +133,7 @@ class Numbers(NamedTuple):
         )
 
     def asked(self, commanded: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """What the loop asks for, which the limit cuts, at positions and velocities (..., n)."""
+        """What the loop asks for but for its integral, which the limit cuts, at positions and velocities (..., n)."""
         miss = commanded - q
         if self.dead.any():
             miss = miss - np.minimum(np.maximum(miss, -self.dead), self.dead)
@@ -151,7 +164,7 @@ FORCE = "force_x", "force_y", "force_z"
 """Families of a constant force."""
 SHIFT, TILT = ("com_shift_x", "com_shift_y", "com_shift_z"), ("tilt_x", "tilt_y")
 """Families of a centre's shift, and of where gravity points."""
-COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque"
+COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque", "integral_windup"
 """Families of which an effect may need some and not others."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
@@ -163,7 +176,7 @@ _REPLACED = {
     "armature": "armature", "coulomb_friction": "dry", "dead_band": "dead", "backlash": "play",
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
     "torque_speed": "back", "position_friction": "slant", "quadratic_viscous": "drag",
-    "joint_spring": "spring", "target_low_pass": "low_pass",
+    "joint_spring": "spring", "target_low_pass": "low_pass", "drive_integral": "integral",
 }  # fmt: skip
 
 
@@ -183,7 +196,7 @@ def nominal_numbers(
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
         none + 0.1, none, middle, none, delay, lag, none, none, none + 1.0, none, none, none, none,
-        none, none + 1.0, none, none + period, {}, {}, {}, {}, {}, np.zeros(2),
+        none, none + 1.0, none, none + period, none, none + np.inf, {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -218,6 +231,8 @@ def decoded(
             whole[p.joint] = x
         elif p.family == "torque_saturation":
             new["limit"][at] = np.exp(x)
+        elif p.family == "integral_windup":
+            new["windup"][at] = 1.0 / x
         elif p.family == "torque_gain":
             new["gain"][at] = np.exp(x)
         elif p.family == "payload":

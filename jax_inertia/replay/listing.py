@@ -28,6 +28,7 @@ PARAMETERS = {
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
     "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",
     "asymmetric_coulomb": "half_difference", "quadratic_viscous": "coefficient", "joint_spring": "stiffness",
+    "drive_integral": "ki", "integral_windup": "windup",
     "spring_torque": "torque", "com_shift_x": "com_shift_x", "com_shift_y": "com_shift_y", "com_shift_z": "com_shift_z",
     "tilt_x": "tilt_x", "tilt_y": "tilt_y", "force_x": "force_x", "force_y": "force_y", "force_z": "force_z",
 }  # fmt: skip
@@ -64,6 +65,8 @@ def whole(p: Parameter, x: float, loop: Loop) -> float:
         return float(np.exp(x))
     if p.family == "viscous_friction":
         return float(x - loop.kd[p.joint])
+    if p.family == "integral_windup":
+        return 1.0 / x if x > 0 else np.inf
     return float(x)
 
 
@@ -71,8 +74,8 @@ def size_of(found: Fit, k: int, loop: Loop) -> Size:
     """A number and its interval, which does not leave what is possible: no friction is negative, and no kd."""
     p, (x, sd) = found.table[k], known(found, k)
     low, high = (float(np.clip(x + s * sd, p.low, p.high)) for s in (-1.96, 1.96))
-    ends = [whole(p, y, loop) for y in (x, low, high)]
-    return Size(ends[0], ends[1], ends[2], UNITS[p.family])
+    value, *ends = (whole(p, y, loop) for y in (x, low, high))
+    return Size(value, min(ends), max(ends), UNITS[p.family])
 
 
 def listed(
@@ -178,6 +181,8 @@ def _odd(found: Fit, odd: Odd, share: float, sure: float, loop: Loop, names) -> 
         # A limit that does not fall.
         family, rows = "torque_saturation", rows[:1]
     sizes = {PARAMETERS[found.table[k].family]: size_of(found, k, loop) for k in rows}
+    if family == "drive_integral" and not np.isfinite(sizes["windup"].value):
+        del sizes["windup"]
     if family == "torque_speed":
         sizes = _motor(sizes)
     if family == "joint_spring":

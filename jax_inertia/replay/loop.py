@@ -149,6 +149,8 @@ UNITS: Mapping[str, str] = {
     "torque_lead": "s",
     "asymmetric_coulomb": "N m",
     "quadratic_viscous": "N m s²/rad²",
+    "drive_integral": "N m/(rad s)",
+    "integral_windup": "N m",
     "joint_spring": "N m/rad",
     "spring_torque": "N m",
     "com_shift_x": "m",
@@ -182,7 +184,7 @@ TOLERANCES = *SHARES, *OFF, "loop_hold", "own_steps"
 torque. Always fitted and never listed."""
 COMMAND = (
     "kp_scale", "kd_scale", "target_delay", "target_lag", "torque_bias", "torque_saturation", "torque_speed",
-    "dead_band", "torque_lead", "loop_hold", "own_steps", "target_low_pass",
+    "dead_band", "torque_lead", "loop_hold", "own_steps", "target_low_pass", "drive_integral", "integral_windup",
 )  # fmt: skip
 """Families between what a joint is commanded and its torque; the others are between torque and motion."""
 # How far off what is said may be: kp of a robot's own settings, and of a model that somebody made up.

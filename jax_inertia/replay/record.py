@@ -27,6 +27,11 @@ class Commanded(NamedTuple):
     torque: Float[np.ndarray, "S n"] | None = None
     """Fed forward, within the torque limit."""
 
+    @property
+    def of_positions(self) -> "Commanded":
+        """The targets of position alone."""
+        return Commanded(self.time, self.position)
+
     def upto(self, last: int, zero: float) -> "Commanded":
         """The first rows, their clock's zero moved."""
         velocity, torque = (None if x is None else x[:last] for x in self[2:])
@@ -63,6 +68,20 @@ class Record(NamedTuple):
         if self.torque is None:
             raise ValueError("the record holds no torque")
         return self.torque
+
+    @property
+    def head(self) -> slice:
+        """Samples that tell the integral of a drive at the first stamp: at the end of what does not count."""
+        end = min(SETTLING, 0.1 * self.time[-1])
+        first, last = np.searchsorted(self.time, [0.5 * end, end], side="right").tolist()
+        return slice(first, max(last, first + 1))
+
+    def upto(self, last: int) -> "Record":
+        """The first samples alone."""
+        tau, velocity, touched = (None if x is None else x[:last] for x in self[5:8])
+        return self._replace(
+            time=self.time[:last], q=self.q[:last], torque=tau, velocity=velocity, touched=touched
+        )
 
     @property
     def target(self) -> Float[np.ndarray, "T n"]:

@@ -32,7 +32,7 @@ from jaxtyping import Float
 from jax_inertia.model.mujoco_types import MjData, MjModel, MjSpec
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import actuators_on
-from jax_inertia.replay.simulation.spec_edits import DEAD
+from jax_inertia.replay.simulation.spec_edits import DEAD, INTEGRAL
 
 TEXT = "step_law"
 _KEYS = "coulomb", "slope", "middle", "load", "stiction", "stribeck_velocity"
@@ -82,6 +82,10 @@ def read(model: MjModel) -> dict[str, Any]:
     return json.loads(bytes(data).split(b"\0")[0].decode())
 
 
+def _is_added(model: MjModel, actuator: int) -> bool:
+    return model.actuator(actuator).name.endswith((DEAD, INTEGRAL))
+
+
 class StepLaw:
     """The law of one model, and the actuators that its targets are for."""
 
@@ -108,17 +112,20 @@ class StepLaw:
         on = [actuators_on(model, known[name]) for name in joints]
         if bare := [n for n, acts in zip(joints, on, strict=True) if not acts]:
             raise ValueError(f"no actuator of the model is on joint {bare[0]!r}")
-        # The last one, as the loop is read; a dead band's has the targets of the joint's own.
-        main = [[a for a in acts if not model.actuator(a).name.endswith(DEAD)][-1:] for acts in on]
-        dead = [[a for a in acts if model.actuator(a).name.endswith(DEAD)] for acts in on]
+        # The last one, as the loop is read; what was added for it has the targets of the joint's own.
+        more = [[a for a in acts if _is_added(model, a)] for acts in on]
+        main = [[a for a in acts if a not in x][-1:] for acts, x in zip(on, more, strict=True)]
+        self._main = [acts[-1] for acts in main]
         pairs = [
             (a, k)
-            for k, each in enumerate(zip(main, dead, strict=True))
+            for k, each in enumerate(zip(main, more, strict=True))
             for acts in each
             for a in acts
         ]
         self._acts, self._of = np.reshape(pairs, (-1, 2)).astype(int).T
         self._gear = model.actuator_gear[self._acts, 0]
+        pid = model.actuator_dyntype[self._acts] == int(mujoco.mjtDyn.mjDYN_PID)
+        self._integrals = pid & (model.actuator_gainprm[self._acts, 0] > 0)
         varies = [known[name] for name in friction]
         self._dofs, self._at = model.jnt_dofadr[varies], model.jnt_qposadr[varies]
         numbers = [[x[k] for k in _KEYS] for x in friction.values()]
@@ -132,8 +139,35 @@ class StepLaw:
         """Each actuator that is given a target, and which of the joints it is on."""
         return list(zip(self._acts.tolist(), self._of.tolist(), strict=True))
 
-    def start(self, data: MjData, targets: Float[np.ndarray, " n"]) -> None:
-        """Let every target that is on its way be its first one, as if it had been held."""
+    @property
+    def integrals(self) -> list[int]:
+        """Which of the joints have a drive with an integral."""
+        return self._of[self._integrals].tolist()
+
+    @property
+    def stiffness(self) -> Float[np.ndarray, " i"]:
+        """kp of each joint of `integrals` [N m/rad]."""
+        acts = [self._main[k] for k in self.integrals]
+        return -(self.model.actuator_gear[acts, 0] ** 2) * self.model.actuator_biasprm[acts, 1]
+
+    @property
+    def windup(self) -> Float[np.ndarray, " i"]:
+        """Largest torque of each of `integrals` [N m]; infinite where there is no clamp."""
+        acts = self._acts[self._integrals]
+        force = self.model.actuator_actrange[acts, 1] * self.model.actuator_gainprm[acts, 0]
+        torque = force * np.abs(self._gear[self._integrals])
+        return np.where(self.model.actuator_actlimited[acts], torque, np.inf)
+
+    def start(
+        self,
+        data: MjData,
+        targets: Float[np.ndarray, " n"],
+        wound: Float[np.ndarray, " i"] | None = None,
+    ) -> None:
+        """Let every target that is on its way be its first one, as if it had been held.
+
+        `wound`: the torque that each of `integrals` has reached [N m]; 0 as of a drive that was just switched on.
+        """
         model = self.model
         self._filtered, self._due = np.array(targets, float), float(data.time)
         data.ctrl[self._acts] = self._filtered[self._of] * self._gear
@@ -143,16 +177,30 @@ class StepLaw:
                 mujoco.mj_initCtrlHistory(model, data, a, None, past)
             if model.actuator_dyntype[a] in _FILTERS:
                 data.act[model.actuator_actadr[a]] = data.ctrl[a]
+        if wound is not None:
+            acts = self._acts[self._integrals]
+            force = wound / model.actuator_gear[acts, 0]
+            data.act[model.actuator_actadr[acts]] = force / model.actuator_gainprm[acts, 0]
 
-    def set(self, data: MjData, targets: Float[np.ndarray, " n"]) -> None:
-        """Controls and friction of the next step."""
+    def set(
+        self,
+        data: MjData,
+        targets: Float[np.ndarray, " n"],
+        aims: Float[np.ndarray, " n"] | None = None,
+    ) -> None:
+        """Controls and friction of the next step.
+
+        `aims`: targets of position alone, which integrals act on, where `targets` hold velocities or torques as well.
+        """
         now = np.asarray(targets, float)
+        fed = np.zeros(len(now)) if aims is None else now - aims
         if self._period:
             while data.time > self._due - 1e-9:
                 self._filtered = self._filtered + self._gain * (now - self._filtered)
                 self._due += self._period
             now = np.where(self._gain < 1.0, self._filtered, now)
-        data.ctrl[self._acts] = now[self._of] * self._gear
+        aim = now[self._of] - self._integrals * fed[self._of]
+        data.ctrl[self._acts] = aim * self._gear
         if len(self._dofs):
             dry, slope, middle, load, stiction, slow = self._friction
             rest = np.exp(-((data.qvel[self._dofs] / slow) ** 2))

@@ -114,6 +114,9 @@ def _lost(found: Diagnosis, more: Sequence[str]) -> list[str]:
         "quadratic damping": x.drag > 0,
         "a low-pass of targets": x.low_pass > 0,
         "play": x.play > 0,
+        "the integral of a drive (MuJoCo C has it in corrected.xml, MJX has no such actuator; numbers: draws.npz)": (
+            x.integral > 0
+        ),
         "a dead band, unless the model is corrected.xml": x.dead > 0,
         "an encoder's offset (draws.npz has it)": x.offset != 0,
     }

@@ -22,8 +22,10 @@ COUNT = 64
 _SWEEPS = 30
 """Gibbs sweeps before a draw is taken: a decision. Means and deviations of correlated pairs (ρ = 0.9) are then those of
 rejection sampling to the sampling error of 4000 draws (test)."""
-JOINT = "armature", "damping", "frictionloss", "kp", "kd", "effort_limit", "delay", "lag", "offset"
-"""Numbers of a joint in a draw [kg m², N m s/rad, N m, N m/rad, N m s/rad, N m, s, s, rad]."""
+JOINT = (
+    "armature", "damping", "frictionloss", "kp", "kd", "effort_limit", "delay", "lag", "offset", "integral", "windup",
+)  # fmt: skip
+"""Numbers of a joint in a draw [kg m², N m s/rad, N m, N m/rad, N m s/rad, N m, s, s, rad, N m/(rad s), N m]."""
 BODY = "mass", "inertia", "ipos", "iquat"
 """Numbers of a body in a draw, as MuJoCo's fields `body_...` have them."""
 
@@ -69,6 +71,8 @@ def drawn(plant: Plant, found: Fit, count: int = COUNT) -> Draws:
         "delay": [x.delay for x in numbers],
         "lag": [x.lag for x in numbers],
         "offset": [x.offset for x in numbers],
+        "integral": [x.integral for x in numbers],
+        "windup": [x.windup for x in numbers],
     }
     return Draws(
         vectors,

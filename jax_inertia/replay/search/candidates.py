@@ -53,6 +53,9 @@ A loop asks for many times what a strong limit lets it have: the others go down 
 """
 _FREE_SPEEDS = (1.0, 2.0)
 """Of the largest speed."""
+_INTEGRALS, _INTEGRAL_RATE = (1.0, 4.0), 3.0
+"""Gains of a drive's integral over its kp [1/s], where it is first tried, and the prior deviation: a drive that
+integrates takes up a standing error within a second."""
 _STICTIONS, _SLOW = (0.5, 1.5), (0.03, 0.15)
 _LONGEST_OWN = 0.2
 _PAYLOAD_OFFSET, _TRIED_OFFSET = 0.05, 0.03
@@ -91,7 +94,7 @@ def candidates(
         else:
             # Of the motor's torque, which that of the loop does not have.
             out.append(_lag("actuator_lag", j))
-        out += [_lag("target_lag", j), _own_delay(j)]
+        out += [_lag("target_lag", j), _own_delay(j), _integral(j, now.kp[j], torque[j])]
         out += _of_motor(j, asked[j], fastest[j], torque[j], now.limit[j])
         out += _of_friction(j, dry, travel[j])
         joint = plant.model.joint(plant.names[j])
@@ -104,6 +107,7 @@ def candidates(
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         # A lag of all motors alike is the hold of their loop, too, and no candidate.
         out.append(_lag("target_lag", ALL))
+        out.append(_integral(ALL, float(np.mean(now.kp)), float(np.mean(torque))))
     out.append(_lag("target_low_pass", ALL))
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
@@ -147,6 +151,14 @@ def _lag(family: str, j: int) -> Candidate:
 def _own_delay(j: int) -> Candidate:
     start = (0.5 * _OWN_DELAY,)
     return _one("target_delay", j, 0.0, _OWN_DELAY, 0.0, _LONGEST_OWN, start, scales=True)
+
+
+def _integral(j: int, kp: float, torque: float) -> Candidate:
+    """Its gain, and one over its clamp, which is 0 where none is reached."""
+    gain = Parameter("drive_integral", j, 0.0, _INTEGRAL_RATE * kp, 0.0, 20.0 * _INTEGRAL_RATE * kp)
+    clamp = Parameter("integral_windup", j, 0.0, 1.0 / torque, 0.0, 20.0 / torque)
+    starts = tuple((rate * kp, x / torque) for rate in _INTEGRALS for x in (0.0, 1.0))
+    return Candidate("drive_integral", (gain, clamp), starts)
 
 
 def _of_motor(j: int, asked: float, fastest: float, torque: float, said: float) -> list[Candidate]:

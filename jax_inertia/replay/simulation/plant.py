@@ -20,13 +20,16 @@ from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, maxwell, wind
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
+    INTEGRAL,
     PLAY,
     PULL,
     actuator_of,
     add_dead_band,
     add_force,
+    add_integral,
     add_play,
     with_loop,
+    without_integral,
 )
 
 STEP = 1e-3
@@ -67,6 +70,8 @@ class Structure(NamedTuple):
     """Joints that have it."""
     pulled: tuple[str, ...] = ()
     """Bodies on which a constant force acts."""
+    integral: tuple[int, ...] = ()
+    """Joints whose drive has an integral term."""
 
 
 class Compiled(NamedTuple):
@@ -83,6 +88,8 @@ class Compiled(NamedTuple):
     """Joints of play, in the structure's order."""
     pull: Int[np.ndarray, "f 3"]
     """Actuators of forces, in the structure's order."""
+    integral: Int[np.ndarray, " i"]
+    """Actuators of integral terms, in the structure's order."""
     copies: list[MjModel]
     """To be set to one variant each."""
 
@@ -134,6 +141,7 @@ class Plant:
         self.own = own_step(spec)
         # Delay and lag of the model are of the targets, which get them before they get there.
         delay, lag = np.zeros((2, len(names)))
+        integral = np.array([without_integral(spec, name) for name in names])
         for j, name in enumerate(names):
             a = actuator_of(spec, name)
             delay[j] = a.delay
@@ -160,6 +168,7 @@ class Plant:
             lag,
             middles(model, self.names),
         )
+        self.nominal = self.nominal._replace(integral=integral[:, 0], windup=integral[:, 1])
         if self.own.of_kd < 0:
             self.nominal = self.nominal._replace(step_of_kd=-np.ones(len(names)))
         coupled = model.neq > 0 or not without_contacts(model)
@@ -234,6 +243,8 @@ class Plant:
         if structure.dead:
             for name in self.names:
                 add_dead_band(spec, name)
+        for j in structure.integral:
+            add_integral(spec, self.names[j])
         for body in structure.pulled:
             add_force(spec, body, self.model.body_ipos[self.model.body(body).id], np.zeros(3))
         model = spec.compile()
@@ -243,7 +254,9 @@ class Plant:
         dead = None
         if structure.dead:
             dead = np.array([model.actuator(f"{name}{DEAD}").id for name in self.names])
-        on = [[a for a in actuators_on(model, j) if dead is None or a not in dead] for j in joints]
+        integral = [model.actuator(f"{self.names[j]}{INTEGRAL}").id for j in structure.integral]
+        added = {*integral, *(() if dead is None else dead.tolist())}
+        on = [[a for a in actuators_on(model, j) if a not in added] for j in joints]
         act = np.array([a[-1] for a in on])
         dof = model.jnt_dofadr[joints]
         if self.holds:
@@ -252,7 +265,7 @@ class Plant:
         pull = [[model.actuator(f"{b}{PULL}_{k}").id for k in "xyz"] for b in structure.pulled]
         return Compiled(
             model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play,
-            np.array(pull, int).reshape(-1, 3), [],
+            np.array(pull, int).reshape(-1, 3), np.array(integral, int), [],
         )  # fmt: skip
 
     def tree_of(self, p: Parameter) -> int | None:
@@ -282,7 +295,8 @@ class Plant:
     def structure(self, numbers: Numbers) -> Structure:
         """What a model must have to hold the numbers."""
         play = tuple(np.flatnonzero(numbers.play > 0).tolist())
-        return Structure(bool(np.any(numbers.dead > 0)), play, tuple(numbers.forces))
+        integral = tuple(np.flatnonzero(numbers.integral > 0).tolist())
+        return Structure(bool(np.any(numbers.dead > 0)), play, tuple(numbers.forces), integral)
 
     def variants(self, structure: Structure, some: Sequence[Numbers]) -> list[MjModel]:
         """Models with the numbers; valid until the next call for the structure."""
@@ -324,13 +338,21 @@ class Plant:
             model.actuator_biasprm[m.dead, 1] = x.kp / square
             reach = x.kp * x.dead / np.abs(m.gear)
             model.actuator_forcerange[m.dead] = np.stack([-reach, reach], 1)
-            # Of both actuators together, the limit is the joint's.
-            both, joint = np.isfinite(x.limit) & (x.dead > 0), model.dof_jntid[m.dof]
-            model.actuator_forcelimited[m.act[both]] = 0
-            model.jnt_actfrclimited[joint] = np.where(both, 1, m.model.jnt_actfrclimited[joint])
-            top = np.where(both, x.limit, 0.0)
+        if len(m.integral):
+            own, gear = list(structure.integral), m.gear[list(structure.integral)]
+            model.actuator_gainprm[m.integral, 0] = x.integral[own] / gear**2
+            held = np.isfinite(x.windup[own])
+            reach = np.where(held, x.windup[own], 0.0) * np.abs(gear) / x.integral[own]
+            model.actuator_actlimited[m.integral] = held
+            model.actuator_actrange[m.integral] = np.stack([-reach, reach], 1)
+        if m.dead is not None or len(m.integral):
+            # Of several actuators together, the limit is the joint's.
+            several, joint = x.shares_limit & np.isfinite(x.limit), model.dof_jntid[m.dof]
+            model.actuator_forcelimited[m.act[several]] = 0
+            model.jnt_actfrclimited[joint] = np.where(several, 1, m.model.jnt_actfrclimited[joint])
+            top = np.where(several, x.limit, 0.0)
             model.jnt_actfrcrange[joint] = np.where(
-                both[:, None], np.stack([-top, top], 1), m.model.jnt_actfrcrange[joint]
+                several[:, None], np.stack([-top, top], 1), m.model.jnt_actfrcrange[joint]
             )
         for actuators, force in zip(m.pull, x.forces.values(), strict=True):
             model.actuator_biasprm[actuators, 0] = force

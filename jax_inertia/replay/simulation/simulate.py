@@ -34,7 +34,9 @@ _FINE = 1e-3
 """Steps in which targets are delayed and lag [s]."""
 _SLOPE = 4e-3
 """Half of what a velocity that decides on a limit is taken over [s]."""
-_LAW = ("kp", "kd", "bias", "limit", "back", "dead", "delay", "lag", "lead", "low_pass")
+_LAW = (
+    "kp", "kd", "bias", "limit", "back", "dead", "delay", "lag", "lead", "low_pass", "integral", "windup",
+)  # fmt: skip
 
 
 def replay(
@@ -52,63 +54,124 @@ def replay(
         most = _STEPPED if kind[1] else _ROLLS
         for first in range(0, len(mine), most):
             rows = mine[first : first + most]
-            out[rows] = _some(plant, kind, [every[b] for b in rows], record)
+            some = _Some(plant, kind, [every[b] for b in rows], record)
+            if kind[0].integral:
+                some.wind()
+            out[rows] = some.moved(record)
     return out
 
 
-def _some(plant: Plant, kind, some: Sequence[Numbers], record: Record) -> np.ndarray:
-    structure, varies = kind
-    m, h = plant.compiled(structure), plant.step
-    steps = int(np.ceil(record.time[-1] / h)) + 1
-    models = plant.variants(structure, some)
-    state = np.zeros((len(some), mujoco.mj_stateSize(m.model, _STATE)))
-    control = np.zeros((len(some), steps, m.model.nu))
-    commanded = []
-    limited = np.array([limited_at(plant, x) for x in some])
-    parts = PARTS if limited.any() else 1
-    cache: dict[bytes, np.ndarray] = {}
-    data = mujoco.MjData(m.model)
-    for b, x in enumerate(some):
-        key = np.concatenate([x.delay + x.steps, x.lag, x.low_pass, x.kp, x.kd]).tobytes()
-        if record.commanded.velocity is None and record.commanded.torque is None:
-            key = np.concatenate([x.delay + x.steps, x.lag, x.low_pass]).tobytes()
-        if key not in cache:
-            cache = dict(list(cache.items())[-2:])
-            # What acts on a step from h/2 before its position to h/2 after it, as early as in the model's own steps.
-            of_parts = controls(
-                record,
-                h / parts,
-                steps * parts,
-                x,
-                plant.shift,
-                plant.own.step if plant.own.early else 0.0,
-            )
-            cache[key] = of_parts.reshape(steps, parts, -1)
-        commanded.append(cache[key] - x.offset)
-        control[b][:, m.act] = commanded[-1].mean(axis=1) * m.gear
-        if m.dead is not None:
-            control[b][:, m.dead] = control[b][:, m.act]
-        mujoco.mj_resetData(models[b], data)
-        data.qpos[m.qadr], data.qvel[m.dof] = record.q[0] - x.offset, record.start
-        mujoco.mj_getState(models[b], data, state[b], _STATE)
-    if varies:
-        joints = np.flatnonzero(np.any([stepped_at(plant, x) for x in some], axis=0))
-        own = np.array([x[:, :, joints] for x in commanded])
-        lacking = 0.5 * h - plant.own.of_kd
-        path = stepwise(
-            m, joints, limited[:, joints], models, some, state, control, own, h, lacking
+class _Some:
+    """Variants of one structure, and what each is commanded along a record."""
+
+    def __init__(self, plant: Plant, kind, some: Sequence[Numbers], record: Record):
+        self.plant, self.some, self.record = plant, some, record
+        self.structure, self.varies = kind
+        self.m = m = plant.compiled(self.structure)
+        self.limited = np.array([limited_at(plant, x) for x in some])
+        self.joints = np.flatnonzero(np.any([stepped_at(plant, x) for x in some], axis=0))
+        self.models = plant.variants(self.structure, some)
+        steps = self._steps(record)
+        self.state = np.zeros((len(some), mujoco.mj_stateSize(m.model, _STATE)))
+        self.control = np.zeros((len(some), steps, m.model.nu))
+        data, own, parted = mujoco.MjData(m.model), list(self.structure.integral), []
+        fed = record.commanded.velocity is not None or record.commanded.torque is not None
+        bare = record._replace(commanded=record.commanded.of_positions)
+        cache: dict[bytes, np.ndarray] = {}
+        for b, x in enumerate(some):
+            times = x.delay + x.steps, x.lag, x.low_pass
+            key = np.concatenate([*times, x.kp, x.kd] if fed else times).tobytes()
+            if key not in cache:
+                cache = dict(list(cache.items())[-2:])
+                cache[key] = self._commanded(record, x, steps)
+            each = cache[key] - x.offset
+            parted.append(each[:, :, self.joints])
+            whole, control = each.mean(axis=1), self.control[b]
+            control[:, m.act] = whole * m.gear
+            if m.dead is not None:
+                control[:, m.dead] = control[:, m.act]
+            if fed and own:
+                whole = self._commanded(bare, x, steps).mean(axis=1) - x.offset
+            control[:, m.integral] = (whole * m.gear)[:, own]
+            mujoco.mj_resetData(self.models[b], data)
+            data.qpos[m.qadr], data.qvel[m.dof] = record.q[0] - x.offset, record.start
+            mujoco.mj_getState(self.models[b], data, self.state[b], _STATE)
+        self.parted, self.offset = np.array(parted), np.stack([x.offset for x in some])[:, None]
+
+    def _steps(self, record: Record) -> int:
+        return int(np.ceil(record.time[-1] / self.plant.step)) + 1
+
+    def _commanded(self, record: Record, x: Numbers, steps: int) -> Float[np.ndarray, "K p n"]:
+        # What acts on a step from h/2 before its position to h/2 after it, as early as in the model's own steps.
+        own, parts = self.plant.own, PARTS if self.limited.any() else 1
+        whole = own.step if own.early else 0.0
+        h = self.plant.step / parts
+        of_parts = controls(record, h, steps * parts, x, self.plant.shift, whole)
+        return of_parts.reshape(steps, parts, -1)
+
+    def moved(self, record: Record) -> Float[np.ndarray, "B T n"]:
+        """Positions at the stamps of the record, or of its head."""
+        m, h, count = self.m, self.plant.step, self._steps(record)
+        control = np.ascontiguousarray(self.control[:, :count])
+        if self.varies:
+            limited, lacking = self.limited[:, self.joints], 0.5 * h - self.plant.own.of_kd
+            parted = self.parted[:, :count]
+            path = stepwise(
+                m, self.joints, limited, self.models, self.some, self.state, control, parted, h, lacking
+            )  # fmt: skip
+        else:
+            path = _at_once(m, self.models, self.state, control)
+        q = np.concatenate([self.state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
+        # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
+        lost = np.diff(path[:, :, 0], axis=1) <= 0
+        now = between_steps(q, record.time / h) + self.offset
+        now[lost.any(axis=1)] = record.q + LOST
+        return np.nan_to_num(now, nan=LOST)
+
+    def wind(self) -> None:
+        """Find what the integrals of drives had reached at the record's start."""
+        record, own, model = self.record, list(self.structure.integral), self.m.model
+        late, head = record.head, record.upto(record.head.stop)
+        felt = [x.at_joint for x in self.some]
+        kp, gain, windup = (
+            np.stack([getattr(x, k)[own] for x in felt]) for k in ("kp", "integral", "windup")
         )
-    else:
-        path = _at_once(m, models, state, control)
-    q = np.concatenate([state[:, None, 1 + m.qadr], path[:, :, 1 + m.qadr]], axis=1)
-    # A MuJoCo that has diverged starts anew from its reference posture: the clock shows it.
-    lost = np.diff(path[:, :, 0], axis=1) <= 0
-    where = record.time / h
-    k = np.minimum(where.astype(int), steps - 1)
-    share = (where - k)[:, None]
-    now = q[:, k] + share * (q[:, k + 1] - q[:, k]) + np.stack([x.offset for x in some])[:, None]
-    now[lost.any(axis=1)] = record.q + LOST
-    return np.nan_to_num(now, nan=LOST)
+        act = 1 + model.nq + model.nv + model.actuator_actadr[self.m.integral]
+        torque = np.zeros_like(kp)
+        for _ in range(WINDINGS):
+            error = (head.q - self.moved(head))[:, late][..., own]
+            torque = wound(error, torque, kp, windup)
+            self.state[:, act] = torque / gain
+            # What a replay in steps has changed.
+            self.models = self.plant.variants(self.structure, self.some)
+
+
+WINDINGS = 4
+"""Rounds in which a drive's integral at a record's start is found; each leaves a fifth of the error before."""
+
+
+def wound(
+    error: Float[np.ndarray, "*b T i"],
+    torque: Float[np.ndarray, "*b i"],
+    kp: Float[np.ndarray, "*b i"],
+    windup: Float[np.ndarray, "*b i"],
+) -> Float[np.ndarray, "*b i"]:
+    """A better value of the torque of drives' integrals at a record's start, which no log has [N m].
+
+    A loop that is off by δ at the end of the record's head lacks kp δ: z ← clip(z + kp mean(q − q_replay), ± windup).
+
+    `error`: q − q_replay of a replay that began with `torque`, there (`Record.head`).
+    """
+    return np.clip(torque + kp * np.mean(error, axis=-2), -windup, windup)
+
+
+def between_steps(
+    q: Float[np.ndarray, "*b K n"], where: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "*b T n"]:
+    """Positions at stamps `where` in steps, along straight lines."""
+    k = np.minimum(where.astype(int), q.shape[-2] - 2)
+    first, last = q[..., k, :], q[..., k + 1, :]
+    return first + (where - k)[:, None] * (last - first)
 
 
 def _at_once(m: Compiled, models, state, control) -> np.ndarray:
@@ -184,11 +247,27 @@ def _miss(record: Record, windows: Windows, x: Numbers, j: int) -> Float[np.ndar
         v, mean_v = windows.slope(q, _SLOPE), windows.slope(q)
     else:
         v, mean_v = record.velocity[:, j], windows.mean(record.velocity[:, j])
+    if x.integral[j] > 0:
+        head = slice(0, record.head.stop)
+        lacking = (record.tau[:, j] - asked + kd * v)[head]
+        asked = asked + _integrated(x.integral[j] * record.period * (aim - q), lacking, x.windup[j])
     short = 0.0
     if np.isfinite(x.limit[j]):
         whole = asked - (kd - back) * v
         short = np.clip(whole, -x.limit[j], x.limit[j]) - whole
     return windows.mean(asked + short - record.tau[:, j]) - kd * mean_v
+
+
+def _integrated(
+    added: Float[np.ndarray, " T"], lacking: Float[np.ndarray, " h"], windup: float
+) -> Float[np.ndarray, " T"]:
+    """Torque of a drive's integral, to which each sample adds; it begins with what the record's head is `lacking`."""
+    first = np.mean(lacking - np.append(0.0, np.cumsum(added)[: len(lacking) - 1]))
+    z, out = float(np.clip(first, -windup, windup)), []
+    for more in added.tolist():
+        out.append(z)
+        z = min(max(z + more, -windup), windup)
+    return np.array(out)
 
 
 def _held(record: Record, what: Float[np.ndarray, " S"], x: Numbers, j: int) -> np.ndarray:

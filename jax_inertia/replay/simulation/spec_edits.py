@@ -8,7 +8,7 @@ import numpy as np
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.loop import Loop
 
-DEAD, PLAY, PULL = "_dead_band", "_play", "_force"
+DEAD, INTEGRAL, PLAY, PULL = "_dead_band", "_integral", "_play", "_force"
 """What names of added actuators, joints and sites end in."""
 _LIGHT = 1e-6
 # Of the ends of play: stiff, and inelastic, at the steps of a replay.
@@ -55,13 +55,13 @@ def fixed_base(spec: MjSpec) -> None:
 
 
 def actuator_of(spec: MjSpec, joint: str):
-    """The last actuator on a joint of a spec, dead bands left out."""
+    """The last actuator on a joint of a spec, dead bands and integral terms left out."""
     on_joint = [
         a
         for a in spec.actuators
         if a.trntype == mujoco.mjtTrn.mjTRN_JOINT
         and a.target == joint
-        and not a.name.endswith(DEAD)
+        and not a.name.endswith((DEAD, INTEGRAL))
     ]
     return on_joint[-1]
 
@@ -85,6 +85,54 @@ def add_dead_band(spec: MjSpec, joint: str, width: float = 1e-3) -> None:
     new.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     reach = kp * width * abs(gear)
     new.forcerange = np.array([-reach, reach])
+
+
+def add_integral(spec: MjSpec, joint: str, gain: float = 1.0, windup: float = np.inf) -> None:
+    """An actuator that adds clip(gain ∫(q* − q) dt, ± windup) to a joint's position actuator; of the same targets.
+
+    MuJoCo's PID with nothing but its integral, which stays within its range of activation (by `imax` it would go
+    beyond, by up to a step). A torque limit has to be the joint's then (`actuatorfrcrange`), of both together.
+    """
+    main = actuator_of(spec, joint)
+    gear = float(main.gear[0])
+    new = spec.add_actuator(name=f"{joint}{INTEGRAL}", target=joint)
+    new.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    new.set_to_pid(kp=0.0, ki=gain / gear**2, ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS))
+    if np.isfinite(windup):
+        # Of the integral itself, in units of the actuator's length.
+        new.actlimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        new.actrange = windup * abs(gear) / gain * np.array([-1.0, 1.0])
+    new.gear, new.ctrllimited, new.ctrlrange = main.gear, main.ctrllimited, main.ctrlrange
+
+
+def without_integral(spec: MjSpec, joint: str) -> tuple[float, float]:
+    """Take the integral term of a joint's drive out of a spec: (its gain [N m/(rad s)], its clamp [N m]); 0 of none."""
+    gain, windup = 0.0, np.inf
+    for a in list(spec.actuators):
+        mine = a.trntype == mujoco.mjtTrn.mjTRN_JOINT and a.target == joint
+        if not mine or a.dyntype != mujoco.mjtDyn.mjDYN_PID:
+            continue
+        gear = float(a.gear[0])
+        gain += gear**2 * float(a.gainprm[0])
+        reach = float(a.dynprm[0]) or np.inf
+        if np.any(a.actrange):
+            reach = min(reach, float(np.abs(a.actrange).max()))
+        windup = min(windup, abs(gear * a.gainprm[0]) * reach)
+        if a.name.endswith(INTEGRAL):
+            spec.delete(a)
+        else:
+            bias = np.array(a.biasprm, float)
+            a.set_to_position(kp=-bias[1], kv=-bias[2])
+            a.biasprm = bias
+    return gain, windup
+
+
+def share_limit(spec: MjSpec, joint: str, limit: float) -> None:
+    """Make ± limit that of all actuators on a joint together; infinity leaves theirs as they are."""
+    if np.isfinite(limit):
+        actuator_of(spec, joint).forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        spec.joint(joint).actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        spec.joint(joint).actfrcrange = limit * np.array([-1.0, 1.0])
 
 
 def add_force(spec: MjSpec, body: str, at: np.ndarray, force: np.ndarray) -> None:

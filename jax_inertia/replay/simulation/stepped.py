@@ -32,7 +32,7 @@ def limited_at(plant: Plant, x: Numbers) -> Bool[np.ndarray, " n"]:
 
     In the model's own steps it is reached as MuJoCo has it.
     """
-    own = np.isfinite(x.limit) & (x.limit != plant.loop.limit) & (x.dead == 0)
+    own = np.isfinite(x.limit) & (x.limit != plant.loop.limit) & ~x.shares_limit
     return own & (plant.step > max(_SHORT, plant.own.step))
 
 
