@@ -16,7 +16,7 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay import step_law
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.result import Correction
-from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies
+from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, sprung
 from jax_inertia.replay.simulation.plant import HOLD
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
@@ -24,6 +24,7 @@ from jax_inertia.replay.simulation.spec_edits import (
     PLAY,
     PULL,
     actuator_of,
+    add_across,
     add_dead_band,
     add_force,
     add_integral,
@@ -82,6 +83,12 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
             share_limit(spec, name, x.limit[j])
         if x.play[j] > 0:
             add_play(spec, name, x.play[j])
+    for before, j in found.pairs:
+        if x.has_across[j]:
+            stiffness, rest = sprung(x.across[j], x.across_torque[j])
+            rest += float(x.offset[before] + x.ratio[j] * x.offset[j])
+            own = stiffness, x.across_damping[j], x.ratio[j], rest
+            add_across(spec, names[before], names[j], own)
     _set_bodies(spec, x)
     step_law.write(spec, names, found.numbers)
     # Postures of the nominal model are of other references, and have no activations.

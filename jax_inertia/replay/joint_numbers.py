@@ -17,6 +17,7 @@ class Numbers(NamedTuple):
         friction = max(dry + slant (q − middle) + load |τ| + stiction exp(−(q̇ / slow)²), 0) sign(q̇)
                    + damping q̇ + drag |q̇| q̇
         spring torque = wound − spring q
+        across torque = (across_torque − across s − across_damping ṡ) ∂s/∂q, s = q_before + ratio q
 
     of q and q̇ that are `hold` old. dz is 0 within ± dead and parallel to the straight line beyond. `back` is stall
     torque over no-load speed.
@@ -70,6 +71,13 @@ class Numbers(NamedTuple):
     """Of the drive: torque by one of ∫(q* − q) dt [N m/(rad s)]."""
     windup: Float[np.ndarray, " n"]
     """Largest torque of it, beyond which the drive integrates no more [N m]; infinite where it has no clamp."""
+    across: Float[np.ndarray, " n"]
+    """Stiffness of a spring across the joint and the one before it in its chain [N m/rad]."""
+    across_damping: Float[np.ndarray, " n"]
+    ratio: Float[np.ndarray, " n"]
+    """Of the joint's turn in the spring's, over that of the one before it."""
+    across_torque: Float[np.ndarray, " n"]
+    """Of that spring, where both joints are at their zeros [N m]."""
     mass: Mapping[str, float]
     """Added to bodies."""
     centres: Mapping[str, Float[np.ndarray, " 3"]]
@@ -97,6 +105,11 @@ class Numbers(NamedTuple):
     def shares_limit(self) -> Bool[np.ndarray, " n"]:
         """At which joints several actuators have one limit."""
         return (self.dead > 0) | (self.integral > 0)
+
+    @property
+    def has_across(self) -> Bool[np.ndarray, " n"]:
+        """Which joints have a spring across them and the one before."""
+        return (self.across > 0) | (self.across_torque != 0) | (self.across_damping > 0)
 
     @property
     def at_joint(self) -> "Numbers":
@@ -164,7 +177,10 @@ FORCE = "force_x", "force_y", "force_z"
 """Families of a constant force."""
 SHIFT, TILT = ("com_shift_x", "com_shift_y", "com_shift_z"), ("tilt_x", "tilt_y")
 """Families of a centre's shift, and of where gravity points."""
-COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque", "integral_windup"
+RATIO = "across_ratio"
+ACROSS = "across_torque", "across_damping", RATIO
+"""Families of a spring across two joints besides its stiffness, which alone says whether there is one."""
+COORDINATES = *CENTRE, *SHIFT, *TILT, *FORCE, "spring_torque", "integral_windup", *ACROSS
 """Families of which an effect may need some and not others."""
 # Family of a parameter: the field that it is added to, or put in place of.
 _ADDED = {
@@ -177,6 +193,8 @@ _REPLACED = {
     "load_friction": "load", "stribeck_friction": "stiction", "stribeck_velocity": "slow",
     "torque_speed": "back", "position_friction": "slant", "quadratic_viscous": "drag",
     "joint_spring": "spring", "target_low_pass": "low_pass", "drive_integral": "integral",
+    "spring_across": "across", "across_ratio": "ratio", "across_torque": "across_torque",
+    "across_damping": "across_damping",
 }  # fmt: skip
 
 
@@ -196,7 +214,8 @@ def nominal_numbers(
     return Numbers(
         armature, damping, dry, loop.kp, loop.kd, bias, loop.limit, none, none, none, none, none,
         none + 0.1, none, middle, none, delay, lag, none, none, none + 1.0, none, none, none, none,
-        none, none + 1.0, none, none + period, none, none + np.inf, {}, {}, {}, {}, {}, np.zeros(2),
+        none, none + 1.0, none, none + period, none, none + np.inf, none, none,
+        none, none, {}, {}, {}, {}, {}, np.zeros(2),
     )  # fmt: skip
 
 
@@ -213,8 +232,10 @@ def decoded(
     new["kp"], new["kd"] = loop.kp.copy(), loop.kd.copy()
     mass, centres, shifts, heavier, forces, tilt = {}, {}, {}, {}, {}, np.zeros(2)
     whole = base.damping + base.kd
-    for p, x in zip(table, theta, strict=True):
-        if x == p.nominal:
+    for i, (p, x) in enumerate(zip(table, theta, strict=True)):
+        # A ratio, whose nominal value is of either sign, is of the spring whose numbers are before it.
+        of_spring = p.family == RATIO and np.any(theta[max(i - 3, 0) : i])
+        if x == p.nominal and not of_spring:
             # Not there: another number may say something of the same place.
             continue
         at = slice(None) if p.joint == ALL else p.joint

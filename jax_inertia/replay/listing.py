@@ -28,6 +28,7 @@ PARAMETERS = {
     "stribeck_velocity": "stribeck_velocity", "torque_gain": "gain", "position_friction": "slope",
     "payload_x": "x", "payload_y": "y", "payload_z": "z", "torque_lead": "lead",
     "asymmetric_coulomb": "half_difference", "quadratic_viscous": "coefficient", "joint_spring": "stiffness",
+    "spring_across": "stiffness", "across_ratio": "ratio", "across_torque": "torque", "across_damping": "damping",
     "drive_integral": "ki", "integral_windup": "windup",
     "spring_torque": "torque", "com_shift_x": "com_shift_x", "com_shift_y": "com_shift_y", "com_shift_z": "com_shift_z",
     "tilt_x": "tilt_x", "tilt_y": "tilt_y", "force_x": "force_x", "force_y": "force_y", "force_z": "force_z",
@@ -185,8 +186,8 @@ def _odd(found: Fit, odd: Odd, share: float, sure: float, loop: Loop, names) -> 
         del sizes["windup"]
     if family == "torque_speed":
         sizes = _motor(sizes)
-    if family == "joint_spring":
-        sizes = _rest(sizes, found, rows)
+    if family in ("joint_spring", "spring_across"):
+        sizes = _rest(sizes, found, rows[:2]) | {k: sizes[k] for k in list(sizes)[2:]}
     place = place_of(*odd.candidate.place, names)
     own = {(found.table[k].family, *place) for k in rows}
     ties = [

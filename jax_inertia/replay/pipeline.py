@@ -187,7 +187,7 @@ def _correction(
     changed = bool(np.any(found.theta != choice.nominal_fit(found).theta))
     friction = proof.mean_friction(numbers, records) if numbers.varies else numbers.dry
     holds = changed and plant.holds
-    return Correction(plant.names, loop, numbers, plant.nominal, friction, holds)
+    return Correction(plant.names, loop, numbers, plant.nominal, friction, holds, plant.pairs)
 
 
 def _harms(case: _Case, model: MjModel, c: Correction) -> bool:

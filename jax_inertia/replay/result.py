@@ -1,6 +1,7 @@
 """What a diagnosis from targets and encoders found."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -159,6 +160,8 @@ class Correction:
     """Dry friction's mean along the fitted runs [N m], which is what a file has of one that varies."""
     holds: bool
     """Whether dry friction holds a joint at rest; else it creeps there, as MuJoCo's own does."""
+    pairs: Sequence[tuple[int, int]] = ()
+    """Joints that follow each other in a chain."""
 
 
 class Resemblance(NamedTuple):

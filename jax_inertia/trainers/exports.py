@@ -114,6 +114,7 @@ def _lost(found: Diagnosis, more: Sequence[str]) -> list[str]:
         "quadratic damping": x.drag > 0,
         "a low-pass of targets": x.low_pass > 0,
         "play": x.play > 0,
+        "a spring across two joints, unless the model is corrected.xml": x.across > 0,
         "the integral of a drive (MuJoCo C has it in corrected.xml, MJX has no such actuator; numbers: draws.npz)": (
             x.integral > 0
         ),

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.environment import LEVEL
 from jax_inertia.model.joint_inertia import bodies_off_their_axes, moved_bodies
-from jax_inertia.replay.joint_numbers import CENTRE, FORCE, SHIFT, TILT, Numbers
+from jax_inertia.replay.joint_numbers import CENTRE, FORCE, RATIO, SHIFT, TILT, Numbers
 from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter
 from jax_inertia.replay.record import Record, step_means
 from jax_inertia.replay.simulation.plant import Plant
@@ -29,7 +29,10 @@ class Candidate(NamedTuple):
     starts: tuple[tuple[float, ...], ...]
     """Values of the parameters to be tried."""
     scales: bool = False
-    """Whether its columns grow with its numbers: one start for each is enough, and the best ones are on a parabola."""
+    """Whether its columns grow with its numbers: one start for each is enough, and the best ones are on a parabola.
+
+    Numbers without a start of their own stay as they are in the others' until a fit.
+    """
 
     @property
     def place(self) -> tuple[int, str]:
@@ -64,6 +67,10 @@ _TRIED = 0.3
 """Of a prior deviation, where a number is first tried whose column grows with it."""
 _LACKS = 0.3
 """Of a body's mass, what of it a robot lacks at most: covers, a battery."""
+_SPRING_SHARE = 0.5
+"""Of kp, a spring across two joints: a loop is stiffer than what it has to hold."""
+_LEAST_RATIO = 0.2
+"""Of two joints' turns in a spring across both; over one of 5 it is a spring of one joint."""
 _FORCE_SHARE, _GRAVITY = 0.2, 9.81
 _SHIFT_SHARE = 0.3
 """Of a body's radius of gyration, by which covers, cables and batteries that CAD leaves out move its centre."""
@@ -111,7 +118,8 @@ def candidates(
     out.append(_lag("target_low_pass", ALL))
     if np.any(plant.model.opt.gravity):
         out.append(_several("gravity_tilt", TILT, ALL, "", LEVEL, 1.0))
-    return out + _masses(plant) + _shifts(plant) + _forces(plant)
+    rest = _masses(plant) + _shifts(plant) + _forces(plant)
+    return out + _across(plant, travel) + rest
 
 
 def demands(records: Sequence[Record], now: Numbers) -> tuple[np.ndarray, np.ndarray]:
@@ -207,6 +215,29 @@ def _of_angles(j: int) -> list[Candidate]:
         _one("dead_band", j, 0.0, _ANGLE, 0.0, 0.3, _DEAD_BANDS),
         _one("backlash", j, 0.0, _ANGLE, 0.0, 0.3, _PLAYS),
     ]
+
+
+def _across(plant: Plant, travel: Float[np.ndarray, " n"]) -> list[Candidate]:
+    """Springs across neighbours: of a tendon over two joints, turning with both or one against the other."""
+    out = []
+    for before, j in plant.pairs:
+        pair = [before, j]
+        stiff = _SPRING_SHARE * float(np.mean(plant.loop.kp[pair]))
+        wide = stiff * max(float(np.max(travel[pair])), 0.1)
+        for ratio in (1.0, -1.0):
+            low, high = sorted((_LEAST_RATIO * ratio, ratio / _LEAST_RATIO))
+            every = (
+                Parameter("spring_across", j, 0.0, stiff, 0.0, np.inf),
+                Parameter("across_torque", j, 0.0, wide, -np.inf, np.inf),
+                Parameter("across_damping", j, 0.0, 0.05 * stiff, 0.0, np.inf),
+                Parameter(RATIO, j, ratio, 0.5, low, high),
+            )
+            starts = tuple(
+                (*(_TRIED * p.sd * (p is tried) for p in every[:2]), 0.0, ratio)
+                for tried in every[:2]
+            )
+            out.append(Candidate("spring_across", every, starts, True))
+    return out
 
 
 def _masses(plant: Plant) -> list[Candidate]:

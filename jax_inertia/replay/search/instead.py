@@ -70,12 +70,13 @@ def in_place_of(
     for theta, unit in zip(thetas[1:], units, strict=True):
         theta[list(unit)] = own[list(unit)]
     errors = replay_errors(plant, found.table, thetas, records)
-    options = [c for c in pool if c.scales]
+    # One number in another's place, which is something by itself.
+    options = [c for c in pool if c.scales and len(c.starts) == len(c.parameters)]
     tries = [(c, s) for c in options for s in c.starts]
     about = found._replace(error=errors[0])
     changes = {}
     for c, start, error in tried_errors(plant, about, tries, records):
-        k, change = column(start, error - errors[0])
+        k, change = column(c, start, error - errors[0])
         changes[c.parameters[k]] = change
     more = list(changes.values())
     table = (*found.table, *changes)

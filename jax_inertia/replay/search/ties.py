@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.joint_numbers import CENTRE, FORCE, SHIFT, TILT
+from jax_inertia.replay.joint_numbers import ACROSS, CENTRE, FORCE, SHIFT, TILT
 from jax_inertia.replay.loop import ALL, TOLERANCES, Loop, Parameter
 from jax_inertia.replay.result import Tie
 
@@ -11,7 +11,7 @@ _TIED = 0.9
 _EFFECTS = {
     **dict.fromkeys(CENTRE, "payload"), **dict.fromkeys(SHIFT, "com_shift"), **dict.fromkeys(TILT, "gravity_tilt"),
     **dict.fromkeys(FORCE, "constant_force"), "spring_torque": "joint_spring", "stribeck_velocity": "stribeck_friction",
-    "integral_windup": "drive_integral",
+    "integral_windup": "drive_integral", **dict.fromkeys(ACROSS, "spring_across"),
 }  # fmt: skip
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart distinguish them"
 _SUM = "a replay shows only the sum of kd and damping; torque distinguishes them, or a second setting of kd"
@@ -35,6 +35,8 @@ IN_PART: Mapping[str, tuple[tuple[str, str], ...]] = {
     "torque_speed": (("torque_saturation", "a limit alone, where the joint is never fast when it is at it"),),
     "quadratic_viscous": (("viscous_friction", "at one speed one number; slow and fast motion distinguish them"),),
     "asymmetric_coulomb": (("joint_spring", "a far spring is a torque too; wide motion distinguishes them"),),
+    "spring_across": (("joint_spring", "where both joints move together it is a spring of each; either one moved alone "
+                       "distinguishes them"),),
     "drive_integral": (("torque_bias", "a slow integral takes up what is always the same, as a constant torque does; "
                         "a longer log distinguishes them"),),
     "encoder_offset": (("torque_bias", _LEANS),),

@@ -34,10 +34,11 @@ def price(found: Fit, c: Candidate) -> float:
     return numbers_of(c) * float(np.log(found.samples)) + 2.0 * LOG_ODDS
 
 
-def column(start: Sequence[float], change: np.ndarray) -> tuple[int, np.ndarray]:
+def column(c: Candidate, start: Sequence[float], change: np.ndarray) -> tuple[int, np.ndarray]:
     """(which number alone was tried, the error's change by one of it)."""
-    k = int(np.flatnonzero(start)[0])
-    return k, change / start[k]
+    off = np.array(start) - [p.nominal for p in c.parameters]
+    k = int(np.flatnonzero(off)[0])
+    return k, change / off[k]
 
 
 Judged = tuple[Candidate, Worth, np.ndarray]
@@ -54,12 +55,15 @@ def at_best(
             yield c, about.worth(error), np.array(start)
             continue
         own = columns.setdefault(c, {})
-        k, change = column(start, error - found.error)
+        k, change = column(c, start, error - found.error)
         own[k] = change
-        if len(own) == len(c.parameters):
-            changes = np.array([own[i] for i in range(len(own))])
+        if len(own) == len(c.starts):
+            tried, sizes = sorted(own), np.array(start)
+            changes = np.array([own[i] for i in tried])
             del columns[c]
-            yield c, *about.scaled(c.parameters, changes)
+            worth, best = about.scaled([c.parameters[i] for i in tried], changes)
+            sizes[tried] = best
+            yield c, worth, sizes
 
 
 def tried_errors(

@@ -1,5 +1,6 @@
 """Numbers put into a compiled model, which no spec is asked for: springs, bodies, what a motor's lag leaves of kd."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,21 @@ def wind(nominal: MjModel, model: MjModel, dof: np.ndarray, qadr: np.ndarray, x:
     rest = moment / np.where(total > 0, total, 1.0)
     model.jnt_stiffness[joints] = total
     model.qpos_spring[qadr] = np.where(total > 0, rest, reference)
+
+
+def sprung(stiffness: float, torque: float) -> tuple[float, float]:
+    """Stiffness and rest of a spring that gives a torque at its zero; a torque alone is that of a soft one."""
+    total = max(float(stiffness), SOFT * abs(float(torque)))
+    return total, float(torque) / total if total > 0 else 0.0
+
+
+def wind_across(model: MjModel, tendons: np.ndarray, joints: Sequence[int], x: Numbers) -> None:
+    """Springs across joints and those before them, of a model with a tendon for each."""
+    for t, j in zip(tendons, joints, strict=True):
+        stiffness, rest = sprung(x.across[j], x.across_torque[j])
+        model.tendon_stiffness[t], model.tendon_lengthspring[t] = stiffness, rest
+        model.tendon_damping[t] = x.across_damping[j]
+        model.wrap_prm[model.tendon_adr[t] + 1] = x.ratio[j]
 
 
 def changed_bodies(x: Numbers) -> list[str]:

@@ -17,13 +17,20 @@ from jax_inertia.model.joint_inertia import (
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
 from jax_inertia.replay.joint_numbers import Numbers, decoded, nominal_numbers
 from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
-from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, maxwell, wind
+from jax_inertia.replay.simulation.model_edits import (
+    change_body,
+    changed_bodies,
+    maxwell,
+    wind,
+    wind_across,
+)
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
     INTEGRAL,
     PLAY,
     PULL,
     actuator_of,
+    add_across,
     add_dead_band,
     add_force,
     add_integral,
@@ -72,6 +79,8 @@ class Structure(NamedTuple):
     """Bodies on which a constant force acts."""
     integral: tuple[int, ...] = ()
     """Joints whose drive has an integral term."""
+    across: bool = False
+    """Whether there are springs across joints and those before them."""
 
 
 class Compiled(NamedTuple):
@@ -90,6 +99,8 @@ class Compiled(NamedTuple):
     """Actuators of forces, in the structure's order."""
     integral: Int[np.ndarray, " i"]
     """Actuators of integral terms, in the structure's order."""
+    across: Int[np.ndarray, " t"]
+    """Tendons of springs across joints, in the order of `Plant.pairs`."""
     copies: list[MjModel]
     """To be set to one variant each."""
 
@@ -106,6 +117,13 @@ class Own(NamedTuple):
     of_kd: float
     """The same of kd."""
     integrator: int
+
+
+def neighbours(model: MjModel, dofs: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
+    """Pairs of joints, by their places in `dofs`, of which the second is the next of a chain after the first."""
+    place = {int(d): j for j, d in enumerate(dofs)}
+    before = [int(model.dof_parentid[d]) for d in dofs]
+    return [(place[b], j) for j, b in enumerate(before) if b in place]
 
 
 def own_step(spec: MjSpec) -> Own:
@@ -156,8 +174,11 @@ class Plant:
         self._spec, self._compiled = spec, {}
         model = spec.compile()
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.pairs: list[tuple[int, int]] = []
         m = self.compiled(Structure())
         self.model, self.qadr, self.dof = m.model, m.qadr, m.dof
+        self.pairs = neighbours(m.model, m.dof)
+        """Joints of the log that follow each other in a chain, the one nearer to the base first."""
         self.nominal = nominal_numbers(
             loop,
             model.dof_armature[m.dof],
@@ -245,6 +266,9 @@ class Plant:
                 add_dead_band(spec, name)
         for j in structure.integral:
             add_integral(spec, self.names[j])
+        across = [len(spec.tendons) + k for k in range(len(self.pairs) * structure.across)]
+        for before, j in self.pairs if structure.across else ():
+            add_across(spec, self.names[before], self.names[j])
         for body in structure.pulled:
             add_force(spec, body, self.model.body_ipos[self.model.body(body).id], np.zeros(3))
         model = spec.compile()
@@ -265,7 +289,7 @@ class Plant:
         pull = [[model.actuator(f"{b}{PULL}_{k}").id for k in "xyz"] for b in structure.pulled]
         return Compiled(
             model, model.jnt_qposadr[joints], dof, act, model.actuator_gear[act, 0].copy(), dead, play,
-            np.array(pull, int).reshape(-1, 3), np.array(integral, int), [],
+            np.array(pull, int).reshape(-1, 3), np.array(integral, int), np.array(across, int), [],
         )  # fmt: skip
 
     def tree_of(self, p: Parameter) -> int | None:
@@ -296,7 +320,8 @@ class Plant:
         """What a model must have to hold the numbers."""
         play = tuple(np.flatnonzero(numbers.play > 0).tolist())
         integral = tuple(np.flatnonzero(numbers.integral > 0).tolist())
-        return Structure(bool(np.any(numbers.dead > 0)), play, tuple(numbers.forces), integral)
+        dead, across = bool(np.any(numbers.dead > 0)), bool(np.any(numbers.has_across))
+        return Structure(dead, play, tuple(numbers.forces), integral, across)
 
     def variants(self, structure: Structure, some: Sequence[Numbers]) -> list[MjModel]:
         """Models with the numbers; valid until the next call for the structure."""
@@ -354,6 +379,8 @@ class Plant:
             model.jnt_actfrcrange[joint] = np.where(
                 several[:, None], np.stack([-top, top], 1), m.model.jnt_actfrcrange[joint]
             )
+        if len(m.across):
+            wind_across(model, m.across, [j for _, j in self.pairs], x)
         for actuators, force in zip(m.pull, x.forces.values(), strict=True):
             model.actuator_biasprm[actuators, 0] = force
         if len(m.play):

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from jax_inertia.diagnosis.effects.spec_joint import set_first
 from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay.loop import Loop
 
-DEAD, INTEGRAL, PLAY, PULL = "_dead_band", "_integral", "_play", "_force"
-"""What names of added actuators, joints and sites end in."""
+DEAD, INTEGRAL, PLAY, PULL, ACROSS = "_dead_band", "_integral", "_play", "_force", "_spring"
+"""What names of added actuators, joints, sites and tendons end in."""
 _LIGHT = 1e-6
 # Of the ends of play: stiff, and inelastic, at the steps of a replay.
 _STOP = np.array([0.004, 1.0]), np.array([0.99, 0.999, 1e-4, 0.5, 2.0])
@@ -133,6 +134,26 @@ def share_limit(spec: MjSpec, joint: str, limit: float) -> None:
         actuator_of(spec, joint).forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
         spec.joint(joint).actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
         spec.joint(joint).actfrcrange = limit * np.array([-1.0, 1.0])
+
+
+def add_across(
+    spec: MjSpec, before: str, joint: str, numbers: Sequence[float] = (0.0, 0.0, 1.0, 0.0)
+) -> None:
+    """A spring across two joints: a fixed tendon of length s = q_before + ratio q, −k (s − rest) − d ṡ along it.
+
+    `numbers`: k [N m/rad], d [N m s/rad], ratio, rest [rad].
+    """
+    stiffness, damping, ratio, rest = (float(x) for x in numbers)
+    taken, name = {t.name for t in spec.tendons}, f"{joint}{ACROSS}"
+    while name in taken:
+        name = f"{name}_more"
+    new = spec.add_tendon(name=name, springlength=[rest, rest])
+    new.stiffness, new.damping = (
+        set_first(new.stiffness, stiffness),
+        set_first(new.damping, damping),
+    )
+    new.wrap_joint(before, 1.0)
+    new.wrap_joint(joint, ratio)
 
 
 def add_force(spec: MjSpec, body: str, at: np.ndarray, force: np.ndarray) -> None:
