@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.logs.findings import Finding, Severity
+from jax_inertia.logs.findings import Finding, Severity, run_bounds
 from jax_inertia.logs.log import Log, TorqueUnit
 from jax_inertia.model.robot import HINGE, Robot
 from jax_inertia.preflight.torque_parts import parts, reach
@@ -23,6 +23,8 @@ _HARDLY = 0.05
 _ROOM = 0.1
 # What moves by more than so many of its ranges is in another unit, wherever its zero is.
 _TWICE = 2.0
+# A stop is within this share of the range, of a joint that moves by so much of it, and is felt for so long [s].
+_AT, _MOVES, _STANDS = 1e-3, 0.1, 0.2
 
 
 def joint_ranges(log: Log, robot: Robot) -> Iterator[Finding]:
@@ -60,6 +62,27 @@ def joint_ranges(log: Log, robot: Robot) -> Iterator[Finding]:
                     f"cent) --position-zero {name}=(its zero)"
                 )
                 yield Finding(Severity.ERROR, "range", message)
+
+
+def end_stops(log: Log, robot: Robot) -> Iterator[Finding]:
+    """Joints that move, and for a while stand where the model's range ends: the stop may carry part of their torque."""
+    ranges = dict(zip(robot.joint_names, robot.joint_range, strict=True))
+    time = np.asarray(log.time, float)
+    for j, name in enumerate(log.joint_names):
+        q, (low, high) = np.asarray(log.qpos, float)[:, j], ranges[name]
+        room = _AT * (high - low)
+        if not np.isfinite(room) or not np.nanmax(q) - np.nanmin(q) > _MOVES * (high - low):
+            continue
+        at = (np.abs(q - low) < room) | (np.abs(q - high) < room)
+        stands = [(a, b) for a, b in run_bounds(at) if time[b - 1] - time[a] > _STANDS]
+        if stands:
+            longest = max(stands, key=lambda one: time[one[1] - 1] - time[one[0]])
+            total = sum(time[b - 1] - time[a] for a, b in stands)
+            message = (
+                f"{name!r} stands at an end of the model's range for {total:.2g} s (from {time[longest[0]]:.4g} s on): "
+                "its stop may carry part of its torque there; cut these stretches out"
+            )
+            yield Finding(Severity.WARNING, "stop", message)
 
 
 def impossible_motion(log: Log, robot: Robot) -> Iterator[Finding]:

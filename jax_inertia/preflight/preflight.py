@@ -20,7 +20,7 @@ from jax_inertia.model.robot import Robot
 from jax_inertia.preflight import cross_channel as consistency
 from jax_inertia.preflight import single_channel as channels
 from jax_inertia.preflight.against_model import judged
-from jax_inertia.preflight.joint_ranges import impossible_motion, joint_ranges
+from jax_inertia.preflight.joint_ranges import end_stops, impossible_motion, joint_ranges
 from jax_inertia.preflight.position_targets import position_targets
 from jax_inertia.signals.filtering import gap_limit, mask
 from jax_inertia.text.closest_names import listed, suggestion
@@ -132,6 +132,8 @@ def _with_model(findings: list[Finding], log: Log, robot: Robot) -> tuple[list[F
         more += joint_ranges(log, robot)
         if not more:
             more += impossible_motion(log, robot)
+    if not any(f.severity is Severity.ERROR for f in more):
+        more += end_stops(log, robot)
     if any(f.severity is Severity.ERROR and f.check in POSITIONS for f in more):
         findings = [f for f in findings if f.check not in ("counts", "degrees")]
     return [*findings, *more], confirmed
