@@ -314,6 +314,7 @@ def forged(path, **changes) -> None:
         ({"tau_kind": np.array("guessed")}, "the samples that wait are no log"),
         ({"joint_names": None}, "the samples that wait are no log"),
         ({"qpos": None}, "the samples that wait are no log: qpos is missing"),
+        ({"joint_names": np.array([["a", "b"]])}, "joint_names is no list of names"),
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
 )

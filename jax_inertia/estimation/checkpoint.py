@@ -31,6 +31,7 @@ from jax_inertia.text.closest_names import listed
 
 _VERSION = "jax-inertia state 2"
 _MOST_BYTES = 1 << 30
+_LONGEST = 1000
 _FILTER = ("mean", "covariance", "bias", "rejected_for")
 _DIGESTS = "digests"
 # Covariances of a filter in single precision are symmetric and positive to some hundred roundings.
@@ -142,7 +143,10 @@ def load_stream(path: str | os.PathLike[str], stream: Stream) -> StreamState:
         try:
             waiting = _log(arrays)
         except ValueError as error:
-            raise StateError(f"{path}: the samples that wait are no log: {error}") from None
+            # Names from the file may be of any length.
+            raise StateError(
+                f"{path}: the samples that wait are no log: {str(error)[:_LONGEST]}"
+            ) from None
     return StreamState(state, arrays["last"], waiting)
 
 
@@ -152,6 +156,9 @@ def _log(arrays: dict[str, np.ndarray]) -> Log:
         raise LogError(f"{', '.join(texts)} holds text")
     if missing := [name for name in ("qpos", "tau", *TEXTS) if name not in arrays]:
         raise LogError(f"{', '.join(missing)} is missing")
+    listed = ("joint_names", "contact_bodies")
+    if odd := [name for name in TEXTS if arrays[name].ndim != (name in listed)]:
+        raise LogError(f"{', '.join(odd)} is no list of names, or no text")
     unit = str(arrays["tau_unit"])
     fields = {
         "joint_names": tuple(arrays["joint_names"].tolist()),
