@@ -1,5 +1,6 @@
 """Models as people have them: MJCF of several files, URDF with meshes elsewhere, names; and URDF written back."""
 
+import contextlib
 import sys
 import warnings
 from pathlib import Path
@@ -304,6 +305,21 @@ def test_an_inertia_that_is_no_bodys_without_being_negative_is_said(tmp_path):
     with pytest.warns(ji.ModelWarning) as caught:
         ji.load_model(tmp_path / "r.urdf")
     assert "no body has were raised: arm" in "\n".join(str(one.message) for one in caught)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('rpy="0.4 0.3 0.2"', 'rpy="1e999 0 0"'), ('ixy="0.011"', 'ixy="1e300"'), ('iyy="0.01"', 'iyy="-1e307"')],
+    ids=["angle", "product", "moment"],
+)  # fmt: skip
+def test_numbers_beyond_any_robot_make_no_remarks_of_numpys(tmp_path, old, new):
+    assert old in MENDED
+    (tmp_path / "r.urdf").write_text(MENDED.replace(old, new, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        warnings.simplefilter("ignore", ji.ModelWarning)
+        with contextlib.suppress(ji.ModelError):
+            ji.load_model(tmp_path / "r.urdf")
 
 
 BUMPER = """<robot name="r"><link name="base"/>

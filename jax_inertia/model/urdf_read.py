@@ -58,7 +58,7 @@ def _without_negative(body: mujoco.MjsBody) -> bool:
         return False
     xx, yy, zz, xy, xz, yz = body.fullinertia
     moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not np.isfinite(moments).all() or moments[0] >= _EPS:
+    if not np.isfinite([*moments, *axes.ravel()]).all() or moments[0] >= _EPS:
         return False
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     turn, whole = np.zeros(4), np.zeros(4)

@@ -247,13 +247,16 @@ def _afloat(text: str, found: list[Element]) -> list[_Edit]:
 
 
 def _pose(attributes: Mapping[str, str]) -> np.ndarray | None:
-    """The 4 × 4 pose of an origin: rotations about fixed x, y, z in this order (URDF, origin); None if no numbers."""
+    """The 4 × 4 pose of an origin: rotations about fixed x, y, z in this order (URDF, origin).
+
+    None for what is no finite numbers.
+    """
     try:
         xyz = np.array(attributes.get("xyz", "0 0 0").split(), float)
         roll, pitch, yaw = (float(x) for x in attributes.get("rpy", "0 0 0").split())
     except ValueError:
         return None
-    if xyz.shape != (3,):
+    if xyz.shape != (3,) or not np.isfinite([*xyz, roll, pitch, yaw]).all():
         return None
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     out = np.eye(4)
