@@ -164,7 +164,8 @@ def test_a_consistent_sample_is_no_outlier():
 def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
     """Of the squared error of the mass over a scan of steps, by the noise told and by where the filter starts.
 
-    Central differences with steps so small that no iteration is taken back or kept that was not before.
+    Central differences. Where one of them takes back an iteration that the other keeps, the error jumps by 1e-9: the
+    median over several widths has no such jump in it.
     """
     few = jax.tree.map(lambda x: x[:60], log())
     own = make_estimator(robot(), [TIP], sigma_tau=0.1, prior=Load(3.0), gate=gate)
@@ -182,15 +183,16 @@ def test_the_gradient_of_a_rollout_is_finite_and_right(gate):
 
         return jnp.mean(jax.lax.scan(body, start, few)[1])
 
-    h = 1e-7
-    points = h * jnp.concatenate([jnp.zeros((1, 11)), jnp.eye(11), -jnp.eye(11)])
+    widths = np.array([1e-4, 3e-5, 1e-5, 3e-6, 1e-6])[:, None, None]
+    points = np.concatenate([np.zeros((1, 11)), *(widths * np.eye(11)), *(-widths * np.eye(11))])
     both = jax.jit(jax.vmap(jax.value_and_grad(loss)), compiler_options=FAST)
     values, slopes = map(np.asarray, both(points))
     assert np.all(np.isfinite(slopes))
     assert np.linalg.norm(slopes[0]) > 1e-3
-    high, low = values[1:12], values[12:]
+    high, low = values[1:].reshape(2, len(widths), 11)
+    differences = np.median((high - low) / (2 * widths[:, 0]), axis=0)
     np.testing.assert_allclose(
-        slopes[0], (high - low) / (2 * h), rtol=1e-3, atol=1e-4 * np.max(np.abs(slopes[0]))
+        slopes[0], differences, rtol=1e-3, atol=1e-4 * np.max(np.abs(slopes[0]))
     )
 
 

@@ -73,7 +73,10 @@ def numbers(report: dict):
     """(name, number) of every whole number with an interval: those of ordinary effects are changes of the model's."""
     for effect in report["effects"]:
         if not effect["ordinary"]:
-            yield from effect["parameters"].items()
+            for name, x in effect["parameters"].items():
+                model = x.get("added_to", 0.0)
+                low, high = x["ci95"]
+                yield name, {"value": x["value"] + model, "ci95": [low + model, high + model]}
     for own in report["joints"].values():
         yield from own.items()
 

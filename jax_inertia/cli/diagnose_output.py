@@ -108,8 +108,8 @@ def show(found: Diagnosis, report: dict, out: Path, *, as_json: bool) -> None:
         )
     for f in found.odd:
         sizes = "; ".join(
-            f"{plain(n)} {interval(p.value, p.low, p.high)}{unit(p.unit)}"
-            for n, p in f.parameters.items()
+            f"{plain(n)} {interval(w.value, w.low, w.high)}{unit(p.unit)}{p.of_model}"
+            for n, p, w in ((n, p, p.whole) for n, p in f.parameters.items())
         )
         ties = ", ".join(f"{plain(t.family)} at {where(t.place)}" for t in f.equivalent)
         text = (

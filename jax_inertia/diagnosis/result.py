@@ -59,10 +59,10 @@ class Found:
 
     @property
     def sizes(self) -> str:
-        """Every parameter with its 95 % interval."""
+        """Every parameter with its 95 % interval, the model's own number included."""
         return ", ".join(
-            f"{name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]{unit(p.unit)}"
-            for name, p in self.parameters.items()
+            f"{name} {w.value:.4g} [{w.low:.4g}, {w.high:.4g}]{unit(p.unit)}{p.of_model}"
+            for name, p, w in ((name, p, p.whole) for name, p in self.parameters.items())
         )
 
     @property

@@ -59,7 +59,7 @@ class Innovation(eqx.Module):
     """Whether any row that hangs on the state was used: else the measurement says nothing, neither for nor against."""
 
     @property
-    def rejected(self) -> Bool[Array, "*t"]:
+    def rejected(self) -> Bool[Array | np.ndarray, "*t"]:
         """Tested, and not believed; of one measurement, or of each of a run."""
         return self.tested & ~self.accepted
 

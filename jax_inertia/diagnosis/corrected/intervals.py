@@ -37,6 +37,8 @@ def intervals(
         up, down = h.numbers(residual, mean + step), h.numbers(residual, mean - step)
         for name in base:
             slopes[name][k] = (up[name].value - down[name].value) / (2 * step[k])
+    attribute, _ = ORDINARY_NUMBERS.get(h.family, (None, ""))
+    model = 0.0 if attribute is None else getattr(residual.context, attribute)[h.place.index]
     own = {name: slopes[name] @ covariance @ slopes[name] for name in base}
     for k, spread in nonlinear_spread(selection, h):
         up, down = (moved(h, k, x).numbers(residual, mean) for x in (spread, -spread))
@@ -46,7 +48,7 @@ def intervals(
     for name, p in base.items():
         half = 1.96 * float(np.sqrt(max(own[name], 0.0)))
         low = max(p.value - half, min(p.least, p.value))
-        out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor)
+        out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor, float(model))
     return out
 
 
@@ -185,18 +187,19 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
     for name, row in context.joint_dofs.items():
         own = {}
         for family, (attribute, unit) in ORDINARY_NUMBERS.items():
-            nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
             h = chosen.get((family, "joint", name))
             if h is None and family in NEAREST and any(c.ordinary for c in now.chosen):
                 own[family] = _of_law(selection, name, row, family, unit)
                 continue
             if h is None:
+                nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
                 stated = chosen.get(("stated_numbers", "joint", name))
                 own[family] = _stated(selection, stated, family, nominal, unit)
                 continue
             (p,) = intervals(selection, h, *reported(selection, h)).values()
-            low = p.low + nominal if attribute is None else max(p.low + nominal, 0.0)
-            own[family] = Interval(p.value + nominal, low, p.high + nominal, p.unit)
+            whole = p.whole
+            low = whole.low if attribute is None else max(whole.low, 0.0)
+            own[family] = dataclasses.replace(whole, low=low)
         out[name] = own
     return out
 

@@ -9,6 +9,7 @@ from scipy import signal
 from jax_inertia.diagnosis.effects import advice
 from jax_inertia.diagnosis.effects.base import Columns, Edit, Effect, Parameter, Place, of_row
 from jax_inertia.diagnosis.effects.spec_joint import actuators_of, joint_of
+from jax_inertia.signals.held import put_off
 
 
 def everywhere_and_at_joints(context) -> list[Place]:
@@ -247,11 +248,7 @@ class TimeDelay(Late):
         return [(sign * x,) for x in DELAYS for sign in (1.0, -1.0)]
 
     def later(self, tau, step, by):
-        # A shift of a band-limited signal: exact as a phase, of either sign; fractions of a step cost nothing.
-        padded = np.concatenate([tau, tau[::-1]])
-        frequency = np.fft.rfftfreq(len(padded), step)[:, None]
-        turned = np.fft.rfft(padded, axis=0) * np.exp(-2j * np.pi * frequency * by)
-        return np.fft.irfft(turned, len(padded), axis=0)[: len(tau)]
+        return put_off(tau, by / step)
 
     def scale(self, context, place, shape):
         return np.array([max(0.01, abs(shape[0]))])

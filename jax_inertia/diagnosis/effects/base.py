@@ -66,6 +66,25 @@ class Interval:
     unit: str
     factor: bool = False
     """Whether it multiplies a number of the model."""
+    added_to: float = 0.0
+    """The model's own number of it, which this one is added to."""
+
+    @property
+    def whole(self) -> "Interval":
+        """With the model's own number in it, none of which is below zero.
+
+        >>> Interval(-0.25, -0.75, -0.125, "kg m²", added_to=0.5).whole
+        Interval(value=0.25, low=0.0, high=0.375, unit='kg m²', factor=False, added_to=0.0)
+        """
+        if not self.added_to:
+            return self
+        value, low, high = (x + self.added_to for x in (self.value, self.low, self.high))
+        return Interval(value, max(low, 0.0), high, self.unit, self.factor)
+
+    @property
+    def of_model(self) -> str:
+        """The model's own number, for a reader of `whole`."""
+        return f" (model: {self.added_to:.3g})" if self.added_to else ""
 
 
 OF_SLIDE = {

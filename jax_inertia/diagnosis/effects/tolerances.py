@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, Shape, Term, of_row
 from jax_inertia.diagnosis.effects.inertial import steiner
 from jax_inertia.diagnosis.features.context import Context
-from jax_inertia.signals.held import HOLD_ERROR, lateness
+from jax_inertia.signals.held import HOLD_ERROR, lateness, put_off
 
 TIMING = -3
 """First of a log's columns among its tolerances: it says when torques act."""
@@ -55,14 +55,19 @@ class InertialTolerances(Effect):
 def _timing(
     context: Context, error: float, period: float, most: float
 ) -> Float[np.ndarray, "T nv 2"]:
-    """Torque of one standard deviation of when it acted [N m], to second order; a position loop's law is better."""
+    """Torque of one standard deviation of when it acted [N m]; a position loop's law is better.
+
+    A straight and a bent part, which together are exact for a torque that came earlier or later by `most`.
+    """
     size = np.full(context.v.shape[1], error * period)
     if (loop := context.prepared.loop) is not None:
         of_loop = np.array(context.prepared.driven)[loop.kp > 0]
         size[of_loop] = np.minimum(size[of_loop], HOLD_ERROR * period)
-    slope = np.gradient(context.tau, context.time, axis=0)
-    bend = 0.5 * most * period * np.gradient(slope, context.time, axis=0)
-    return np.stack([size * slope, size * bend], axis=-1)
+    farthest = most * period
+    samples = farthest / (context.time[1] - context.time[0])
+    early, late = put_off(context.tau, -samples), put_off(context.tau, samples)
+    parts = np.stack([early - late, early + late - 2.0 * context.tau], axis=-1)
+    return size[:, None] * parts / (2.0 * farthest)
 
 
 STATED = ("viscous_friction", "coulomb_friction", "armature")

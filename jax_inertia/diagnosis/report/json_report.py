@@ -80,7 +80,10 @@ def _effect(f: Found) -> dict[str, Any]:
         "ordinary": f.ordinary,
         "handed_over": f.handed_over,
         "equation": f.equation,
-        "parameters": {name: _number(p) for name, p in f.parameters.items()},
+        "parameters": {
+            name: _number(p) | ({"added_to": p.added_to} if p.added_to else {})
+            for name, p in f.parameters.items()
+        },
         "share": f.share,
         "explained_heldout": f.explained_heldout,
         "evidence": f.evidence,

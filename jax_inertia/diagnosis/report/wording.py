@@ -83,4 +83,5 @@ def named(f: Found) -> str:
     if vector is not None:
         return f"{text} ({number(vector)}{unit(p.unit)})"
     times = "× " if p.factor else ""
-    return f"{text} ({plain(name)} {times}{number(p.value)}{unit(p.unit)})"
+    model = f" for the model's {number(p.added_to)}" if p.added_to else ""
+    return f"{text} ({plain(name)} {times}{number(p.whole.value)}{unit(p.unit)}{model})"

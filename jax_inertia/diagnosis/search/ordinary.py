@@ -27,7 +27,7 @@ from jax_inertia.diagnosis.search.candidates import make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.logs.schema import TorqueKind
-from jax_inertia.signals.held import timing_of
+from jax_inertia.signals.held import HOLD_ERROR, timing_of
 
 
 class OrdinaryPhysics(NamedTuple):
@@ -99,7 +99,8 @@ def in_time(residual: Residual, evidence: Evidence, now: Posterior) -> Posterior
     for h in now.chosen:
         if isinstance(h.effect, Late):
             rest = rest.without(h)
-    if abs(error * rest.mean[rest.part(base)][TIMING]) <= most:
+    # Each end of what stamps may mean is itself known to `HOLD_ERROR` of a period.
+    if abs(error * rest.mean[rest.part(base)][TIMING]) <= most + 2.0 * HOLD_ERROR:
         return now
     stamped = reshaped(base, residual, (*base.shape[:3], 0.0, *base.shape[4:]))
     return learned(evidence, tuple(stamped if h is base else h for h in now.chosen), 1)
