@@ -35,6 +35,19 @@ def test_a_link_on_a_spring_moves_as_the_closed_form_says(frequency):
     assert np.max(np.abs(found - delta.imag)) < 0.08 * np.abs(delta[0])
 
 
+def test_a_predicted_link_is_right_at_its_resonance_but_for_how_it_began():
+    """By SciPy, from a start that no motor shows: what is left of the path is a ringing of two numbers."""
+    needed, loss = needed_near_resonance(), 2 * RATIO * np.sqrt(STIFFNESS * MASS)
+    delta, _ = solved(needed, lambda x, v: STIFFNESS * x + loss * v, start=0.04)
+    still = np.zeros_like(TIME)
+    link = DrivenLink(TIME, needed, still, still + MASS, still, still).by_motion(needed)
+    coupling = (STIFFNESS, RATIO, 0.0, 0.0, 0.0)
+    apart, rings = delta - link.separation(coupling), link.ringing(coupling)
+    left = apart - rings @ np.linalg.lstsq(rings, apart, rcond=None)[0]
+    assert np.std(apart) > 0.1 * np.std(delta)
+    assert np.std(left) < 0.02 * np.std(delta)
+
+
 def test_noise_of_the_first_torques_does_not_ring():
     """Two samples of it would tell a speed that the link never had."""
     omega, loss = 2 * np.pi * 0.7, 2 * RATIO * np.sqrt(STIFFNESS * MASS)
