@@ -385,7 +385,7 @@ def by_other_motion(given: Log) -> None:
     ("change", "words"),
     [
         (lambda x: dataclasses.replace(x, tau_unit="A", tau_unit_text="A"), "tau is in 'A'"),
-        (lambda x: dataclasses.replace(x, joint_names=("one", "two", "three")), "no hinge or slide 'one'"),
+        (lambda x: dataclasses.replace(x, joint_names=("one", "two", "three")), "has none of the log.s joints, one"),
         (lambda x: x.select(x.joint_names[:2]), "the log lacks joints of the model"),
         (lambda x: dataclasses.replace(x, tau=x.tau * np.array([1.0, np.nan, 1.0])), "NaN or Inf|all finite"),
         (lambda x: dataclasses.replace(x, qpos=x.qpos * np.array([1.0, 1.0, np.inf])), "NaN or Inf|all finite"),
