@@ -10,6 +10,8 @@ from jax_inertia.model.mujoco_types import MjModel
 
 _LEAST_SHARE = 0.05
 """Of a body's mass, that is left of it."""
+_TAKEN = 0.75
+"""Of the inertia about an axis that a body can lose and still exist."""
 
 
 def mass_matrix(
@@ -41,16 +43,40 @@ def put_load(
         model.body_inertia[body] *= share
         return
     more = mass * (share - 1.0)
+    about = offset @ offset * np.eye(3) - np.outer(offset, offset)
+    _put_inertia(model, body, _inertia(model, body) + more / share * about)
+    model.body_ipos[body] += more / (mass * share) * offset
+
+
+def lighten(model: MjModel, joint: int, by: float) -> None:
+    """Take inertia about a hinge's axis a [kg m²] from the body that it moves, in a model, which is changed.
+
+    I − by a aᵀ about the body's centre of mass. A body that exists has Σ = tr(I)/2 1 − I ⪰ 0 (Traversaro et al.,
+    IROS 2016), and so at most three quarters are taken of what leaves Σ − by/2 (1 − a aᵀ) so.
+    """
+    if by <= 0.0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        return
+    body, axis = int(model.jnt_bodyid[joint]), np.array(model.jnt_axis[joint])
+    whole = _inertia(model, body)
+    spread = 0.5 * np.trace(whole) * np.eye(3) - whole
+    across = 0.5 * (np.eye(3) - np.outer(axis, axis))
+    most = 1.0 / float(np.linalg.eigvals(np.linalg.solve(spread, across)).real.max())
+    _put_inertia(model, body, whole - min(by, _TAKEN * most) * np.outer(axis, axis))
+
+
+def _inertia(model: MjModel, body: int) -> Float[np.ndarray, "3 3"]:
+    """About the centre of mass, in the body's axes."""
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
     axes = axes.reshape(3, 3)
-    whole = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    whole += more / share * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return axes @ np.diag(model.body_inertia[body]) @ axes.T
+
+
+def _put_inertia(model: MjModel, body: int, whole: Float[np.ndarray, "3 3"]) -> None:
     size, way = np.linalg.eigh(whole)
     way[:, 0] *= np.sign(np.linalg.det(way))
     mujoco.mju_mat2Quat(model.body_iquat[body], way.ravel())
     model.body_inertia[body] = np.maximum(size, 1e-9)
-    model.body_ipos[body] += more / (mass * share) * offset
     # Its own frame is its inertia's no longer.
     model.body_sameframe[body] = 0
 

@@ -6,6 +6,8 @@ band is a second actuator, of the same targets; play is a second joint on the ax
 or speed is its mean there, and itself in the law that the file carries (`step_law.py`), as is a low-pass of targets.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -16,7 +18,12 @@ from jax_inertia.model.mujoco_types import MjSpec
 from jax_inertia.replay import step_law
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.result import Correction
-from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, sprung
+from jax_inertia.replay.simulation.model_edits import (
+    change_body,
+    changed_bodies,
+    lightened,
+    sprung,
+)
 from jax_inertia.replay.simulation.plant import HOLD
 from jax_inertia.replay.simulation.spec_edits import (
     DEAD,
@@ -89,7 +96,7 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
             rest += float(x.offset[before] + x.ratio[j] * x.offset[j])
             own = stiffness, x.across_damping[j], x.ratio[j], rest
             add_across(spec, names[before], names[j], own)
-    _set_bodies(spec, x)
+    _set_bodies(spec, names, x)
     step_law.write(spec, names, found.numbers)
     # Postures of the nominal model are of other references, and have no activations.
     for key in list(spec.keys):
@@ -98,7 +105,7 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
     return _remarks(spec, found)
 
 
-def _set_bodies(spec: MjSpec, x: Numbers) -> None:
+def _set_bodies(spec: MjSpec, names: Sequence[str], x: Numbers) -> None:
     if x.forces:
         nominal = spec.compile()
         for body, force in x.forces.items():
@@ -107,6 +114,9 @@ def _set_bodies(spec: MjSpec, x: Numbers) -> None:
         model = spec.compile()
         change_body(model, body, x)
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
+    model = spec.compile()
+    light = lightened(model, np.array([model.joint(n).dofadr[0] for n in names]), x)
+    set_inertials(spec, {body: body_pi(model, model.body(body).id) for body in light})
     if x.tilt.any():
         spec.option.gravity = turned(np.asarray(spec.option.gravity), x.tilt)
 

@@ -116,8 +116,9 @@ class Numbers(NamedTuple):
         """The same numbers as the joint feels them: every torque times the gain, by a loop that holds nothing.
 
         −kp q(t − h) − kd q̇(t − h) = −kp q − (kd − kp h) q̇ + kd h q̈ to the first order in the hold h: so much less
-        kd, or damping where there is less kd than that, and armature; neither is less than none. What the model's own
-        steps do to its inertia (`Plant`), and `steps` undoes, is armature too.
+        kd, or damping where there is less kd than that; neither is less than none. And so much less armature: below
+        none, it is the link's (`model_edits.lightened`). What the model's own steps do to its inertia (`Plant`), and
+        `steps` undoes, is armature too.
         """
         felt = {
             k: self.gain * getattr(self, k)
@@ -127,7 +128,7 @@ class Numbers(NamedTuple):
         kd = np.maximum(felt["kd"] - lost, 0.0)
         felt["damping"] = np.maximum(self.damping - (lost - (felt["kd"] - kd)), 0.0)
         held = felt["kd"] * self.hold + self.steps * (self.damping + self.step_of_kd * kd)
-        felt["armature"] = np.where(held != 0, np.maximum(self.armature - held, 0.0), self.armature)
+        felt["armature"] = self.armature - held
         felt["delay"] = self.delay + self.steps
         none = {"hold": np.zeros_like(self.hold), "steps": np.zeros_like(self.hold)}
         return self._replace(**felt | none | {"kd": kd}, gain=np.ones_like(self.gain))

@@ -153,16 +153,14 @@ def _told(
     done, found, correction, file, whole = handed
     names, loop, test = correction.names, case.loop, case.parts.test
     # What is less likely than not is handed over and has no name.
-    kept = {
-        k: s
-        for k, s in done.shares.items()
-        if listing.distinct(found, k) and done.probabilities[k] >= Settings.likely
-    }
+    distinct = {k: s for k, s in done.shares.items() if listing.distinct(found, k)}
+    kept = {k: s for k, s in distinct.items() if done.probabilities[k] >= Settings.likely}
     effects = listing.listed(
         found, done.search, done.instead, kept, done.probabilities, loop, names
     )
     discrepancy = checks.discrepancy(correction.numbers, whole, timed.steps)
-    told = proof.judgement(replayed, effects, discrepancy, done)
+    # Where nothing is distinct the file differs from the model within its tolerances, and by a clock.
+    told = proof.judgement(replayed, effects, discrepancy, done, within=not distinct)
     notes = [*dict.fromkeys(n for r in whole for n in checks.objections(r, names))]
     notes += [*causal.notes(found, loop, torque), *checks.touch_note(whole)]
     notes += [_HARM] if done.harm else []

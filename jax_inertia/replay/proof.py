@@ -104,30 +104,34 @@ class Told(NamedTuple):
 
 
 def judgement(
-    r: Replayed, effects: Sequence[Effect], discrepancy: Float[np.ndarray, " n"], done: Chosen
+    r: Replayed,
+    effects: Sequence[Effect],
+    discrepancy: Float[np.ndarray, " n"],
+    done: Chosen,
+    within: bool,
 ) -> Told:
     """By the test rows, every joint's position and logged torque (`diagnosis.verdict`).
 
-    Where nothing but a clock was found, the model as given is the one with that clock: no gap is forgiven for it, and
-    none is seen in it.
+    Where nothing but a clock was found, and numbers `within` the model's tolerances, the model as given is the one with
+    these: no gap is forgiven for them, and none is seen in them.
     """
-    errors = _errors(r, discrepancy, done)
+    errors = _errors(r, discrepancy, done, within)
     found = judged(errors, bool(effects), done.impossible)
-    within = _chances(r, errors)
+    sure_within = _chances(r, errors)
     sure = [e.probability for e in effects]
     if found.verdict is Verdict.NO_GAP:
-        confidence = float(within.min())
+        confidence = float(sure_within.min())
     elif found.verdict is Verdict.EXPLAINED:
-        confidence = float(within.min()) * min(sure, default=1.0)
+        confidence = float(sure_within.min()) * min(sure, default=1.0)
     elif found.against:
         confidence = max(sure, default=1.0)
     else:
-        short = float((1.0 - within).max())
+        short = float((1.0 - sure_within).max())
         confidence = short * (max(sure) if found.verdict is Verdict.PARTLY else 1.0)
     return Told(found.verdict, confidence, found.left, found.against)
 
 
-def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen) -> Errors:
+def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen, own: bool) -> Errors:
     moves = checks.moving(r.records)
     rows = [np.stack([r.floor, r.before, r.after, moves, stated])]
     names = done.plant.names
@@ -139,7 +143,7 @@ def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen) -> Error
         )
     floor, before, after, moves, stated = np.concatenate(rows, axis=1)
     errors = Errors(names, floor, before, after, moves > 0, stated)
-    return errors.as_given() if done.sound else errors
+    return errors.as_given() if done.sound or (own and not done.harm) else errors
 
 
 def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:
@@ -154,7 +158,11 @@ def headline(told: Told, r: Replayed, resembles: Sequence[Resemblance] = ()) -> 
     """One line; the remainder at the worst joint with the shape that most of it goes with."""
     before, after, floor = (total(x) for x in (r.before, r.after, r.floor))
     if told.verdict is Verdict.NO_GAP:
-        clock = f", {after:.2g} rad with the loop's clock" if np.any(r.before != r.after) else ""
+        clock = (
+            f", {after:.2g} rad with the loop's clock and in tolerance"
+            if np.any(r.before != r.after)
+            else ""
+        )
         return f"replay error on {r.of}: {before:.2g} rad{clock}, no more than encoders leave ({floor:.2g} rad)"
     torque = ""
     if r.torques is not None:

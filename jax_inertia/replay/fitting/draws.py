@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.stats import truncnorm
 
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies
+from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, lightened
 from jax_inertia.replay.simulation.plant import Plant
 
 COUNT = 64
@@ -52,15 +52,14 @@ def drawn(plant: Plant, found: Fit, count: int = COUNT) -> Draws:
     """
     vectors = _vectors(found, count)
     numbers = [plant.numbers(found.table, x, None).at_joint.lumped for x in vectors]
-    names = tuple(dict.fromkeys(b for x in numbers for b in changed_bodies(x)))
-    ids = [plant.model.body(b).id for b in names]
-    inertials: dict[str, list] = {name: [] for name in BODY}
-    for x in numbers:
-        model = copy.copy(plant.model)
+    models, changed = [copy.copy(plant.model) for _ in numbers], []
+    for model, x in zip(models, numbers, strict=True):
         for body in changed_bodies(x):
             change_body(model, body, x)
-        for name in BODY:
-            inertials[name].append(getattr(model, f"body_{name}")[ids].copy())
+        changed += [*changed_bodies(x), *lightened(model, plant.dof, x)]
+    names = tuple(dict.fromkeys(changed))
+    ids = [plant.model.body(b).id for b in names]
+    inertials = {n: [getattr(m, f"body_{n}")[ids].copy() for m in models] for n in BODY}
     joints = {
         "armature": [np.maximum(x.armature, 0.0) for x in numbers],
         "damping": [x.damping + x.back for x in numbers],

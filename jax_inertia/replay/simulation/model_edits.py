@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from jax_inertia.diagnosis.effects.spec_joint import SOFT
-from jax_inertia.model.joint_inertia import put_load, shift_centre
+from jax_inertia.model.joint_inertia import lighten, put_load, shift_centre
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.replay.joint_numbers import Numbers
 
@@ -67,6 +68,19 @@ def wind_across(model: MjModel, tendons: np.ndarray, joints: Sequence[int], x: N
 def changed_bodies(x: Numbers) -> list[str]:
     """Names of bodies whose inertials are not the nominal ones."""
     return list(dict.fromkeys((*x.heavier, *x.mass, *x.shifts)))
+
+
+def lightened(model: MjModel, dof: Int[np.ndarray, " n"], x: Numbers) -> list[str]:
+    """Take from bodies what a loop's hold takes from the inertia of joints that have no rotor to take it from.
+
+    `dof`: of the log's joints. Returned are the bodies. Behind play there is nothing but the rotor.
+    """
+    out = []
+    for k in np.flatnonzero((x.armature < 0) & (x.play <= 0)).tolist():
+        joint = int(model.dof_jntid[dof[k]])
+        lighten(model, joint, -float(x.armature[k]))
+        out.append(model.body(int(model.jnt_bodyid[joint])).name)
+    return out
 
 
 def change_body(model: MjModel, name: str, x: Numbers) -> None:

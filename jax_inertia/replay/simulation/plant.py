@@ -20,6 +20,7 @@ from jax_inertia.replay.loop import ALL, Loop, Parameter, actuators_on
 from jax_inertia.replay.simulation.model_edits import (
     change_body,
     changed_bodies,
+    lightened,
     maxwell,
     wind,
     wind_across,
@@ -337,7 +338,7 @@ class Plant:
         implicit = maxwell(x, model.opt.timestep).implicit
         x = x._replace(kd=np.where(x.behind > 0, 0.0, x.kd))
         # Behind play there is nothing but the rotor.
-        least = np.where(x.play > 0, _ROTOR, -np.inf)
+        least = np.where(x.play > 0, _ROTOR, 0.0)
         armature = np.maximum(x.armature, least)
         model.dof_armature[m.dof] = armature
         model.dof_frictionloss[m.dof] = x.dry
@@ -390,6 +391,7 @@ class Plant:
             getattr(model, field)[:] = getattr(m.model, field)
         for body in changed_bodies(x):
             change_body(model, body, x)
+        lightened(model, m.dof, x)
         if len(m.play) or not self.holds:
             # Stops and friction that creeps are as soft as 1 / inertia, of rotors that the file may not have at all.
             mujoco.mj_setConst(model, mujoco.MjData(model))
