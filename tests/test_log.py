@@ -174,8 +174,8 @@ def test_refuses_what_is_no_log_file(tmp_path):
     assert "no such file" in refusal(tmp_path / "absent.npz")
     (tmp_path / "folder.npz").mkdir()
     assert "no such file" in refusal(tmp_path / "folder.npz")
-    (tmp_path / "log.mat").write_bytes(b"")
-    assert "unknown kind of log '.mat'; expected .npz" in refusal(tmp_path / "log.mat")
+    (tmp_path / "log.dat").write_bytes(b"")
+    assert "unknown kind of log '.dat'; expected .npz" in refusal(tmp_path / "log.dat")
 
 
 def npy(shape: str, data: bytes = b"", descr: str = "<f8") -> bytes:
