@@ -7,6 +7,9 @@ import pytest
 import jax_inertia as ji
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.model.joint_inertia import lighten, mass_matrix
+from jax_inertia.replay.loop import Loop
+from jax_inertia.replay.simulation.model_edits import lightened
+from jax_inertia.replay.simulation.plant import Plant
 
 HEAD = """
 <mujoco>
@@ -23,6 +26,7 @@ HEAD = """
   </worldbody>
 </mujoco>"""
 KP, KD, HOLD, STEP = np.array([8.4, 18.9]), np.array([0.98, 1.41]), 2e-3, 1e-4
+LOOP = Loop(KP, KD, np.full(2, np.inf), "log")
 
 
 def held(seconds: float, seed: int) -> ji.Log:
@@ -55,6 +59,19 @@ def test_what_is_taken_of_a_link_is_what_its_joint_loses_and_the_link_exists():
     moments = model.body("head").inertia
     assert np.all(moments > 0)
     assert np.max(moments) < np.sum(moments) - np.max(moments)
+
+
+def test_a_link_without_a_name_keeps_its_inertia():
+    """A file has inertials of bodies by their names."""
+    for name, lost in (("head", 1e-3), ("", 0.0)):
+        model = mujoco.MjModel.from_xml_string(
+            HEAD.replace('name="head"', f'name="{name}"' if name else "")
+        )
+        before = model.body_inertia.copy()
+        numbers = Plant(mujoco.MjSpec.from_string(HEAD), ("pan", "tilt"), LOOP).nominal
+        numbers = numbers._replace(armature=np.array([0.0, -1e-3]))
+        assert lightened(model, np.array([0, 1]), numbers) == ([name] if name else [])
+        assert np.sum(before - model.body_inertia) == pytest.approx(lost, abs=1e-12)
 
 
 @pytest.mark.slow

@@ -73,13 +73,15 @@ def changed_bodies(x: Numbers) -> list[str]:
 def lightened(model: MjModel, dof: Int[np.ndarray, " n"], x: Numbers) -> list[str]:
     """Take from bodies what a loop's hold takes from the inertia of joints that have no rotor to take it from.
 
-    `dof`: of the log's joints. Returned are the bodies. Behind play there is nothing but the rotor.
+    `dof`: of the log's joints. Returned are the bodies. Behind play there is nothing but the rotor, and files have
+    inertials of bodies by their names.
     """
     out = []
     for k in np.flatnonzero((x.armature < 0) & (x.play <= 0)).tolist():
         joint = int(model.dof_jntid[dof[k]])
-        lighten(model, joint, -float(x.armature[k]))
-        out.append(model.body(int(model.jnt_bodyid[joint])).name)
+        if name := model.body(int(model.jnt_bodyid[joint])).name:
+            lighten(model, joint, -float(x.armature[k]))
+            out.append(name)
     return out
 
 
