@@ -235,7 +235,7 @@ class OtherRun(_Run):
         yield from self._passing(now, left)
 
     def once_more(self, now: Posterior, left: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R n"]:
-        """Torque of what happens once in this run too [N m], of what all that lasts leaves of it (`left`).
+        """Torque of passing effects in this run [N m], fitted to the residual `left` of all lasting effects.
 
         What was found in the first run may happen in this one too, and is no part of the robot: when, and how hard,
         this one tells.

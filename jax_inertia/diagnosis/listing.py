@@ -8,7 +8,7 @@ from jax_inertia.diagnosis.certainty.causes import Judges
 from jax_inertia.diagnosis.certainty.probability import behind_it, odds_of_effect, probability
 from jax_inertia.diagnosis.certainty.rivals import is_law_of, rivals
 from jax_inertia.diagnosis.checks import rows
-from jax_inertia.diagnosis.corrected.intervals import ORDINARY_NUMBERS, added, intervals, reported
+from jax_inertia.diagnosis.corrected.intervals import added, intervals, nominal_number, reported
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
 from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.hypothesis import Hypothesis
@@ -46,8 +46,7 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     mean, covariance = selection.posterior.of(h)
     distinct = abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0])
     row = h.place.index
-    attribute = ORDINARY_NUMBERS[h.family][0]
-    own = 0.0 if attribute is None else float(getattr(selection.residual.context, attribute)[row])
+    own = nominal_number(selection.residual.context, h.family, row)
     if abs(mean[0]) < settings.ordinary_tolerance * own:
         return False
     torque = selection.posterior.torque(h)

@@ -31,7 +31,7 @@ from jax_inertia.text.closest_names import listed
 
 _VERSION = "jax-inertia state 2"
 _MOST_BYTES = 1 << 30
-_LONGEST = 1000
+_LONGEST = 1000  # characters of a message that quotes a file: a decision
 _FILTER = ("mean", "covariance", "bias", "rejected_for")
 _DIGESTS = "digests"
 # Covariances of a filter in single precision are symmetric and positive to some hundred roundings.

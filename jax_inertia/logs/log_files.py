@@ -27,7 +27,7 @@ from jax_inertia.logs.readers.registers import spread
 from jax_inertia.logs.schema import SHAPES, TEXTS, check_declared, check_time, fields_of
 from jax_inertia.text.closest_names import listed
 
-# A name in a file may be of any length.
+# A name in a file may be of any length: characters of a message that quotes it, a decision.
 _LONGEST = 1000
 
 

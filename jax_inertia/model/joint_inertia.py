@@ -11,7 +11,7 @@ from jax_inertia.model.mujoco_types import MjModel
 _LEAST_SHARE = 0.05
 """Of a body's mass, that is left of it."""
 _TAKEN = 0.75
-"""Of the inertia about an axis that a body can lose and still exist."""
+"""Of the inertia about an axis that a body can lose and still exist. A decision: what remains is no thin sheet."""
 
 
 def mass_matrix(

@@ -239,7 +239,7 @@ def _aside(robot: Robot, have: Collection[str]) -> dict[str, float]:
 
 
 def _round(robot: Robot, node: int) -> bool:
-    """Whether all that a hinge turns has its masses about its axis in every place alike."""
+    """Whether the bodies that a hinge turns have the same mass distribution at every angle, as a wheel has."""
     top = robot.topology
     if top.kind[node] != HINGE:
         return False

@@ -114,9 +114,10 @@ def _set_bodies(spec: MjSpec, names: Sequence[str], x: Numbers) -> None:
         model = spec.compile()
         change_body(model, body, x)
         set_inertials(spec, {body: body_pi(model, model.body(body).id)})
-    model = spec.compile()
-    light = lightened(model, np.array([model.joint(n).dofadr[0] for n in names]), x)
-    set_inertials(spec, {body: body_pi(model, model.body(body).id) for body in light})
+    if (x.armature < 0).any():
+        model = spec.compile()
+        light = lightened(model, np.array([model.joint(n).dofadr[0] for n in names]), x)
+        set_inertials(spec, {body: body_pi(model, model.body(body).id) for body in light})
     if x.tilt.any():
         spec.option.gravity = turned(np.asarray(spec.option.gravity), x.tilt)
 

@@ -160,7 +160,8 @@ def _told(
     )
     discrepancy = checks.discrepancy(correction.numbers, whole, timed.steps)
     # Where nothing is distinct the file differs from the model within its tolerances, and by a clock.
-    told = proof.judgement(replayed, effects, discrepancy, done, within=not distinct)
+    in_tolerance = not distinct and not done.harm
+    told = proof.judgement(replayed, effects, discrepancy, done, in_tolerance)
     notes = [*dict.fromkeys(n for r in whole for n in checks.objections(r, names))]
     notes += [*causal.notes(found, loop, torque), *checks.touch_note(whole)]
     notes += [_HARM] if done.harm else []

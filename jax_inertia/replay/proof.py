@@ -108,33 +108,33 @@ def judgement(
     effects: Sequence[Effect],
     discrepancy: Float[np.ndarray, " n"],
     done: Chosen,
-    within: bool,
+    in_tolerance: bool,
 ) -> Told:
     """By the test rows, every joint's position and logged torque (`diagnosis.verdict`).
 
-    Where nothing but a clock was found, and numbers `within` the model's tolerances, the model as given is the one with
-    these: no gap is forgiven for them, and none is seen in them.
+    Where nothing but a clock was found, and numbers within the model's tolerances (`in_tolerance`), the model as given
+    is the one with these: no gap is forgiven for them, and none is seen in them.
     """
-    errors = _errors(r, discrepancy, done, within)
+    errors = _errors(r, discrepancy, done.plant.names)
+    errors = errors.as_given() if in_tolerance else errors
     found = judged(errors, bool(effects), done.impossible)
-    sure_within = _chances(r, errors)
+    within = _chances(r, errors)
     sure = [e.probability for e in effects]
     if found.verdict is Verdict.NO_GAP:
-        confidence = float(sure_within.min())
+        confidence = float(within.min())
     elif found.verdict is Verdict.EXPLAINED:
-        confidence = float(sure_within.min()) * min(sure, default=1.0)
+        confidence = float(within.min()) * min(sure, default=1.0)
     elif found.against:
         confidence = max(sure, default=1.0)
     else:
-        short = float((1.0 - sure_within).max())
+        short = float((1.0 - within).max())
         confidence = short * (max(sure) if found.verdict is Verdict.PARTLY else 1.0)
     return Told(found.verdict, confidence, found.left, found.against)
 
 
-def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen, own: bool) -> Errors:
+def _errors(r: Replayed, stated: Float[np.ndarray, " n"], names: tuple[str, ...]) -> Errors:
     moves = checks.moving(r.records)
     rows = [np.stack([r.floor, r.before, r.after, moves, stated])]
-    names = done.plant.names
     if (x := r.torques) is not None:
         names = (*names, *(f"torque of {n}" for n in names))
         # What clocks do to a torque is in its floor; as said is within twice that.
@@ -142,8 +142,7 @@ def _errors(r: Replayed, stated: Float[np.ndarray, " n"], done: Chosen, own: boo
             np.stack([x.floor, x.loop_before, x.loop_after, moves, np.sqrt(0.78) * x.floor])
         )
     floor, before, after, moves, stated = np.concatenate(rows, axis=1)
-    errors = Errors(names, floor, before, after, moves > 0, stated)
-    return errors.as_given() if done.sound or (own and not done.harm) else errors
+    return Errors(names, floor, before, after, moves > 0, stated)
 
 
 def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:

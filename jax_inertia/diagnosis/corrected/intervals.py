@@ -11,6 +11,7 @@ from jax_inertia.diagnosis.corrected.motor_gains import after_gain
 from jax_inertia.diagnosis.effects.base import Interval
 from jax_inertia.diagnosis.effects.friction_forms import FORM_TOLERANCE
 from jax_inertia.diagnosis.effects.tolerances import STATED, StatedNumbers
+from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.diagnosis.hypothesis import Hypothesis, reshaped
 from jax_inertia.diagnosis.search.ordinary import FRICTION
 from jax_inertia.diagnosis.search.selection import Selection
@@ -22,6 +23,12 @@ ORDINARY_NUMBERS = {
     "torque_bias": (None, "N m"),
 }
 """Family, the robot's own number of it, and its unit."""
+
+
+def nominal_number(context: Context, family: str, row: int) -> float:
+    """The model's own number that a family's is added to; 0 where it has none."""
+    attribute, _ = ORDINARY_NUMBERS.get(family, (None, ""))
+    return 0.0 if attribute is None else float(getattr(context, attribute)[row])
 
 
 def intervals(
@@ -37,8 +44,7 @@ def intervals(
         up, down = h.numbers(residual, mean + step), h.numbers(residual, mean - step)
         for name in base:
             slopes[name][k] = (up[name].value - down[name].value) / (2 * step[k])
-    attribute, _ = ORDINARY_NUMBERS.get(h.family, (None, ""))
-    model = 0.0 if attribute is None else getattr(residual.context, attribute)[h.place.index]
+    model = nominal_number(residual.context, h.family, h.place.index)
     own = {name: slopes[name] @ covariance @ slopes[name] for name in base}
     for k, spread in nonlinear_spread(selection, h):
         up, down = (moved(h, k, x).numbers(residual, mean) for x in (spread, -spread))
@@ -48,7 +54,7 @@ def intervals(
     for name, p in base.items():
         half = 1.96 * float(np.sqrt(max(own[name], 0.0)))
         low = max(p.value - half, min(p.least, p.value))
-        out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor, float(model))
+        out[name] = Interval(p.value, low, p.value + half, p.unit, p.factor, model)
     return out
 
 
@@ -192,7 +198,7 @@ def joint_numbers(selection: Selection) -> dict[str, dict[str, Interval]]:
                 own[family] = _of_law(selection, name, row, family, unit)
                 continue
             if h is None:
-                nominal = 0.0 if attribute is None else float(getattr(context, attribute)[row])
+                nominal = nominal_number(context, family, row)
                 stated = chosen.get(("stated_numbers", "joint", name))
                 own[family] = _stated(selection, stated, family, nominal, unit)
                 continue
@@ -238,7 +244,7 @@ def joint_slopes(selection: Selection, name: str, row: int) -> dict[str, tuple[n
     bought = any(h.ordinary for h in now.chosen)
     nearest = nearest_numbers(selection, name, row) if bought else {}
     out = {}
-    for family, (attribute, _) in ORDINARY_NUMBERS.items():
+    for family in ORDINARY_NUMBERS:
         h = chosen.get((family, "joint", name))
         stated = chosen.get(("stated_numbers", "joint", name))
         slope, own = np.zeros(len(now.mean)), 0.0
@@ -247,9 +253,9 @@ def joint_slopes(selection: Selection, name: str, row: int) -> dict[str, tuple[n
             own = float(np.sqrt(_systematic(selection, h)[0, 0]))
         elif family in nearest:
             slope = nearest[family][2]
-        elif stated is not None and family in STATED and attribute is not None:
+        elif stated is not None and family in STATED:
             k = STATED.index(family)
-            nominal = float(getattr(selection.residual.context, attribute)[row])
+            nominal = nominal_number(selection.residual.context, family, row)
             slope[now.part(stated).start + k] = nominal * StatedNumbers.relative(stated.shape)[k]
         out[family] = slope, own
     return out

@@ -39,7 +39,7 @@ from jax_inertia.logs.readers.options import Contents
 from jax_inertia.logs.schema import SHAPES
 from jax_inertia.text.closest_names import listed, suggestion
 
-_FASTEST = 1e6
+_FASTEST = 1e6  # Hz: a decision, beyond any log of joints
 _CONSTANT = tuple(name for name, shape in SHAPES.items() if shape[0] != "T")
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "°": np.pi / 180, "m": 1.0, "mm": 1e-3}
 _ANGLE |= dict.fromkeys(("rev", "turn", "turns"), 2 * np.pi)

@@ -18,7 +18,7 @@ _INFO, _WARNING = 2, 3
 
 
 class Event(NamedTuple):
-    """What is said of a moment."""
+    """A message with its time, a line of the log."""
 
     time: float
     """s."""
