@@ -22,7 +22,7 @@ from cad_draw import ODD, OUTSIDE  # noqa: E402
 from cad_robots import CAD_ROBOTS  # noqa: E402
 from plant import Noise  # noqa: E402
 from report_torque import ORDINARY, ReportTorque, dahl  # noqa: E402
-from torque_error import Signals, error_of, needed, torque_error  # noqa: E402
+from torque_error import Signals, error_of, needed, rigid, signals, torque_error  # noqa: E402  # noqa: E402
 
 SETTING = cad.draw_setting(3, 0)
 
@@ -135,6 +135,27 @@ def test_an_effect_beyond_the_evaluator_is_said(tmp_path, ordinary):
     told = ReportTorque(path, {"effects": [effect | {"parameters": {}}], "joints": {}})
     told.error(log | {"joint_names": np.array(s.robot.joints)})
     assert told.left_out == {"backlash"}
+
+
+def test_inertias_of_a_corrected_model_keep_their_axes(tmp_path):
+    """The nominal's are the bodies' own, and MuJoCo remembers that of a compiled model."""
+    nominal, corrected = (tmp_path / name for name in ("nominal.xml", "corrected.xml"))
+    body = '<body name="b{k}" pos="0 0 0.3"><joint name="j{k}" axis="{axis}"/>{inertia}'
+    at = '<inertial pos="0.05 0 0.1" mass="2" diaginertia="0.01 0.03 0.02"{turned}/>'
+    for path, turned in ((nominal, ""), (corrected, ' quat="0.7 0.5 0.3 0.2"')):
+        bodies = "".join(
+            body.format(k=k, axis=axis, inertia=at.format(turned=turned))
+            for k, axis in enumerate(("0 0 1", "0 1 0"))
+        )
+        path.write_text(f"<mujoco><worldbody>{bodies}</body></body></worldbody></mujoco>")
+    zero = {key: {"value": 0.0} for key in ORDINARY}
+    told = ReportTorque(nominal, {"effects": [], "joints": {"j0": zero, "j1": zero}}, corrected)
+    time = np.arange(0.0, 4.0, 0.004)
+    q = 0.5 * np.sin(time[:, None] * np.array([3.0, 5.0]))
+    log = {"time": time, "qpos": q, "tau": 0 * q, "joint_names": np.array(["j0", "j1"])}
+    s = signals(mujoco.MjModel.from_xml_path(str(corrected)), log)
+    right = rigid(mujoco.MjModel.from_xml_path(str(corrected)), s.q, s.v, s.a)
+    np.testing.assert_allclose(told.needed(s), right, atol=1e-9)
 
 
 def test_a_corrected_model_with_a_second_hinge_is_taken(tmp_path, ordinary):

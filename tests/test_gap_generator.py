@@ -241,10 +241,18 @@ def test_a_bristle_slides_at_its_level_and_springs_back_before():
     assert spring.sigma0 * spring.z == pytest.approx(2.0 * 0.01, rel=0.01)
 
 
-def test_a_welded_mass_has_the_inertia_of_the_parallel_axis_theorem():
-    model = ROBOTS["arm7"]().model()
+OWN_AXES = """<mujoco><worldbody><body name="link1"><joint name="a" axis="0 0 1"/>
+<inertial pos="0.06 0.03 0.1" mass="3" diaginertia="0.04 0.05 0.03"/><body name="link4" pos="0.2 0 0">
+<joint name="b" axis="0 1 0"/><inertial pos="0 0 0" mass="2" diaginertia="0.01 0.03 0.02"/></body></body></worldbody>
+</mujoco>"""
+"""Of the last body the frame of inertia is the body's own, of the first its axes are."""
+
+
+@pytest.mark.parametrize("xml", [ROBOTS["arm7"]().xml, OWN_AXES], ids=["arm7", "own_axes"])
+def test_a_welded_mass_has_the_inertia_of_the_parallel_axis_theorem(xml):
+    model = mujoco.MjModel.from_xml_string(xml)
     body = model.body("link4").id
-    before, moved = mujoco.MjData(model), ROBOTS["arm7"]().model()
+    before, moved = mujoco.MjData(model), fx.editable(mujoco.MjModel.from_xml_string(xml))
     fx.add_mass(moved, body, 2.0, [0.1, -0.05, 0.2], 0.01 * np.eye(3))
     after = mujoco.MjData(moved)
     mass = []

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from cad import Made
 from cad_draw import TOLERANCE, log_uniform, truncated
-from effects import add_mass
+from effects import add_mass, editable
 from legs import WALKERS, Walker, sways, trots
 from own_robot import set_linear
 from plant import Unstable
@@ -53,7 +53,7 @@ class Real:
 
     def model(self, robot: Walker) -> mujoco.MjModel:
         """Bodies, rotors and damping; dry friction is the simulation's own."""
-        model = mujoco.MjModel.from_xml_string(robot.xml)
+        model = editable(mujoco.MjModel.from_xml_string(robot.xml))
         model.opt.timestep = STEP
         model.dof_armature[6:], model.dof_damping[6:] = self.armature, self.damping
         for name, off in self.inertials.items():

@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 from any_odd import Odd, draw_odd
 from any_tree import STEP, depth_first, mjcf, motion_span, tree
+from effects import editable
 from friction import reflected_inertia
 from many import parser, write_all, write_folder
 
@@ -200,7 +201,7 @@ def draw(rng: np.random.Generator, targets: bool) -> tuple[dict, dict, dict[str,
     text = mjcf(robot)
     count = 0 if (x := rng.random()) < 0.3 else 1 if x < 0.75 else 2
     odd = [draw_odd(rng, robot, size, top) for _ in range(count)]
-    ordinary, real = (mujoco.MjModel.from_xml_string(text) for _ in range(2))
+    ordinary, real = (editable(mujoco.MjModel.from_xml_string(text)) for _ in range(2))
     if not calibrated:
         off = rng.integers(2**31)
         for model in (ordinary, real):

@@ -68,7 +68,7 @@ class Hidden:
         if with_odd and isinstance(self.odd, JointCoupling):
             spec = mujoco.MjSpec.from_string(robot.xml)
             joint = robot.joints.index(self.odd.name)
-            model = coupled_model(spec, self.odd, self.armature[joint]).compile()
+            model = fx.editable(coupled_model(spec, self.odd, self.armature[joint]).compile())
         else:
             model = robot.model()
         for name, error in self.inertials.items():

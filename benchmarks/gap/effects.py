@@ -75,6 +75,16 @@ def rotation_from_tilt(tilt_x: float, tilt_y: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
 
 
+def editable(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model, whose centres and axes of inertia may be edited.
+
+    Where a compiled body's inertia has its own axes MuJoCo takes the body's and never looks at `body_iquat` (or, with
+    its centre, at `body_ipos`) again.
+    """
+    model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
+
+
 def add_mass(model: mujoco.MjModel, body: int, mass: float, com, inertia: np.ndarray) -> None:
     """Welds a rigid piece (inertia (3, 3) about its own centre, body axes) onto a body."""
     rot = np.zeros(9)

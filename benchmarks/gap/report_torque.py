@@ -15,7 +15,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from effects import add_mass, rotation_from_tilt
+from effects import add_mass, editable, rotation_from_tilt
 from scipy.signal import lfilter
 from torque_error import SIGN, Signals, error_of, needed, read, rigid, signals, torque_error
 
@@ -92,7 +92,7 @@ class ReportTorque:
     left_out: set[str] = field(default_factory=set)
 
     def __post_init__(self):
-        self.model = m = mujoco.MjModel.from_xml_path(str(self.nominal))
+        self.model = m = editable(mujoco.MjModel.from_xml_path(str(self.nominal)))
         self.joints = [m.joint(j).name for j in range(m.njnt)]
         own = m
         if self.corrected and self.corrected.exists():

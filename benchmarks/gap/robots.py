@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from effects import editable
 
 LEGS = ("FL", "FR", "RL", "RR")
 THIGH, SHANK, HIP_Y = 0.23, 0.23, 0.085
@@ -42,7 +43,7 @@ class Robot:
         return bool(self.feet)
 
     def model(self) -> mujoco.MjModel:
-        return mujoco.MjModel.from_xml_string(self.xml)
+        return editable(mujoco.MjModel.from_xml_string(self.xml))
 
 
 def _vec(values) -> str:

@@ -36,7 +36,10 @@ def arm(kind: str = "spherical") -> mujoco.MjModel:
         )
         at = length
     xml = f"<mujoco><worldbody>{xml}{'</body>' * len(turns)}</worldbody></mujoco>"
-    return mujoco.MjModel.from_xml_string(xml)
+    model = mujoco.MjModel.from_xml_string(xml)
+    # Centres and axes of inertia are edited below: the body's own axes are no short cut then.
+    model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
 
 
 def loaded(kind: str, load: float, at: Sequence[float] = (0.0, 0.02, 0.09), radius: float = 0.03):
