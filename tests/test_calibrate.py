@@ -20,7 +20,8 @@ def test_a_slope_comes_back_from_what_was_so_with_its_probability(slope):
     odds = np.sinh(rng.uniform(-4.0, 6.0, 4000))
     so = rng.random(4000) < 1.0 / (1.0 + np.exp(-slope * np.arcsinh(odds)))
     rows = [{"odds": float(x), "so": bool(s)} for x, s in zip(odds, so, strict=True)]
-    assert calibrate.fitted(rows) == pytest.approx(slope, rel=0.1)
+    assert calibrate.fitted(rows) == pytest.approx((slope, 0.0), rel=0.1)
+    assert calibrate.fitted(rows, offset=True) == pytest.approx((slope, 0.0), abs=0.2)
 
 
 ROW = {
@@ -59,9 +60,11 @@ def test_what_is_written_is_what_is_stored():
     kept = json.loads(calibrate.STORED.read_text())
     assert json.loads(calibrate.MAP.read_text()) == calibrate.mapping(kept)
     assert calibrate.PAGE.read_text() == calibrate.page(kept)
+    given = calibrate.mapping(kept)
     for row in kept["effects"][:5]:
-        by_page = calibrate.stated(calibrate.mapping(kept)["slope"], [row])[0]
+        by_page = calibrate.stated((given["slope"], 0.0), [row])[0]
         assert probability(row["odds"]) == pytest.approx(by_page)
     for row in kept["verdicts"][:5]:
-        by_page = calibrate.stated(calibrate.mapping(kept)["slope_of_verdicts"], [row])[0]
+        ab = given["slope_of_verdicts"], given["offset_of_verdicts"]
+        by_page = calibrate.stated(ab, [row])[0]
         assert confidence(row["odds"]) == pytest.approx(by_page)

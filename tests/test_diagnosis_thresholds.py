@@ -177,7 +177,7 @@ def test_the_calibrated_probability_rises_with_the_odds_and_is_never_one():
     assert steps[-1] < 1.0
     assert steps[2] == 0.5
     assert steps[3] == pytest.approx(
-        1.0 / (1.0 + np.exp(-probability.slopes()["slope"] * np.arcsinh(10.0)))
+        1.0 / (1.0 + np.exp(-probability.calibration()["slope"] * np.arcsinh(10.0)))
     )
 
 

@@ -2,12 +2,14 @@
 
     python benchmarks/gap/handed_over.py run OUT --n 48 --seed 701
     python benchmarks/gap/calibrate.py store OUT/rows.json [...] --seeds 701 [...] --commit HASH
+    python benchmarks/gap/calibrate.py sealed benchmarks/results/sealed_rows.json
     python benchmarks/gap/calibrate.py write [--check]
 
 `store` keeps in benchmarks/results/calibration.json, of every odd effect that was listed or considered and of every
-verdict, its log odds before calibration and whether it was right. `write` fits p = 1 / (1 + exp(−a asinh L)) and writes
-jax_inertia/diagnosis/certainty/calibration.json, which the package reads, and docs/how_sure.md: what was so on each
-robot by a map that was fitted on the others. `--check` writes nothing and fails where either would be another.
+verdict, its log odds before calibration and whether it was right; `sealed` adds verdicts by torque of an opened sealed
+set. `write` fits p = 1 / (1 + exp(−a asinh L − b)) and writes jax_inertia/diagnosis/certainty/calibration.json, which
+the package reads, and docs/how_sure.md: what was so on each robot by a map that was fitted on the others. `--check`
+writes nothing and fails where either would be another.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from handed_over import CLEAR, OUTSIDE, found
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "benchmarks" / "results" / "calibration.json"
@@ -30,7 +32,7 @@ PAGE_TEXT = """# How sure
 
 What a report calls the probability of an effect, and the confidence of a verdict, is
 
-    p = 1 / (1 + exp(−a asinh L))
+    p = 1 / (1 + exp(−a asinh L − b))
 
 L are the log odds of the search in nats (`log_odds` of report.json), −ln(e^−E + Σ e^−c): E is the evidence of the
 effect against nothing in its place, c by how much each alternative is behind it, both the less of what fitted rows say
@@ -38,9 +40,10 @@ and of what rows say that no number was fitted to. So the probability falls wher
 well. Of a verdict L sums what stands against it: that an effect is not there, that another one is, that a joint's
 error is beyond its border, as sure as its samples make that.
 
-a = {slope} is fitted on {sets}, {logs} logs diagnosed at commit `{commit}`
+Of effects b = 0 and a = {slope}, fitted on {sets}, {logs} logs diagnosed at commit `{commit}`
 ({date}): {effects_listed} odd effects that were listed and {effects_not_listed} that were considered and not listed
-(`not_listed` of report.json); of verdicts a = {slope_of_verdicts}. Both stand in
+(`not_listed` of report.json). Of verdicts a = {slope_of_verdicts} and b = {offset_of_verdicts}, fitted on the same logs
+and {further}. Both maps stand in
 `jax_inertia/diagnosis/certainty/calibration.json`, which `benchmarks/gap/calibrate.py` writes with this page. Below,
 each robot's probabilities are by a map that was fitted on the other robots.
 
@@ -59,9 +62,12 @@ Listed and not there: {wrong}.
 {verdicts}
 
 A verdict is right where it is `explained`, all that is listed is there and no effect of 3 sigma is missed, or where it
-is `partly` or `unknown` and an effect outside the library is there. These robots are simulated: on real ones equations
-err more. Replays use the map of effects, which was not measured on them.
+is `partly` or `unknown` and an effect outside the library is there; in a sealed set by that set's own marks (an effect
+that was hidden is found, nothing is `no_gap`, what is outside the library is not `explained`). These robots are
+simulated: on real ones equations err more. Replays use the map of effects, which was not measured on them.
 """
+BY_TORQUE = ("sound", "one_effect", "bare", "bare_odd", "outside")
+"""Strata of a sealed set that are diagnosed by torque and may hold an effect."""
 EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 
@@ -107,29 +113,43 @@ def verdict_of(row: dict) -> dict | None:
     return {"robot": row["robot"], "what": row["verdict"], "odds": row["log_odds"], "so": so}
 
 
-def fitted(rows: list[dict]) -> float:
-    """a by maximum likelihood with Platt's targets: (N₊ + 1)/(N₊ + 2) and 1/(N₋ + 2)."""
+def sealed(rows: list[dict]) -> list[dict]:
+    """Verdicts by torque of an opened sealed set (`../blind/score.py`), by its own marks."""
+    given = [r for r in rows if r["stratum"] in BY_TORQUE and r.get("log_odds") is not None]
+    return [
+        {"robot": r["robot"], "what": r["verdict"], "odds": r["log_odds"], "so": r["right"]}
+        for r in given
+    ]
+
+
+def fitted(rows: list[dict], offset: bool = False) -> tuple[float, float]:
+    """(a, b) by maximum likelihood with Platt's targets: (N₊ + 1)/(N₊ + 2) and 1/(N₋ + 2); b = 0 without `offset`."""
     x, so = np.arcsinh([r["odds"] for r in rows]), np.array([r["so"] for r in rows])
     target = np.where(so, (so.sum() + 1) / (so.sum() + 2), 1 / ((~so).sum() + 2))
 
-    def loss(a: float) -> float:
-        return float(np.sum(np.logaddexp(0.0, a * x) - target * a * x))
+    def loss(ab: np.ndarray) -> float:
+        z = ab[0] * x + ab[1]
+        return float(np.mean(np.logaddexp(0.0, z) - target * z))
 
-    return round(float(minimize_scalar(loss, bounds=(0.0, 10.0), method="bounded").x), 4)
+    free = (-10.0, 10.0) if offset else (0.0, 0.0)
+    a, b = minimize(loss, [0.5, 0.0], bounds=[(0.0, 10.0), free]).x
+    return round(float(a), 4), round(float(b), 4)
 
 
-def stated(a: float, rows: list[dict]) -> np.ndarray:
-    return 1.0 / (1.0 + np.exp(-a * np.arcsinh([r["odds"] for r in rows])))
+def stated(ab: tuple[float, float], rows: list[dict]) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-ab[0] * np.arcsinh([r["odds"] for r in rows]) - ab[1]))
 
 
-def left_out(rows: list[dict], fitted_to: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+def left_out(
+    rows: list[dict], fitted_to: list[dict], offset: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """(p, p of a constant): each robot's by what was fitted on the others."""
     p, constant = np.zeros(len(rows)), np.zeros(len(rows))
     robots = np.array([r["robot"] for r in rows])
     for robot in np.unique(robots):
         own = robots == robot
         others = [r for r in fitted_to if r["robot"] != robot]
-        p[own] = stated(fitted(others), [r for r in rows if r["robot"] == robot])
+        p[own] = stated(fitted(others, offset), [r for r in rows if r["robot"] == robot])
         same = [r["so"] for r in rows if r["robot"] != robot]
         constant[own] = (sum(same) + 1) / (len(same) + 2)
     return p, constant
@@ -139,9 +159,9 @@ def log_loss(p: np.ndarray, so: np.ndarray) -> float:
     return float(-np.mean(np.where(so, np.log(p), np.log1p(-p))))
 
 
-def table(rows: list[dict], fitted_to: list[dict]) -> list[str]:
+def table(rows: list[dict], fitted_to: list[dict], offset: bool) -> list[str]:
     """Reliability on robots left out, and what the odds add to one probability for all."""
-    p, constant = left_out(rows, fitted_to)
+    p, constant = left_out(rows, fitted_to, offset)
     so = np.array([r["so"] for r in rows])
     lines = ["| stated | mean stated | so |", "|---|---|---|"]
     for low, high in itertools.pairwise(EDGES):
@@ -159,11 +179,14 @@ def table(rows: list[dict], fitted_to: list[dict]) -> list[str]:
 def mapping(kept: dict) -> dict:
     """calibration.json."""
     listed = sum(e["listed"] for e in kept["effects"])
+    slope, offset = fitted(kept["verdicts"], offset=True)
     return {
-        "slope": fitted(kept["effects"]),
-        "slope_of_verdicts": fitted(kept["verdicts"]),
+        "slope": fitted(kept["effects"])[0],
+        "slope_of_verdicts": slope,
+        "offset_of_verdicts": offset,
         "fitted_by": "benchmarks/gap/calibrate.py",
         "sets": kept["sets"],
+        "further": kept["further"],
         "logs": kept["logs"],
         "effects_listed": listed,
         "effects_not_listed": len(kept["effects"]) - listed,
@@ -183,7 +206,7 @@ def page(kept: dict) -> str:
         "verdicts": kept["verdicts"],
     }
     given = {
-        name: "\n".join(table(rows, rows if name == "verdicts" else effects))
+        name: "\n".join(table(rows, *((rows, True) if name == "verdicts" else (effects, False))))
         for name, rows in parts.items()
     }
     counts = {f"{name}_count": len(rows) for name, rows in parts.items()}
@@ -200,6 +223,7 @@ def main() -> None:
     store.add_argument("--seeds", nargs="+", required=True)
     store.add_argument("--commit", required=True)
     store.add_argument("--date", default=time.strftime("%Y-%m-%d"))
+    commands.add_parser("sealed").add_argument("rows", type=Path)
     commands.add_parser("write").add_argument("--check", action="store_true")
     args = parser.parse_args()
     if args.command == "store":
@@ -209,12 +233,20 @@ def main() -> None:
             "logs": len(rows),
             "date": args.date,
             "commit": args.commit,
+            "further": "none of a sealed set",
             "effects": [e for r in rows for e in effects_of(r)],
             "verdicts": [v for r in rows if (v := verdict_of(r))],
         }
         STORED.write_text(json.dumps(kept, indent=1) + "\n")
         return
     kept = json.loads(STORED.read_text())
+    if args.command == "sealed":
+        given = json.loads(args.rows.read_text())
+        more = sealed(next(iter(given["tools"].values())))
+        kept["verdicts"] += more
+        kept["further"] = f"on {len(more)} by torque of sealed set {given['about']['set']}, opened"
+        STORED.write_text(json.dumps(kept, indent=1) + "\n")
+        return
     texts = {MAP: json.dumps(mapping(kept), indent=1) + "\n", PAGE: page(kept)}
     if args.check:
         raise SystemExit(int(any(p.read_text() != text for p, text in texts.items())))

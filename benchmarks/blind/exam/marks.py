@@ -65,6 +65,7 @@ def _row(folder: Path, place: Path, report: dict | None, said: str, seconds: flo
         "validation": truth.get("validation", False),
         "verdict": "refused" if report is None else report["verdict"],
         "confidence": None if report is None else report.get("confidence"),
+        "log_odds": None if report is None else report.get("log_odds"),
         "said": said[-SHOWN:],
         "seconds": seconds,
     }

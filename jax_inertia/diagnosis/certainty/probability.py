@@ -8,9 +8,10 @@ its place, prior odds taken off, the less of what the fitted rows say and of wha
 less. Alternatives that are tied are counted with it: what predicts those others no worse may be there instead.
 
 Equations are not exact, and what they miss grows with an effect's size, so L is too sure of itself in proportion. The
-probability is p = 1 / (1 + exp(−a asinh L)) (after Platt, Advances in Large Margin Classifiers, 1999; even odds stay
-even), a > 0 fitted on opened sets, of effects and of verdicts apart, and kept in `calibration.json` with where it is
-from (`benchmarks/gap/calibrate.py`).
+probability is p = 1 / (1 + exp(−a asinh L − b)) (after Platt, Advances in Large Margin Classifiers, 1999), a > 0
+fitted on opened sets, of effects and of verdicts apart, and kept in `calibration.json` with where it is from
+(`benchmarks/gap/calibrate.py`). Of an effect b = 0: even odds stay even. What stands against a verdict is summed as if
+each of it came alone, which counts some of it twice: b > 0 is fitted with a.
 """
 
 import functools
@@ -60,25 +61,25 @@ def probability(odds: float) -> float:
     >>> probability(-20.0) < 0.5 < probability(20.0) < 1.0
     True
     """
-    return _mapped(odds, slopes()["slope"])
+    return _mapped(odds, calibration()["slope"])
 
 
 def confidence(odds: float) -> float:
     """Calibrated probability that a verdict of log odds L is right; the map is one of its own.
 
     >>> from jax_inertia.diagnosis.certainty.probability import confidence
-    >>> confidence(-20.0) < 0.5 < confidence(20.0) < 1.0
+    >>> confidence(-20.0) < confidence(20.0) < 1.0
     True
     """
-    return _mapped(odds, slopes()["slope_of_verdicts"])
+    return _mapped(odds, calibration()["slope_of_verdicts"], calibration()["offset_of_verdicts"])
 
 
-def _mapped(odds: float, slope: float) -> float:
-    return float(1.0 / (1.0 + np.exp(-slope * np.arcsinh(odds))))
+def _mapped(odds: float, slope: float, offset: float = 0.0) -> float:
+    return float(1.0 / (1.0 + np.exp(-slope * np.arcsinh(odds) - offset)))
 
 
 @functools.cache
-def slopes() -> dict[str, Any]:
+def calibration() -> dict[str, Any]:
     """`calibration.json`."""
     file = resources.files("jax_inertia.diagnosis.certainty") / "calibration.json"
     return json.loads(file.read_text(encoding="utf-8"))
