@@ -55,9 +55,9 @@ def test_a_lead_is_of_motion_and_not_of_the_torque():
 def test_only_a_commanded_torque_may_lead():
     one = np.ones(1)
     for kinds in ({}, {"torque_logged": True}, {"commanded": True}):
-        families = {p.family for p in ordinary(LOOP, *5 * [one], **kinds)}
+        families = {p.family for p in ordinary(LOOP, *6 * [one], **kinds)}
         assert "torque_lead" not in families
-    families = {p.family for p in ordinary(LOOP, *5 * [one], torque_logged=True, commanded=True)}
+    families = {p.family for p in ordinary(LOOP, *6 * [one], torque_logged=True, commanded=True)}
     assert "torque_lead" in families
 
 

@@ -217,13 +217,18 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
         def likelier(self, new, old, weights):
             return -self.cost
 
+        def errors(self, found):
+            return np.zeros((1, 1))
+
         def unnamed(self, with_it, without, numbers):
             return self.shapes
 
     def sure(theta, instead=(), cost=0.0, odd=(), shapes=1e3):
         Rows.cost, Rows.shapes = cost, shapes
         found = straight(theta, 0.0, theta)
-        return probabilities(found, [(0,)], odd, {(0,): instead}, Rows())[0,]
+        rows = Rows()
+        given = {(0,): instead}
+        return probabilities(found, [(0,)], odd, given, rows, rows, lambda _: found)[0,]
 
     p = Parameter("kp_scale", 0, 0.0, 1.0, -9.0, 9.0)
     alone = sure(0.2)
@@ -233,30 +238,41 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
     assert sure(0.2, (Instead(p, 0.1, cost=0.0),)) == pytest.approx(0.5, abs=0.01)
     assert sure(0.2, (Instead(p, 0.1, "by the equation"),)) == alone
     assert sure(0.2, cost=100.0) < 0.2
-    assert sure(0.2, odd=[(0,)], shapes=-3.0) == pytest.approx(0.5, abs=0.01)
     assert 0.5 < sure(0.2, shapes=0.0) < alone
 
 
-def test_a_limit_is_judged_by_validation_rows_as_no_parabola_reaches_a_model_without():
-    class Rows(Unseen):
-        """Validation rows that gain by the limit."""
+def test_an_odd_effect_is_judged_by_all_rows_as_another_motion_may_hardly_ask_for_it():
+    """No parabola reaches a model without a limit either."""
 
-        def __init__(self, gain):
-            self.gain = gain
+    class Rows(Unseen):
+        """Rows that gain by an effect, in whose place shapes cost so much."""
+
+        def __init__(self, gain, shapes):
+            self.gain, self.shapes = gain, shapes
 
         def taken_back(self, found, units):
             return np.zeros((len(units) + 1, 1, 1))
 
+        def errors(self, found):
+            return np.zeros((1, 1))
+
         def unnamed(self, with_it, without, numbers):
-            return 1e3
+            return self.shapes
 
         def likelier(self, new, old, weights):
             return self.gain
 
-    found = straight(0.8, 0.0, 0.8)
-    found = found._replace(table=(found.table[0]._replace(nominal=np.inf),))
-    assert probabilities(found, [(0,)], [(0,)], {}, Rows(100.0))[0,] > 0.9
-    assert probabilities(found, [(0,)], [(0,)], {}, Rows(0.0))[0,] < 0.5
+    def sure(found, gain, shapes=1e3, odd=((0,),)):
+        rows = Rows(0.0, 0.0), Rows(gain, shapes)
+        return probabilities(found, [(0,)], odd, {}, *rows, lambda rows: found)[0,]
+
+    number = straight(0.8, 0.0, 0.8)
+    limit = number._replace(table=(number.table[0]._replace(nominal=np.inf),))
+    for found in (limit, number):
+        assert sure(found, 100.0) > 0.9
+        assert sure(found, 0.0) < 0.5
+        assert sure(found, 100.0, shapes=0.0) == pytest.approx(0.5, abs=0.01)
+    assert sure(number, 100.0, odd=()) < 0.9
 
 
 def test_what_is_left_is_told_by_its_shape_and_frequency():

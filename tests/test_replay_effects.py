@@ -43,7 +43,7 @@ def one():
     return spec
 
 
-def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD, pull=None) -> Log:
+def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD, pull=None, swing=1.0) -> Log:
     """A log of 200 Hz by MuJoCo C at 0.5 ms, a 1 kHz loop; `law(miss, v)` is the loop's torque, (torque, friction)."""
     m = spec().compile()
     n = m.nv
@@ -57,6 +57,7 @@ def made(law, *, spec=two, seed=0, seconds=10.0, kp=KP, kd=KD, pull=None) -> Log
         for _ in range(3)
     )
     told = told + np.repeat(rng.normal(size=(len(at) // 50 + 1, n)) * 0.2, 50, axis=0)[: len(at)]
+    told = 0.5 + swing * (told - 0.5)
     d.qpos[:] = told[0]
     for body, force in (pull or {}).items():
         d.xfrc_applied[m.body(body).id, :3] = force
@@ -231,6 +232,27 @@ def test_what_else_may_be_odd_is_found(family):
     }[family]  # fmt: skip
     assert values == pytest.approx(wanted, rel=0.15)
     assert np.all(found.replayed.after < 0.2 * found.replayed.before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("falls", [False, True])
+def test_a_limit_is_found_that_validation_rows_never_reach(falls):
+    def law(miss, v):
+        asked = KP[:1] * miss - KD[:1] * v
+        if falls:
+            return np.clip(asked, -3.0 * (1 + v / 9.0), 3.0 * (1 - v / 9.0)), 0.05
+        return np.clip(asked, -2.2, 2.2), 0.05
+
+    log = made(law, spec=one, seed=2)
+    other, test = (made(law, spec=one, seed=k, swing=0.1) for k in (3, 4))
+    found = pipeline.diagnose([log], one, validation_log=other, test_log=test)
+    odd = odd_effects(found)
+    assert set(odd) == {("torque_speed" if falls else "torque_saturation", "a")}
+    (effect,) = odd.values()
+    values = {k: s.value for k, s in effect.sizes}
+    wanted = {"stall": 3.0, "no_load_speed": 9.0} if falls else {"limit": 2.2}
+    assert values == pytest.approx(wanted, rel=0.15)
+    assert effect.probability > 0.9
 
 
 @pytest.mark.slow
@@ -419,6 +441,40 @@ def test_a_load_at_the_end_of_a_link_weighs_what_it_does():
     assert sizes["mass"].value == pytest.approx(0.25, rel=0.1)
     assert sizes["z"].value == pytest.approx(-0.13, abs=0.01)
     assert not {e.family for e in found.effects} & {"kp_scale", "kd_scale"}
+
+
+@pytest.mark.slow
+def test_a_load_is_no_lower_gain_of_every_joint_where_nobody_says_the_gains():
+    """Gains are the model's, and the second joint has 0.8 of its kp and kd."""
+
+    def driven(robot):
+        def spec():
+            out = robot()
+            for name, kp, kd in zip(NAMES, KP, KD, strict=True):
+                actuator = out.add_actuator(name=name, target=name)
+                actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+                actuator.set_to_position(kp=kp, kv=kd)
+            return out
+
+        return spec
+
+    weak = np.array([1.0, 0.8])
+    logs = [
+        dataclasses.replace(
+            made(lambda miss, v: (weak * (KP * miss - KD * v), 0.05), spec=clamped, seed=k),
+            kp=None, kd=None,
+        )
+        for k in (4, 5)
+    ]  # fmt: skip
+    found = pipeline.diagnose(logs[:1], driven(chain), test_log=logs[1])
+    odd = odd_effects(found)
+    assert set(odd) == {("payload", "lower")}
+    assert dict(odd["payload", "lower"].sizes)["mass"].value == pytest.approx(0.25, rel=0.2)
+    assert {(e.family, e.name) for e in found.effects if e.family == "kp_scale"} == {
+        ("kp_scale", "b")
+    }
+    assert ("kp_scale", "global") in {(t.family, t.name) for t in odd["payload", "lower"].ties}
+    assert any("one factor" in note for note in found.notes)
 
 
 @pytest.mark.slow

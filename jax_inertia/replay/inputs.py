@@ -208,11 +208,13 @@ def ordinary_numbers(
     """The ordinary numbers about those of the plant's model."""
     m, dofs = plant.model, plant.dof
     inertia = np.mean([plant.inertia(r.q[k]) for r in records for k in (0, len(r.q) // 2)], axis=0)
+    kind = m.jnt_type[m.dof_jntid[dofs]]
+    heaviest = np.array([inertia[kind == k].max() for k in kind])
     own = m.dof_armature[dofs], m.dof_damping[dofs], m.dof_frictionloss[dofs]
     logged = records[0].torque is not None
     commanded = all(one.tau_kind is TorqueKind.COMMANDED for one in logs)
     kinds = {"torque_logged": logged, "commanded": commanded, "early": plant.own.early}
-    return ordinary(plant.loop, *own, inertia, torque, loops, **kinds)
+    return ordinary(plant.loop, *own, inertia, heaviest, torque, loops, **kinds)
 
 
 def tolerances(plant: Plant) -> tuple[Parameter, ...]:

@@ -211,6 +211,7 @@ def ordinary(
     damping: Float[np.ndarray, " n"],
     friction: Float[np.ndarray, " n"],
     inertia: Float[np.ndarray, " n"],
+    heaviest: Float[np.ndarray, " n"],
     torque: Float[np.ndarray, " n"],
     settings: Sequence[Loop] = (),
     *,
@@ -224,13 +225,16 @@ def ordinary(
     where torque is logged, which says what the loop's part of damping is; the rest is the joint's, and not negative.
 
     `inertia`: typical of each joint, rotor included; `torque`: typical of its motion; they say how large what the
-    model lacks may be. No file holds a delay below 0. Torques that are `commanded` are
+    model lacks may be. Motors of a robot differ less than its links, and a light link may be a small part of what its
+    rotor is: a rotor is of the order of the geometric mean of its joint's inertia and `heaviest`, the largest of the
+    joints of its kind. No file holds a delay below 0. Torques that are `commanded` are
     what software made of targets, and nothing says that it was made of them when they got to the robot: how much
     later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted. What a
     model's own steps act on is up to `early` [s] older than what a robot's loop may act on.
     """
     out = []
     said = _KP_GUESSED if loop.source == "model" else _KP_SAID
+    rotor = 0.5 * np.sqrt(inertia * heaviest)
     for j in range(len(loop.kp)):
         viscous = loop.kd[j] + damping[j]
         # Critical damping is what a designer aims at.
@@ -239,7 +243,7 @@ def ordinary(
         # Torque knows what is kd and what is damping.
         least = loop.kd[j] if torque_logged else 0.0
         out += [
-            Parameter("armature", j, armature[j], max(armature[j], 0.5 * inertia[j]), 0.0, np.inf),
+            Parameter("armature", j, armature[j], max(armature[j], rotor[j]), 0.0, np.inf),
             Parameter("viscous_friction", j, viscous, typical, least, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
             Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),

@@ -65,16 +65,16 @@ def from_nominal(
 def gains_as_said(
     plant: Plant, found: Fit, records: Sequence[Record], floor: np.ndarray
 ) -> Fit | None:
-    """The fit that keeps the gains which the log says; None where the simplest numbers keep them, or nobody says any.
+    """The fit that keeps the gains which the log or the model says; None where the simplest numbers keep them.
 
     A load is less gain, damping and friction of all joints before it, all by one factor: a number against many, but
     given up one by one each of them is missed. What they pass for is sought where none of them is there. Torque tells
-    gains, and a model's gains are no one's word.
+    gains. Where a model's gains are far from the robot's, what starts there is worth less than what it is compared to.
     """
     gains = np.array([p.family in ("kp_scale", "kd_scale") for p in found.table])
     about = Parabola(found, found.samples)
     needed = gains[about.go] & (about.worth().off != 0)
-    if records[0].torque is not None or plant.loop.source == "model" or not needed.any():
+    if records[0].torque is not None or not needed.any():
         return None
     held = np.where(gains, nominal(found), found.theta)
     free = found.free & ~gains

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -40,9 +39,10 @@ class Candidate(NamedTuple):
         return self.parameters[0].joint, self.parameters[0].body
 
 
-# Prior deviations: of torque as a share of a joint's typical one, of times [s], of angles [rad], of a mass's share.
+# Prior deviations: of torque as a share of a joint's typical one, of times [s], of widths [rad; m of a slide], of a
+# mass's share.
 _BIAS_SHARE, _LAG, _OWN_DELAY, _MASS_SHARE = 0.5, 0.02, 0.01, 0.5
-_ANGLE, _LOAD = 0.015, 0.15
+_WIDTH, _LOAD = 0.015, 0.15
 _DRAG_SHARE = 0.3
 """Of a joint's typical torque, quadratic viscous friction at its largest speed."""
 _STRENGTH = 0.2
@@ -107,10 +107,9 @@ def candidates(
         joint = plant.model.joint(plant.names[j])
         own = float(plant.model.jnt_stiffness[joint.id])
         out += _of_motion(j, torque[j], fastest[j], travel[j], own)
-        if joint.type[0] == int(mujoco.mjtJoint.mjJNT_HINGE):
-            out += _of_angles(j)
+        out += _of_widths(j)
     if len(plant.names) > 1:
-        out += _of_angles(ALL)
+        out += _of_widths(ALL)
         out += [_one("load_friction", ALL, 0.0, _LOAD, 0.0, 0.9, _LOADS)]
         # A lag of all motors alike is the hold of their loop, too, and no candidate.
         out.append(_lag("target_lag", ALL))
@@ -210,10 +209,10 @@ def _of_motion(j: int, torque: float, fastest: float, travel: float, own: float)
     ]
 
 
-def _of_angles(j: int) -> list[Candidate]:
+def _of_widths(j: int) -> list[Candidate]:
     return [
-        _one("dead_band", j, 0.0, _ANGLE, 0.0, 0.3, _DEAD_BANDS),
-        _one("backlash", j, 0.0, _ANGLE, 0.0, 0.3, _PLAYS),
+        _one("dead_band", j, 0.0, _WIDTH, 0.0, 0.3, _DEAD_BANDS),
+        _one("backlash", j, 0.0, _WIDTH, 0.0, 0.3, _PLAYS),
     ]
 
 

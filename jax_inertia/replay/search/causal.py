@@ -23,6 +23,7 @@ def notes(found: Fit, loop: Loop, torque_logged: bool) -> list[str]:
             )
     if loop.source == "model" and not torque_logged:
         out.append(
-            "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior"
+            "kp is the model's: the log does not say it, and what a replay finds of it has a wide prior; gains, "
+            "frictions and masses all larger by one factor are the same motion: give the drives' gains (--kp, --kd)"
         )
     return out

@@ -96,10 +96,22 @@ def chosen(
     least_odd = _least_odd(found, run)
     own = {k: least_odd if max(k) >= len(table) else LISTED for k in shares}
     listed = {k: s for k, s in shares.items() if s > own[k]} | {k: shares.get(k, 0.0) for k in seen}
-    sure = probabilities(found, [*listed], [o.rows for o in search.odd], others, run)
+    every = Unseen(plant, [*records, *held], least)
+    sure = probabilities(
+        found, [*listed], [o.rows for o in search.odd], others, run, every,
+        lambda rows: _without(plant, found, rows, records, least),
+    )  # fmt: skip
     return Chosen(
         plant, search.found, found, search, others, listed, sure, impossible, records, False
     )
+
+
+def _without(plant: Plant, found: Fit, rows: Rows, records, least) -> Fit:
+    """The fit of the numbers that are in, without those of one effect."""
+    theta, free = found.theta.copy(), found.moved
+    theta[list(rows)] = [found.table[k].nominal for k in rows]
+    free[list(rows)] = False
+    return fit(plant, found.table, records, theta, free=free, floor=least, exact=True)
 
 
 def _least_odd(found: Fit, run: Unseen) -> float:
@@ -210,7 +222,7 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
     few = fit(
         plant, table, records, start, free=free, floor=least, rounds=5, exact=True, progress=progress
     )  # fmt: skip
-    run = Unseen(plant, held, least)
+    run, every = Unseen(plant, held, least), Unseen(plant, [*records, *held], least)
     most = _SPARSER**2 * run.missed(full)
     found = few if np.all(run.missed(few) <= most) else full
     for families in _TOGETHER:
@@ -224,8 +236,20 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
         fewer = fit(
             plant, found.table, records, start, free=free, floor=least, rounds=5, exact=True
         )
-        found = fewer if np.all(run.missed(fewer) <= most) else found
+        # Any motion asks for gains. Another one may hardly ask for a limit, and tells nothing of how it falls.
+        refuted = families != _GAINS and _clearly_better(found, fewer, every)
+        if np.all(run.missed(fewer) <= most) and not refuted:
+            found = fewer
     return found
+
+
+def _clearly_better(found: Fit, fewer: Fit, every: Unseen) -> bool:
+    """Whether all rows, fitted and validation ones, are likelier by 20 to 1, ln N paid for each number that is more."""
+    paid = np.sum(fewer.theta != found.theta, where=found.free & ~fewer.free) * np.log(
+        max(found.samples, 2.0)
+    )
+    errors = every.errors(found), every.errors(fewer)
+    return bool(every.likelier(*errors, found.weights) - paid > AS_GOOD)
 
 
 def gated(

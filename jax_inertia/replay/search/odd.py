@@ -216,9 +216,16 @@ def _below_what_is_seen(
 
 
 def fall(plant: Plant, found: Fit, now: Worth, c: Candidate, tried: Fit) -> tuple[float, int]:
-    """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps)."""
+    """(by how much S falls from `now` with a candidate, its price paid; how many ordinary numbers that keeps).
+
+    The noise is what remains of each fit: −2 ln p of output j is N/T_j ln σ_j², of which 1 − σ'_j²/σ_j², the cost's
+    fall by the weights of `found`, is the first term. By that alone effects that explain most are all worth the same.
+    """
     new = Parabola(tried, found.samples, found.weights).worth()
-    return now.total - new.total - price(found, c), new.kept
+    ratio = (tried.weights.sigma / found.weights.sigma) ** 2
+    samples = len(found.error) / np.maximum(found.weights.correlated, tried.weights.correlated)
+    beyond = float(np.sum(samples * (ratio - 1.0 - np.log(ratio))))
+    return now.total - new.total + beyond - price(found, c), new.kept
 
 
 def _at(c: Candidate) -> int | slice:

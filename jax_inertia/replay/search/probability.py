@@ -8,9 +8,13 @@ independent samples) and the odds against an odd one; and less what validation r
 likewise, is what alternative a costs more than the effect, on the fitted rows and on the validation rows together.
 What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L is calibrated as by
 torque (`diagnosis.certainty.probability`).
+
+An odd effect may be far from none (a limit has no size there), so that no parabola leads to a model without it, and
+another motion may hardly ask for it. All others are refitted without it, and E and the unnamed alternative are of
+fitted and validation rows together: p(logs, runs) is one evidence. Those of ordinary numbers are of validation rows.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -29,22 +33,32 @@ def probabilities(
     odd: Sequence[Rows],
     instead: Mapping[Rows, tuple[Instead, ...]],
     run: Unseen,
+    everything: Unseen,
+    refitted: Callable[[Rows], Fit],
 ) -> dict[Rows, float]:
-    """Of the effects of some rows; `odd`: those that few robots have, `run`: the validation rows."""
+    """Of the effects of some rows; `odd`: those that few robots have, `run`: the validation rows.
+
+    `everything`: fitted and validation rows; `refitted`: the fit without the numbers of some rows.
+    """
     if not units:
         return {}
     errors = run.taken_back(found, units)
     out = {}
     for rows, without in zip(units, errors[1:], strict=True):
-        evidence = _evidence(found, rows) - 2.0 * LOG_ODDS * (rows in odd)
-        more = run.likelier(errors[0], without, found.weights)
-        endless = not np.isfinite([found.table[k].nominal for k in rows]).all()
-        evidence += more if endless else min(more, 0.0)
+        now, of = errors[0], run
+        if rows in odd:
+            of = everything
+            now, without = of.errors(found), of.errors(refitted(rows))
+            evidence = of.likelier(now, without, found.weights) - _paid(found, rows)
+        else:
+            evidence = _evidence(found, rows) - _paid(found, rows)
+            evidence += min(run.likelier(now, without, found.weights), 0.0)
+        evidence -= 2.0 * LOG_ODDS * (rows in odd)
         others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
         # What has no name is as rare as any odd effect, and what every robot has is not. Behind an alternative with a
         # name it may be that one.
         rare = 2.0 * LOG_ODDS * (rows not in odd)
-        unnamed = run.unnamed(errors[0], without, numbers_paid(found, rows)) + rare
+        unnamed = of.unnamed(now, without, numbers_paid(found, rows)) + rare
         if unnamed < min(others, default=np.inf):
             others.append(max(unnamed, 0.0))
         out[rows] = probability(log_odds([0.5 * x for x in (evidence, *others)]))
@@ -52,15 +66,17 @@ def probabilities(
 
 
 def _evidence(found: Fit, rows: Rows) -> float:
-    """In twice nats, ln N for each number taken off."""
+    """On the cost's parabola, in twice nats."""
     off = np.array([found.theta[k] - found.table[k].nominal for k in rows])
-    known = np.array(
-        [found.covariance[k, k] > 0 and np.isfinite(x) for k, x in zip(rows, off, strict=True)]
-    )
+    known = np.array([found.covariance[k, k] > 0 for k in rows])
     kept = np.array(rows)[known]
     own: Float[np.ndarray, "k k"] = found.covariance[np.ix_(kept, kept)]
-    risen = float(off[known] @ np.linalg.solve(own, off[known])) if known.any() else 0.0
-    return risen - numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
+    return float(off[known] @ np.linalg.solve(own, off[known])) if known.any() else 0.0
+
+
+def _paid(found: Fit, rows: Rows) -> float:
+    """ln N for each number."""
+    return numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
 
 
 def numbers_paid(found: Fit, rows: Rows) -> int:

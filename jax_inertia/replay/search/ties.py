@@ -15,6 +15,9 @@ _EFFECTS = {
 }  # fmt: skip
 _LEANS = "near one posture bias = offset · slope of gravity's torque; postures far apart distinguish them"
 _SUM = "a replay shows only the sum of kd and damping; torque distinguishes them, or a second setting of kd"
+_FACTOR = "gains, frictions and all masses by one factor are the same motion, and the log does not state the gains"
+_SCALED = {"kp_scale": "payload", "kd_scale": "payload", "payload": "kp_scale"}
+"""What a common factor of gains and masses makes of each other."""
 _EXACT: Mapping[str, tuple[tuple[str, str], ...]] = {
     "kp_scale": (("torque_gain", "only the product of kp, torque gain and voltage shows; torque distinguishes them"),),
     "viscous_friction": (("kd_scale", _SUM),),
@@ -64,7 +67,8 @@ def ties_of(
     """What else would do as well: by the equation always, and on this motion by the fit's correlations."""
     p = found.table[k]
     # Torque tells a loop from a motor, and kd from damping.
-    exact = _EXACT.get(family, ()) if found.error.shape[1] == len(names) else ()
+    untold = found.error.shape[1] == len(names)
+    exact = _EXACT.get(family, ()) if untold else ()
     if (family, p.family) == ("kd_scale", "viscous_friction"):
         exact = (("viscous_friction", _SUM),)
     out = [Tie(tie, *place, text, True) for tie, text in exact]
@@ -72,6 +76,8 @@ def ties_of(
         own = ("joint", names[0]) if p.joint == ALL else ("global", "global")
         out.append(Tie(family, *own, "of one joint, its own delay is that of all", True))
     out += [Tie(tie, *place, text, False) for tie, text in IN_PART.get(family, ())]
+    if untold and loop.source == "model" and family in _SCALED:
+        out.append(Tie(_SCALED[family], "global", "global", _FACTOR, False))
     sigma = found.sigma
     for i, other in enumerate(found.table):
         known = sigma[i] > 0 and sigma[k] > 0
