@@ -52,13 +52,14 @@ def test_a_lead_is_of_motion_and_not_of_the_torque():
     assert np.std(torques[1]) < 0.1 * np.std(torques[0])
 
 
-def test_only_a_commanded_torque_may_lead():
-    one = np.ones(1)
-    for kinds in ({}, {"torque_logged": True}, {"commanded": True}):
-        families = {p.family for p in ordinary(LOOP, *6 * [one], **kinds)}
-        assert "torque_lead" not in families
-    families = {p.family for p in ordinary(LOOP, *6 * [one], torque_logged=True, commanded=True)}
-    assert "torque_lead" in families
+@pytest.mark.parametrize(
+    ("kinds", "longest"),
+    [({}, 0.0), ({"commanded": True}, 0.0), ({"torque_logged": True}, 1e-3),
+     ({"torque_logged": True, "commanded": True}, 0.3)],
+)  # fmt: skip
+def test_only_a_commanded_torque_leads_by_more_than_a_clock(kinds, longest):
+    table = ordinary(LOOP, *6 * [np.ones(1)], **kinds)
+    assert max((p.high for p in table if p.family == "torque_lead"), default=0.0) == longest
 
 
 @pytest.mark.slow

@@ -25,16 +25,16 @@ HEAD = """
     </body>
   </worldbody>
 </mujoco>"""
-KP, KD, HOLD, STEP = np.array([8.4, 18.9]), np.array([0.98, 1.41]), 2e-3, 1e-4
+KP, KD = np.array([8.4, 18.9]), np.array([0.98, 1.41])
 LOOP = Loop(KP, KD, np.full(2, np.inf), "log")
 
 
-def held(seconds: float, seed: int) -> ji.Log:
-    """MuJoCo C in steps of 0.1 ms; a drive at 500 Hz that holds its torque; encoders of 2⁻¹⁴ turns."""
+def held(seconds: float, seed: int, hold: float, step: float) -> ji.Log:
+    """MuJoCo C in its own steps [s]; a drive that holds its torque so long [s]; encoders of 2⁻¹⁴ turns."""
     model, rng = mujoco.MjModel.from_xml_string(HEAD), np.random.default_rng(seed)
-    model.opt.timestep = STEP
-    data, count, inner = mujoco.MjData(model), 2 * np.pi / 2**14, round(HOLD / STEP)
-    time = np.arange(0.0, seconds, HOLD)
+    model.opt.timestep = step
+    data, count, inner = mujoco.MjData(model), 2 * np.pi / 2**14, round(hold / step)
+    time = np.arange(0.0, seconds, hold)
     steps = rng.normal(size=(int(seconds) + 1, 2)) * 0.4
     targets = 0.3 * np.sin(2 * np.pi * np.outer(time, [0.9, 1.3])) + steps[time.astype(int)]
     qpos = np.zeros((len(time), 2))
@@ -75,8 +75,11 @@ def test_a_link_without_a_name_keeps_its_inertia():
 
 
 @pytest.mark.slow
-def test_a_head_without_rotors_has_no_gap(tmp_path):
+@pytest.mark.parametrize(("hold", "step"), [(2e-3, 1e-4), (1e-3, 5e-4)])
+def test_a_head_without_rotors_has_no_gap(hold, step, tmp_path):
+    """Its positions are of one step's end, its velocities younger than these by a part of the hold."""
     (tmp_path / "head.xml").write_text(HEAD)
-    found = ji.diagnose(tmp_path / "head.xml", held(8.0, 0), test_log=held(5.0, 1))
+    log, other = held(8.0, 0, hold, step), held(5.0, 1, hold, step)
+    found = ji.diagnose(tmp_path / "head.xml", log, test_log=other)
     assert found.verdict is Verdict.NO_GAP, found
     assert not found.effects

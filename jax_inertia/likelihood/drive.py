@@ -7,8 +7,8 @@ torque over no-load speed: a limit that falls with speed.
 
 A loop that samples and holds acts on the past of its own joint: late by c (half its period, and what it computes), it
 has kp c less damping and kd c less inertia. c is one number of the whole robot, its clock. A simulation in steps of its
-own does a share of that to its model; what the robot does not have of it is another number w: targets come w later, and
-kd w of inertia goes, or comes where the integrator takes kd explicitly.
+own adds kd times half a step to its inertia, or takes it where the integrator takes kd explicitly; what the robot does
+not have of it, and has less by a velocity that is older than its position, is another number w: kd w of inertia goes.
 """
 
 import dataclasses
@@ -78,7 +78,7 @@ class Drive(eqx.Module):
 
     def asked(self, x: DriveNumbers, motion: Moments) -> Float[AnyArray, "K n"]:
         """What the loop asks for, before its limit [N m]."""
-        aim = self.targets.mean(self.start, self.step, x.target_delay + x.own_steps)
+        aim = self.targets.mean(self.start, self.step, x.target_delay)
         miss = _lagging(aim, x.target_lag, self.step) - motion.q + x.loop_hold * motion.v
         if x.dead_band is not None:
             miss = miss - miss.clip(-x.dead_band, x.dead_band)

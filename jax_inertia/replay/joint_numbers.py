@@ -60,8 +60,8 @@ class Numbers(NamedTuple):
     hold: Float[np.ndarray, " n"]
     """How old, on average, what the loop acts on is [s]."""
     steps: Float[np.ndarray, " n"]
-    """Of what the model's own steps do to its inertia, so much is undone [s]: damping times this, and kd
-    (`step_of_kd`)."""
+    """Damping times this is no inertia of the joint, and kd times this (`step_of_kd`) [s]: what the model's own steps
+    add is undone, and a velocity that is older than the position of its sample takes more."""
     step_of_kd: Float[np.ndarray, " n"]
     """1 where kd is taken implicitly, as damping is, −1 where it is taken explicitly."""
     low_pass: Float[np.ndarray, " n"]
@@ -129,7 +129,6 @@ class Numbers(NamedTuple):
         felt["damping"] = np.maximum(self.damping - (lost - (felt["kd"] - kd)), 0.0)
         held = felt["kd"] * self.hold + self.steps * (self.damping + self.step_of_kd * kd)
         felt["armature"] = self.armature - held
-        felt["delay"] = self.delay + self.steps
         none = {"hold": np.zeros_like(self.hold), "steps": np.zeros_like(self.hold)}
         return self._replace(**felt | none | {"kd": kd}, gain=np.ones_like(self.gain))
 

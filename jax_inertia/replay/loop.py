@@ -178,9 +178,9 @@ ORDINARY = (
     "target_delay",
     "torque_lead",
 )
-CLOCK = "target_delay", "loop_hold", "own_steps"
-"""Families of all joints alike that clocks have: when a loop takes a target, how old what it acts on is, and how much
-of what a model's own steps do to its inertia the robot does not do."""
+CLOCK = "target_delay", "loop_hold", "own_steps", "torque_lead"
+"""Families of all joints alike that clocks have: when a loop takes a target, how old what it acts on is, by how much
+its velocity is older than its position and less than a model's own steps make it, and when its torque is logged."""
 OFF = "centre_x", "centre_y", "centre_z"
 SHARES = "mass_share", "inertia_share"
 TOLERANCES = *SHARES, *OFF, "loop_hold", "own_steps"
@@ -229,8 +229,8 @@ def ordinary(
     rotor is: a rotor is of the order of the geometric mean of its joint's inertia and `heaviest`, the largest of the
     joints of its kind. No file holds a delay below 0. Torques that are `commanded` are
     what software made of targets, and nothing says that it was made of them when they got to the robot: how much
-    later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted. What a
-    model's own steps act on is up to `early` [s] older than what a robot's loop may act on.
+    later motion has them, `torque_lead`, is a number too. A torque that was measured is the one that acted, within a
+    clock's phase. A model's own steps add up to `early` [s] of damping and kd to its inertia.
     """
     out = []
     said = _KP_GUESSED if loop.source == "model" else _KP_SAID
@@ -254,8 +254,11 @@ def ordinary(
             out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
     out.append(Parameter("target_delay", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
     out.append(Parameter("loop_hold", ALL, 0.0, HALF_PERIOD, -early, _LONGEST_HOLD))
-    if early:
-        out.append(Parameter("own_steps", ALL, 0.0, early, 0.0, early))
-    if torque_logged and commanded:
-        out.append(Parameter("torque_lead", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
+    whole = float(np.hypot(early, HALF_PERIOD))
+    out.append(Parameter("own_steps", ALL, 0.0, whole, -HALF_PERIOD, early + HALF_PERIOD))
+    if torque_logged:
+        late = (
+            (_DELAY, 0.0, _LONGEST_DELAY) if commanded else (HALF_PERIOD, 0.0, early + HALF_PERIOD)
+        )
+        out.append(Parameter("torque_lead", ALL, 0.0, *late))
     return tuple(out)

@@ -103,7 +103,8 @@ class Record(NamedTuple):
         every = self.torque, self.velocity, self.touched
         tau, velocity, touched = (None if x is None else x[first:last] for x in every)
         seen = tau, velocity, touched, SETTLING if first else self.settles
-        return Record(time - time[0], q, slope(time, q), commanded, self.loop, *seen)
+        start = speed_at(self.time, self.q, first) if first else self.start
+        return Record(time - time[0], q, start, commanded, self.loop, *seen)
 
 
 def record_of(log: Log, loop: Loop | None = None, *, torque: bool = False) -> Record:
@@ -150,6 +151,15 @@ def slope(time: np.ndarray, q: np.ndarray) -> np.ndarray:
     k = min(k, len(time))
     t = time[:k] - time[0]
     return np.linalg.lstsq(np.stack([t**0, t, t**2], 1), q[:k], rcond=None)[0][1]
+
+
+def speed_at(time: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:
+    """Velocity at a row, by a cubic through 50 ms or three samples to either side: a robot in motion jerks, too."""
+    wide = max(3, int(np.searchsorted(time - time[0], 0.05)))
+    near = slice(max(row - wide, 0), row + wide + 1)
+    t = time[near] - time[row]
+    basis = np.stack([t**k for k in range(min(4, len(t)))], 1)
+    return np.linalg.lstsq(basis, q[near], rcond=None)[0][1]
 
 
 def step_means(
@@ -236,7 +246,7 @@ def controls(
     targets = low_passed(
         commanded.time, commanded.position, float(x.low_pass_period[0]), x.low_pass
     )
-    delay, lag = x.delay + x.steps, x.lag
+    delay, lag = x.delay, x.lag
     if whole:
         delay, lag = filtered_parts(delay, lag, whole, h)
     delay = delay + late

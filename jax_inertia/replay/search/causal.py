@@ -1,7 +1,7 @@
 """Delays: which numbers are one effect, and what is to be said of them and of the log's gains."""
 
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.loop import ALL, Loop
+from jax_inertia.replay.loop import ALL, HALF_PERIOD, Loop
 
 
 def late(found: Fit, k: int) -> tuple[int, ...]:
@@ -16,7 +16,7 @@ def notes(found: Fit, loop: Loop, torque_logged: bool) -> list[str]:
     """What is to be said of stamps and gains."""
     out = []
     for p, lead in zip(found.table, found.theta, strict=True):
-        if p.family == "torque_lead" and lead > 0.0:
+        if p.family == "torque_lead" and lead > 0.0 and p.sd > HALF_PERIOD:
             out.append(
                 "the torques that were commanded are made of the targets "
                 f"{1e3 * lead:.1f} ms before these act, as the motion has it: measured torques would tell"

@@ -1,9 +1,10 @@
-"""The clock of a robot's loop: three numbers of all joints that no model says, and whether there is anything else.
+"""The clock of a robot's loop: numbers of all joints that no model says, and whether there is anything else.
 
-When a target is taken, after its stamp and within a period of the loop, and how old what the loop acts on is on
-average (`Numbers.hold`), differ between a robot and a simulation in steps of its own, and these steps do something to
-the simulation's inertia (`Numbers.steps`). All are fitted, with priors of about a millisecond; what then remains is
-judged against encoders. A robot of which nothing remains has no gap.
+When a target is taken, after its stamp and within a period of the loop, how old what the loop acts on is on average
+(`Numbers.hold`), and its velocity more than its position, differ between a robot and a simulation, whose own steps do
+something to its inertia besides (`Numbers.steps`); and a torque is logged some part of a period before or after it
+acts. All are fitted, with priors of about a millisecond; what then remains is judged against encoders. A robot of
+which nothing remains has no gap.
 """
 
 from collections.abc import Sequence

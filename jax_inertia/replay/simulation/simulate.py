@@ -79,7 +79,7 @@ class _Some:
         bare = record._replace(commanded=record.commanded.of_positions)
         cache: dict[bytes, np.ndarray] = {}
         for b, x in enumerate(some):
-            times = x.delay + x.steps, x.lag, x.low_pass
+            times = x.delay, x.lag, x.low_pass
             key = np.concatenate([*times, x.kp, x.kd] if fed else times).tobytes()
             if key not in cache:
                 cache = dict(list(cache.items())[-2:])
