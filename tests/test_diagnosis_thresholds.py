@@ -147,13 +147,14 @@ def test_an_effect_goes_once_it_has_lost_a_nat_more_than_its_odds_the_faintest_f
 
 @pytest.mark.parametrize(("gain", "exchanged"), [(11.9, False), (12.1, True)])
 def test_another_effect_takes_a_place_by_two_nats_and_not_by_less(monkeypatch, gain, exchanged):
-    """The spring brings 18 nats for its odds of 8; the other one `gain` beyond its own."""
+    """The spring brings 18 nats for its odds of 8; the other one, which searches no number, `gain` beyond its own."""
     now = chosen_of(FRICTION, SPRING)
     after = chosen_of(FRICTION, OTHER)
     monkeypatch.setattr(stepwise, "_best", lambda *_: iter([(OTHER, gain)]))
     monkeypatch.setattr(stepwise, "with_one_more", lambda *_: after)
     monkeypatch.setattr(stepwise, "_settled_with", lambda *_: after)
     monkeypatch.setattr(stepwise.sensor_noise, "owed", lambda *_: 0.0)
+    monkeypatch.setattr(one_more, "steps_of", lambda *_: ())
     bank, nothing = Bank((SPRING, OTHER)), object.__new__(Residual)
     came = stepwise._exchanged(nothing, Worths(j1=18.0), now, bank, set(), set(), set())
     assert (came is after) == exchanged

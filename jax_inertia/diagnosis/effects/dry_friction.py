@@ -46,9 +46,15 @@ def bristle_of(presliding: float, way: float = BENT) -> Term:
     return Term("bristle", float(presliding), float(way))
 
 
+def sizes(context, place, every: tuple[float, ...]) -> list[float]:
+    """Of a joint's friction [rad, rad/s], of a slide's [m, m/s]: of its drive, and of ways and seals as they are."""
+    units = float(context.radian[place.index]), 1.0
+    return sorted({unit * x for unit in units for x in every})
+
+
 def ways(context, place) -> list[float]:
     """Presliding displacements that are searched at a joint [rad, of a slide m]."""
-    return [float(context.radian[place.index]) * x for x in PRESLIDING]
+    return sizes(context, place, PRESLIDING)
 
 
 def turnings(context, place) -> list[Shape]:
@@ -160,19 +166,19 @@ class StribeckFriction(DryFriction):
         "stribeck_velocity": "rad/s",
         "exponent": "1",
     }
-    prior = "Fs − Fc: 0.08 of the joint's peak torque, not below zero; vs from 0.02 to 0.3 rad/s"
+    prior = "Fs − Fc: 0.08 of the joint's peak torque, not below zero; vs from 0.02 to 0.3 rad/s, 0.002 to 0.3 m/s"
     mjcf = "joint frictionloss for Fc; the rest by step law"
 
     def shapes(self, context, place) -> list[Shape]:
-        speeds = float(context.radian[place.index]) * np.array(STRIBECK_SPEEDS)
-        return [(*x, float(v), 2.0) for x in super().shapes(context, place) for v in speeds]
+        speeds = sizes(context, place, STRIBECK_SPEEDS)
+        return [(*x, v, 2.0) for x in super().shapes(context, place) for v in speeds]
 
     def steps(self, context, place, shape):
         return (*super().steps(context, place, shape[:2]), 0.3 * shape[2], 0.0)
 
     def within(self, context, place, shape):
-        speed = shape[2] / context.radian[place.index]
-        return bool(STRIBECK_SPEEDS[0] <= speed <= STRIBECK_SPEEDS[-1])
+        slowest, *_, fastest = sizes(context, place, STRIBECK_SPEEDS)
+        return bool(slowest <= shape[2] <= fastest)
 
     def columns(self, context, place, shape):
         z = self.direction(context, place, shape)

@@ -154,6 +154,9 @@ class LoadRipple(_Generic):
     def steps(self, context, place, shape):
         return Cogging().steps(context, place, shape)
 
+    def within(self, context, place, shape):
+        return Cogging().within(context, place, shape)
+
     def columns(self, context, place, shape) -> Columns:
         angle = shape[0] * context.joint_position[:, place.index]
         waves: Float[np.ndarray, "T 2"] = np.stack([np.sin(angle), np.cos(angle)], axis=1)

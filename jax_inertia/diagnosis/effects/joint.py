@@ -221,6 +221,10 @@ class JointSpring(_AlongTheJoint):
         return Edit(whole=True)
 
 
+FEWEST_WAVES = 4.0
+"""Least N [1/rad]: a motor has four teeth or more a turn. Of a slide [1/m]: an eccentric pulley of a quarter metre."""
+
+
 class Cogging(_AlongTheJoint):
     """θ: sine and cosine of the wave, then those of its second harmonic."""
 
@@ -239,18 +243,28 @@ class Cogging(_AlongTheJoint):
 
     def shapes(self, context, place):
         radian = context.radian[place.index]
-        q, v = (x[:, place.index] / radian for x in (context.joint_position, context.v))
-        span = max(float(np.ptp(q)), 1e-3)
+        v, span = context.v[:, place.index], self._span(context, place)
         # Faster than the analysis band lets through at half the moments, teeth are not seen.
         fastest = 0.7 * context.prepared.bands.cutoff * 2 * np.pi
-        highest = min(60.0, fastest / max(float(np.percentile(np.abs(v), 50)), 1e-3))
-        # From half a wave: of less, a spring says the same.
-        lowest = max(4.0, np.pi / span)
-        step = max(0.5, 1.5 / span)
-        return [(float(n) / radian,) for n in np.arange(lowest, max(highest, lowest), step)]
+        highest = min(60.0 / radian, fastest / max(float(np.percentile(np.abs(v), 50)), 1e-3))
+        lowest = self._lowest(context, place)
+        step = max(0.5 / radian, 1.5 / span)
+        return [(float(n),) for n in np.arange(lowest, max(highest, lowest), step)]
 
     def steps(self, context, place, shape):
         return (0.2 / context.radian[place.index],)
+
+    def within(self, context, place, shape):
+        return shape[0] >= self._lowest(context, place)
+
+    def _lowest(self, context, place) -> float:
+        """Of half a wave along the path: of less, a spring says the same. Wheels that drive a slide are of any size."""
+        return max(FEWEST_WAVES, np.pi / self._span(context, place))
+
+    @staticmethod
+    def _span(context, place) -> float:
+        """Length of the joint's path [rad, of a slide m]."""
+        return max(float(np.ptp(context.joint_position[:, place.index])), 1e-3)
 
     many = True
 

@@ -16,6 +16,8 @@ from jax_inertia.diagnosis.search.ordinary import (
 
 OPEN = float(np.log(20.0))
 """Nats that leave it open which of two it is."""
+COARSE, MOST_STARTS = 0.1, 3
+"""Share of its evidence that a hypothesis may lose between its grid's points, and from how many it is searched."""
 SETTLING = 3
 """Rounds in which variances and tolerances follow what was added."""
 
@@ -43,6 +45,37 @@ def with_one_more(
     near = gains > gains.max() - OPEN
     fewest = near & (searched == searched[near].min())
     return tried[int(np.argmax(np.where(fewest, gains, -np.inf)))][0]
+
+
+def better_at_best(
+    residual,
+    evidence: Evidence,
+    now: Posterior,
+    h: Hypothesis,
+    other: Hypothesis,
+    bank: Bank,
+    by: float,
+) -> Hypothesis | None:
+    """Another hypothesis that does better in the place of one whose nonlinear numbers were searched already, if it can.
+
+    Better `by` so many nats, each at its best numbers, by variances learned with it: on its grid the other is behind
+    by as much as that is coarse, and by variances learned with `h` what `h` does not explain is noise.
+    """
+    if not np.any(steps_of(residual, other)):
+        return None
+    rest = now.without(h)
+    alike = [c for c in bank.candidates if c.key == other.key]
+    gains = evidence.gains(rest, alike)
+    least = relearned_evidence(evidence, now) - h.odds + by
+    least -= sensor_noise.owed(residual, evidence, rest, h)
+    for k in np.argsort(-gains)[:MOST_STARTS]:
+        best = at_best(residual, evidence, rest, alike[k], ())
+        with_it = evidence.posterior((*rest.chosen, best))
+        if best.possible(residual, with_it.of(best)[0]):
+            owed = sensor_noise.owed(residual, evidence, rest, best)
+            if relearned_evidence(evidence, with_it) - best.odds - owed > least:
+                return best
+    return None
 
 
 def turned(residual, evidence, now: Posterior) -> Posterior:

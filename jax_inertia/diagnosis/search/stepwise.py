@@ -13,7 +13,14 @@ from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
 from jax_inertia.diagnosis.search.candidates import candidates, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
-from jax_inertia.diagnosis.search.one_more import pruned, settled, turned, with_one_more
+from jax_inertia.diagnosis.search.one_more import (
+    COARSE,
+    better_at_best,
+    pruned,
+    settled,
+    turned,
+    with_one_more,
+)
 from jax_inertia.diagnosis.search.ordinary import (
     bounded,
     in_time,
@@ -288,15 +295,19 @@ def _exchanged(
         rest = now.without(h)
         own = {id(c) for c in bank.candidates if c.key == h.key}
         better = next(_best(residual, evidence, now, bank, gone | own, (h,)), None)
-        if better is None or better[1] <= worth - h.odds + EXCHANGE:
+        if better is None or (h.key, better[0].key) in vain:
             continue
-        exchange = h.key, better[0].key
-        if exchange in vain:
+        exchange, own_gain = (h.key, better[0].key), worth - h.odds
+        if better[1] <= (1.0 - COARSE) * own_gain:
             continue
         by_noise = [sensor_noise.owed(residual, evidence, rest, c) for c in (better[0], h)]
-        if better[1] - by_noise[0] <= max(0.0, worth - h.odds - by_noise[1] + EXCHANGE):
+        ahead = better[1] - by_noise[0] - max(0.0, own_gain - by_noise[1] + EXCHANGE)
+        other: Hypothesis | None = better[0]
+        if ahead <= 0.0 or better[1] <= own_gain + EXCHANGE:
+            other = better_at_best(residual, evidence, now, h, better[0], bank, EXCHANGE)
+        if other is None:
             continue
-        after = with_one_more(residual, evidence, rest, better[0], bank)
+        after = with_one_more(residual, evidence, rest, other, bank)
         if after is None or _odd_of(after) == _odd_of(now):
             continue
         if evidence.exact:
