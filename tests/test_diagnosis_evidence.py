@@ -323,3 +323,22 @@ def test_support_is_a_likelihood_of_as_many_rows_as_are_independent():
     hidden = np.stack([white[:, 0], 3.0 * slow[:rows] / np.std(slow)], axis=1)
     (found,) = Predicted(white, hidden).support(nothing, asked)
     assert 3.0 < found < rows * np.log(3.0) / 20
+
+
+@pytest.mark.parametrize(("misfit", "form_error"), [(0.1, 0.5), (0.1, 0.02), (3.0, 0.1)])
+def test_equations_err_by_no_more_than_the_residual_shows(misfit, form_error):
+    """A friction of 2 N m whose equation may err by half, on rows that it fits to 0.1 N m: they are that exact."""
+    rng = np.random.default_rng(5)
+    speed = rng.normal(size=400)
+    h = Hypothesis(
+        ViscousFriction(), Place("joint", "j0", 0), (), -speed[:, None], 0, np.ones(1), np.zeros(1), 0.0,
+        form_error=form_error,
+    )  # fmt: skip
+    y = (-2.0 * speed + misfit * rng.normal(size=400))[:, None]
+    evidence = Evidence(y, np.ones_like(y), np.array([1e-3]))
+    for _ in range(3):
+        evidence.learn(evidence.posterior((h,)))
+    assert np.sqrt(np.mean(evidence.noise.variance)) == pytest.approx(misfit, rel=0.1)
+    # What the equation errs by is where its torque is large.
+    large = np.abs(speed) > 1.0
+    assert bool(np.all(evidence.noise.variance[large] > np.min(evidence.noise.variance)))

@@ -1,6 +1,7 @@
 """Predictive checks, never fitted: the residual of rows, or of a run, that played no part."""
 
 import abc
+import copy
 import dataclasses
 import functools
 from collections import Counter
@@ -297,6 +298,12 @@ class HeldOut(_Run):
             at[:, row] = context.joint_position[selection.residual.prepared.kept, row]
         edges = np.quantile(at, parts[1:], axis=0)
         self.fold = np.sum(at[None] > edges[:, None], axis=0)
+
+    def by_noise_of(self, evidence: Evidence) -> "HeldOut":
+        """The same rows, predicted by fits to others under another noise."""
+        out = copy.copy(self)
+        out.evidence = evidence
+        return out
 
     def _apart(self, k: int) -> Bool[np.ndarray, "R n"]:
         """Rows of a part, and those next to them that are left out with them."""

@@ -127,13 +127,14 @@ def _judged(
 
     def made(chosen: Selection) -> Made:
         causes = summary.causes_of(chosen, everything, judges, dropped, settings)
-        draft = summary.drafted(causes, heldout, as_bought, settings)
+        own = heldout.by_noise_of(causes.told.evidence)
+        draft = summary.drafted(causes, own, as_bought, settings)
         done = correction(_nominal(unseen), unseen.robot, draft, unseen.extra)
         draft = dataclasses.replace(draft, corrected=done)
         handed = _handed_over(draft, unseen)
-        return Made(causes, draft, handed, causes.left(heldout, handed))
+        return Made(causes, draft, handed, own, causes.left(own, handed))
 
-    causes, draft, handed, left = _borne_out_by_files(selection, settings.gate, made, heldout)
+    causes, draft, handed, *held_out = _borne_out_by_files(selection, settings.gate, made)
     progress("what this log would have shown")
     context = selection.residual.context
     fast = np.percentile(np.abs(context.v), 99, axis=0)
@@ -145,7 +146,7 @@ def _judged(
     )
     progress("the error of what is handed over")
     test = _other_run(unseen.robot, unseen.test_log, selection, settings)
-    return summary.concluded(draft, causes, handed, (heldout, left), validation, test)
+    return summary.concluded(draft, causes, handed, tuple(held_out), validation, test)
 
 
 class Made(NamedTuple):
@@ -154,12 +155,14 @@ class Made(NamedTuple):
     causes: summary.Causes
     draft: Diagnosis
     handed: HandedOver
+    heldout: HeldOut
+    """Rows predicted from the others by the noise of what is stated."""
     left: Float[np.ndarray, "R n"]
-    """Of held-out rows by what is handed over [N m]."""
+    """Of those by what is handed over [N m]."""
 
 
 def _borne_out_by_files(
-    selection: Selection, gate: float, made: Callable[[Selection], Made], heldout: HeldOut
+    selection: Selection, gate: float, made: Callable[[Selection], Made]
 ) -> Made:
     """The causes, those withheld from the files by which held-out rows are predicted worse by a share `gate`.
 
@@ -169,10 +172,10 @@ def _borne_out_by_files(
     """
     whole = now = made(selection)
     withheld: list[Hypothesis] = []
-    moving = heldout.residual.moving
+    moving = now.heldout.residual.moving
     while True:
         error = rms(now.left, moving)
-        if error <= (1.0 + gate) * rms(heldout.left(now.causes.now), moving):
+        if error <= (1.0 + gate) * rms(now.heldout.left(now.causes.now), moving):
             break
         odd = [h for h in selection.odd if h.named and h.family not in PASSING]
         rests = [

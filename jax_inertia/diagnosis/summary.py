@@ -125,11 +125,12 @@ def causes_of(
     shares = {id(h): share(residual, left, now.torque(h)) for h in now.chosen}
     likely, doubtful = effects(selection, shares, judges, settings)
     generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
-    residual, causes = _causes(selection, generic, judges[-1], settings)
+    stated = _without(selection, generic)
+    residual, causes = _causes(stated, judges[-1], settings)
     # Where a secant was laid again it is another object of the same key.
     kept = {h.key: h for h in causes.chosen}
     likely = [(h if h in causes.chosen else kept[h.key], f) for h, f in likely if h.key in kept]
-    told = dataclasses.replace(selection, residual=residual, posterior=causes)
+    told = dataclasses.replace(stated, residual=residual, posterior=causes)
     before = remembering(selection, everything)
     others = odds_of_others(before, causes, dropped, judges)
     bent = tuple(x.line for x in refuted(told, settings))
@@ -278,15 +279,30 @@ def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:
     }
 
 
+def _without(selection: Selection, generic: Sequence[Hypothesis]) -> Selection:
+    """The selection without shapes that name no cause, by the noise of rows that they are not taken from."""
+    if not generic:
+        return selection
+    kept = tuple(h for h in selection.posterior.chosen if h not in generic)
+    now = selection.evidence.posterior(kept)
+    for _ in range(LEARNING):
+        selection = remembering(selection, now)
+        now = selection.posterior
+    return selection
+
+
+LEARNING = 3
+"""Rounds in which that noise is learned."""
+
+
 def _causes(
-    selection: Selection, generic: list[Hypothesis], judge: HeldOut | OtherRun, settings: Settings
+    selection: Selection, judge: HeldOut | OtherRun, settings: Settings
 ) -> tuple[Residual, Posterior]:
     """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing.
 
     With the residual that has the loads of the robot as found.
     """
-    now, residual = selection.posterior, selection.residual
-    causes = selection.evidence.posterior(tuple(h for h in now.chosen if h not in generic))
+    causes, residual = selection.posterior, selection.residual
     causes = carried_over(bounded(residual, selection.evidence, causes), judge)
     causes = _at_stated_gains(causes, judge, settings)
     return physical(residual, selection.evidence, bounded(residual, selection.evidence, causes))
