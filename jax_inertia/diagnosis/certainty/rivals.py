@@ -1,6 +1,7 @@
 """What would explain a log as well in the place of an effect that was chosen: ties, and what comes next."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,8 +10,9 @@ from jax_inertia.diagnosis.hypothesis import Hypothesis, excluded, hypothesis
 from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search import sensor_noise
 from jax_inertia.diagnosis.search.bank import Bank
-from jax_inertia.diagnosis.search.best_numbers import relinearised
+from jax_inertia.diagnosis.search.best_numbers import at_best, relinearised
 from jax_inertia.diagnosis.search.evidence import Posterior
+from jax_inertia.diagnosis.search.one_more import one_law
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import Settings
 
@@ -39,6 +41,18 @@ def _at_other_places(residual: Residual, h: Hypothesis) -> tuple[Hypothesis, ...
     return tuple(hypothesis(residual, h.effect, p, h.shape, h.odds) for p in places)
 
 
+def _other_laws(selection: Selection, rest: Posterior, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Each other law of what the place of one that was chosen has but one of, at its best nonlinear numbers."""
+    alike: dict[str, list[Hypothesis]] = {}
+    for c in selection.named.candidates:
+        if c.place == h.place and c.family != h.family and one_law(c, h):
+            alike.setdefault(c.family, []).append(c)
+    residual, evidence = selection.residual, selection.evidence
+    for every in alike.values():
+        start = every[int(np.argmax(evidence.gains(rest, every)))]
+        yield at_best(residual, evidence, rest, start, every)
+
+
 def is_law_of(other: Hypothesis, h: Hypothesis) -> bool:
     """Whether one is the other with more numbers, as a Stribeck friction is a level friction with more at low speed."""
     return other.level is not None and other.level.name == h.family and other.place == h.place
@@ -53,17 +67,22 @@ def _no_more(now: Posterior, law: Hypothesis, settings: Settings) -> bool:
 
 
 def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Rival, ...]:
-    """Best shape of each other family and place, in the place of `h`, those within reach first."""
+    """Best shape of each other family and place, in the place of `h`, those within reach first.
+
+    What is no likelier than nothing in its place is none: nothing is asked about by itself. Of laws of which a place
+    has but one, each at its best numbers, as they were chosen.
+    """
     now, evidence = selection.posterior, selection.evidence
     rest = now.without(h)
-    banks = selection.named, Bank(_at_other_places(selection.residual, h))
+    laws = Bank(tuple(_other_laws(selection, rest, h)))
+    banks = selection.named, Bank(_at_other_places(selection.residual, h)), laws
     others, taken = [c for bank in banks for c in bank.candidates], {c.key for c in now.chosen}
     # What makes one likelier beforehand than its kind makes the others so: that something is there is known.
     usual = max((c.odds for c in selection.candidates if c.key == h.key), default=h.odds)
     own = float(evidence.gains(rest, (h,))[0]) - usual
     own -= sensor_noise.owed(selection.residual, evidence, rest, h)
     gains = np.concatenate([evidence.gains(now, bank, (h,)) - bank.odds for bank in banks])
-    reach = settings.reach(own) + NEAR
+    reach = min(settings.reach(own) + NEAR, own)
     best: dict[tuple[str, str, str], Rival] = {}
     for k in np.argsort(-gains):
         c, behind = others[k], own - float(gains[k])
