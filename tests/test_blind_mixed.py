@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -127,19 +128,35 @@ def test_what_matters_most_comes_most_often_and_outside_there_are_nine_forms():
     assert len({t.kind for t in tasks if t.stratum == "outside"}) == 9
 
 
+@pytest.mark.parametrize("seed", [None, 5])
 @pytest.mark.parametrize("name", fleet.FLEET)
-def test_the_fleets_robots_carry_themselves(name):
+def test_the_fleets_robots_carry_themselves(name, seed):
     """Mass matrices are positive, motions keep to the ranges, and every joint's rated torque is more than nothing."""
-    robot = fleet.robot(name)
+    robot = fleet.robot(name, seed)
     model = robot.model()
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     data.qpos[:] = 0.5 * (robot.lower + robot.upper)
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
     assert np.linalg.eigvalsh(full).min() > 0
-    low, high = mujoco.MjModel.from_xml_string(fleet.mjcf(name)).jnt_range.T
+    low, high = mujoco.MjModel.from_xml_string(fleet.mjcf(name, seed)).jnt_range.T
     assert np.all((low < robot.lower) & (robot.upper < high))
     assert robot.peak.min() > 0
+
+
+def test_every_set_has_robots_of_its_own():
+    masses = [
+        mujoco.MjModel.from_xml_string(fleet.mjcf("scara", s)).body_mass for s in (None, 5, 6)
+    ]
+    assert len({round(float(m[2]), 6) for m in masses}) == 3
+    sound = {mixed.make(t).truth["robot"] for t in some_sound(5)}
+    assert len(sound) == 3
+
+
+def some_sound(seed: int) -> list[mixed.Task]:
+    """Three sound robots that are told positions."""
+    at = mixed.plan(seed, 1)[0]
+    return [replace(at, stratum="position", kind=str(6 * k)) for k in range(3)]
 
 
 def test_a_robot_of_ones_own_stands_on_no_feet():

@@ -1,7 +1,8 @@
-"""Robots of the sealed set, none of which the method was developed on: sixteen shapes, as their drawings have them.
+"""Robots of a sealed set, none of which the method was developed on: sixteen shapes, whose figures each set draws anew.
 
 A row a joint: kind (turn or slide), place in the link before [m], axis, range [rad, m], mass [kg], centre of mass and
-sides of a box that turns alike [m]. Figures are our own, of the size of common machines.
+sides of a box that turns alike [m]. Figures are our own, of the size of common machines. Of a set with a seed they are
+other robots: larger or smaller ones, with other proportions, masses, centres and slightly other axes (`drawn`).
 """
 
 from __future__ import annotations
@@ -116,13 +117,41 @@ LIGHT = ("camera_head", "delta_leg", "scope", "gimbal", "scara", "oblique", "exo
 """Those of 2 to 4 joints and some kilograms: of logs of targets, whose diagnosis replays them many times."""
 
 
-def mjcf(name: str) -> str:
+def drawn(name: str, seed: int | None) -> list[Link]:
+    """Rows of a set's own robot; the table's without a seed."""
+    if seed is None:
+        return FLEET[name]
+    rng = np.random.default_rng([seed, list(FLEET).index(name), 77])
+    large, heavy = np.exp(0.3 * rng.normal()), np.exp(0.3 * rng.normal())
+    links = []
+    for kind, place, axis, room, mass, centre, sides in FLEET[name]:
+        size = large * np.exp(0.2 * rng.normal(size=4))
+        axis = np.array(axis) + 0.03 * rng.normal(size=3) * (max(axis) < 1)
+        room = tuple(large * np.array(room)) if kind == S else room
+        mass *= heavy * large**3 * np.exp(0.25 * rng.normal())
+        off = np.array(centre) * size[1] + 0.06 * np.max(sides) * size[1] * rng.normal(size=3)
+        place = tuple(np.array(place) * size[0])
+        links.append(
+            (
+                kind,
+                place,
+                tuple(axis),
+                room,
+                float(mass),
+                tuple(off),
+                tuple(np.array(sides) * size[1:]),
+            )
+        )
+    return links
+
+
+def mjcf(name: str, seed: int | None = None) -> str:
     """The drawing, without friction and rotors."""
     spec = mujoco.MjSpec()
     spec.modelname, spec.compiler.degree = name, False
     spec.option.timestep, spec.option.integrator = 1e-3, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     parent = spec.worldbody
-    for k, (kind, place, axis, room, mass, centre, sides) in enumerate(FLEET[name], start=1):
+    for k, (kind, place, axis, room, mass, centre, sides) in enumerate(drawn(name, seed), start=1):
         parent = parent.add_body(name=f"{name}_link{k}", pos=place)
         parent.explicitinertial, parent.mass, parent.ipos = True, mass, centre
         square = np.square(sides)
@@ -136,9 +165,11 @@ def mjcf(name: str) -> str:
     return spec.to_xml()
 
 
-def robot(name: str) -> Robot:
+def robot(name: str, seed: int | None = None) -> Robot:
     """As the generator wants it: its mechanics, and what motions, loads and forces suit it."""
-    return robot_of(mujoco.MjModel.from_xml_string(mjcf(name)), name)
+    return robot_of(mujoco.MjModel.from_xml_string(mjcf(name, seed)), name)
 
 
-ROBOTS: dict[str, Callable[[], Robot]] = {name: partial(robot, name) for name in FLEET}
+def robots(seed: int) -> dict[str, Callable[[], Robot]]:
+    """Those of a set."""
+    return {name: partial(robot, name, seed) for name in FLEET}

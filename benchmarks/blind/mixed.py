@@ -134,7 +134,7 @@ KINDS = {"one_effect": ONE, "bare_odd": ODD, "outside": OUTSIDE, "misread": FAUL
 def library(task: Task) -> cad.Robots:
     """Robots by name, without friction and rotors."""
     if not task.robots:
-        return fleet.ROBOTS
+        return fleet.robots(task.seed)
     return {
         f"own{k}": lambda path=Path(file): _own(path, task.fix_base)
         for k, file in enumerate(task.robots)
@@ -193,7 +193,7 @@ def make(task: Task) -> cad.Made:
 def _of_positions(task: Task) -> cad.Made:
     number, robots = int(task.kind), library(task)
     names = tuple(robots) if task.robots else fleet.LIGHT
-    bought = robots[names[(number // 6 + number) % len(names)]]()
+    bought = robots[names[(number // 6 + 2 * number) % len(names)]]()
     torque = task.stratum == "position_torque"
     made = position.make(number, [task.seed, POSITION, task.index], torque, bought)
     made.truth |= {"stratum": task.stratum, "engine": cad.MUJOCO}
