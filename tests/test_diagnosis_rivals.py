@@ -104,7 +104,7 @@ def test_what_has_no_name_is_noise_where_numbers_are_stated(sound):
 
 
 def test_what_a_shape_without_a_name_explains_as_well_is_less_sure(sound):
-    """No cause can be told for it, so it is no tie; rarer by two nats, it leaves odds of e² at most."""
+    """It names no cause, so it is no tie; rarer by two nats, it leaves odds of e² at most."""
     residual, *_ = sound
     h = hypothesis(residual, Cogging(), ELBOW, (8.0,), 8.0)
     same = dataclasses.replace(h, effect=LoadRipple(), odds=10.0)

@@ -110,7 +110,7 @@ def behind_without_a_name(
 ) -> tuple[float, ...]:
     """By how much each shape that names no cause is behind `h` in its place, of those near it [nats].
 
-    What a link of another length explains as well may be one: nobody can be told which, but that `h` is less sure.
+    What a link of another length explains as well may be one, and `h` is the less probable for it.
     """
     now, evidence = selection.posterior, selection.evidence
     rest, taken = now.without(h), {c.key for c in now.chosen}
