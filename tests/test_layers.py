@@ -30,7 +30,8 @@ ORDER: dict[str, str] = {
         corrections sensor_noise""",
     "signals.ground": "sinking stance support errors",
     "preflight": """units single_channel cross_channel position_targets torque_parts joint_ranges compared
-        other_readings gravity_readings column_order position_readings against_model mended preflight drive_gains""",
+        other_readings own_numbers gravity_readings column_order position_readings against_model mended preflight
+        drive_gains""",
     "estimation": """priors physical_estimate filter_settings joint_terms inertial_filter online
         batch_rows wrist_sensor batch_solve batch_fit pieces log_filter stream checkpoint
         identifiability suggest held_load log_estimate estimate_inputs pipeline""",

@@ -19,6 +19,7 @@ from jax_inertia.preflight import gravity_readings, other_readings, position_rea
 from jax_inertia.preflight.column_order import order
 from jax_inertia.preflight.compared import Compared, norm
 from jax_inertia.preflight.other_readings import FITS, Reading, error
+from jax_inertia.preflight.own_numbers import by_own_numbers
 from jax_inertia.preflight.torque_parts import LAG, Parts, parts, reach
 from jax_inertia.signals.held import with_loop_torque
 
@@ -87,7 +88,7 @@ def judged(log: Log, robot: Robot) -> tuple[tuple[Finding, ...], bool]:
     late: tuple[Finding, ...] = ()
     if split.kp is None:
         late, compared = in_time(compared)
-    other = otherwise(compared)
+    other = otherwise(compared) or tuple(by_own_numbers(compared) if split.kp is None else ())
     sound = (
         not (other or light) and compared.left_beside_load(compared.tau - compared.needed) < _SOUND
     )
