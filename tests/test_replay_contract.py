@@ -272,7 +272,9 @@ def test_an_odd_effect_is_judged_by_all_rows_as_another_motion_may_hardly_ask_fo
         assert sure(found, 100.0) > 0.9
         assert sure(found, 0.0) < 0.5
         assert sure(found, 100.0, shapes=0.0) == pytest.approx(0.5, abs=0.01)
-    assert sure(number, 100.0, odd=()) < 0.9
+    # An ordinary number's evidence is on the parabola; what has no name is of all rows for it too.
+    assert sure(number, 0.0, odd=()) > 0.9
+    assert sure(number, 0.0, shapes=-9.0, odd=()) == pytest.approx(0.5, abs=0.02)
 
 
 def test_what_is_left_is_told_by_its_shape_and_frequency():

@@ -10,8 +10,8 @@ What is the same by an equation is no alternative, and what has no name is one (
 torque (`diagnosis.certainty.probability`).
 
 An odd effect may be far from none (a limit has no size there), so that no parabola leads to a model without it, and
-another motion may hardly ask for it. All others are refitted without it, and E and the unnamed alternative are of
-fitted and validation rows together: p(logs, runs) is one evidence. Those of ordinary numbers are of validation rows.
+another motion may hardly ask for it: E is of fitted and validation rows then, all others refitted without it. Of these
+rows together is what has no name, too: a stretch of two seconds is like some handful of shapes whatever moves there.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -42,23 +42,20 @@ def probabilities(
     """
     if not units:
         return {}
-    errors = run.taken_back(found, units)
-    out = {}
-    for rows, without in zip(units, errors[1:], strict=True):
-        now, of = errors[0], run
+    held, errors = (rows.taken_back(found, units) for rows in (run, everything))
+    now, out = errors[0], {}
+    for rows, lost, without in zip(units, held[1:], errors[1:], strict=True):
         if rows in odd:
-            of = everything
-            now, without = of.errors(found), of.errors(refitted(rows))
-            evidence = of.likelier(now, without, found.weights) - _paid(found, rows)
+            without = everything.errors(refitted(rows))
+            evidence = everything.likelier(now, without, found.weights) - 2.0 * LOG_ODDS
         else:
-            evidence = _evidence(found, rows) - _paid(found, rows)
-            evidence += min(run.likelier(now, without, found.weights), 0.0)
-        evidence -= 2.0 * LOG_ODDS * (rows in odd)
+            evidence = _evidence(found, rows) + min(run.likelier(held[0], lost, found.weights), 0.0)
+        evidence -= numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
         others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
         # What has no name is as rare as any odd effect, and what every robot has is not. Behind an alternative with a
         # name it may be that one.
         rare = 2.0 * LOG_ODDS * (rows not in odd)
-        unnamed = of.unnamed(now, without, numbers_paid(found, rows)) + rare
+        unnamed = everything.unnamed(now, without, numbers_paid(found, rows)) + rare
         if unnamed < min(others, default=np.inf):
             others.append(max(unnamed, 0.0))
         out[rows] = probability(log_odds([0.5 * x for x in (evidence, *others)]))
@@ -72,11 +69,6 @@ def _evidence(found: Fit, rows: Rows) -> float:
     kept = np.array(rows)[known]
     own: Float[np.ndarray, "k k"] = found.covariance[np.ix_(kept, kept)]
     return float(off[known] @ np.linalg.solve(own, off[known])) if known.any() else 0.0
-
-
-def _paid(found: Fit, rows: Rows) -> float:
-    """ln N for each number."""
-    return numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
 
 
 def numbers_paid(found: Fit, rows: Rows) -> int:
