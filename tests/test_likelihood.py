@@ -19,9 +19,11 @@ from jax_inertia.likelihood.motion import Run
 from jax_inertia.likelihood.response import Loop, response
 from jax_inertia.logs.log import Log
 from jax_inertia.replay import checks, inputs
+from jax_inertia.replay.fitting.fit import fit
 from jax_inertia.replay.loop import OFF, SHARES
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.search import closed_loop
+from jax_inertia.replay.search.candidates import candidates
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import replay
 
@@ -339,7 +341,8 @@ def test_numbers_stay_within_their_bounds():
 # --- what is found: another plant (bristles, 0.25 ms, a loop that holds) than the fit's
 
 
-def found(name: str, odd: bool = False, seconds: float = 6.0):
+def asked(name: str, odd: bool = False, seconds: float = 6.0):
+    """(plant, ordinary numbers, odd candidates, record, record of another motion, its true positions) of a case."""
     machine, log, other = cases.case(name, seconds)
     truth = other.pop("truth")
     log.pop("truth")
@@ -352,10 +355,14 @@ def found(name: str, odd: bool = False, seconds: float = 6.0):
     own = inputs.ordinary_numbers(plant, [record], typical, loops.fit, logs[:1])
     table = (*own, *inputs.tolerances(plant))
     now = plant.numbers((), np.zeros(0), None)
-    pool = closed_loop.odd_candidates(plant, [record], now, typical) if odd else []
+    pool = candidates(plant, [record], now, typical) if odd else []
+    return plant, table, pool, record, record_of(logs[1], loops.test), truth
+
+
+def found(name: str, odd: bool = False):
+    plant, table, pool, record, held, truth = asked(name, odd)
     result = closed_loop.find(plant, table, pool, [record], checks.least([record], plant.loop))
     assert result is not None
-    held = record_of(logs[1], loops.test)
     rms = []
     for theta in (np.array([p.nominal for p in result.table]), result.theta):
         path = replay(plant, result.table, theta[None], held)[0]
@@ -400,6 +407,24 @@ def test_a_load_among_all_effects():
     (_, after), there = found("leg/load", odd=True)
     assert after < 0.7e-3
     assert there["payload", "knee_link"] == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.slow
+def test_what_the_response_finds_starts_a_fit_of_replays():
+    """A load that the ordinary numbers pass for: no small step of replays leads to it from there."""
+    plant, table, pool, record, *_ = asked("leg/load", True)
+    floor = checks.least([record], plant.loop)
+    start = np.array([p.nominal for p in table])
+    ordinary = fit(plant, table, [record], start, floor=floor, rounds=6)
+    result = closed_loop.find(plant, table, pool, [record], floor)
+    fits = {
+        (c.family, c.parameters[0].body): x
+        for c, x in closed_loop.fits(plant, ordinary, result, pool, [record], floor)
+    }
+    loaded = fits["payload", "knee_link"]
+    assert loaded.theta[len(table)] == pytest.approx(0.2, abs=0.02)
+    assert np.mean(loaded.error**2) < 0.8 * np.mean(ordinary.error**2)
+    assert not closed_loop.fits(plant, ordinary, result, [], [record], floor)
 
 
 # --- many at once

@@ -15,18 +15,14 @@ from jax_inertia.likelihood.motion import Run
 from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.load import load_model
 from jax_inertia.model.robot import Robot
-from jax_inertia.replay.joint_numbers import Numbers
-from jax_inertia.replay.loop import ALL, LOGARITHMIC, Parameter
+from jax_inertia.replay.fitting.fit import Fit
+from jax_inertia.replay.loop import LOGARITHMIC, Parameter
 from jax_inertia.replay.record import Record
-from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.entries import Names, named
+from jax_inertia.replay.search.tries import fitted_from
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import replay
-
-STRENGTH = Candidate(
-    "torque_gain", (Parameter("torque_gain", ALL, 0.0, 0.2, -2.0, 2.0),), ((0.06,),), True
-)
-"""Of all motors alike: a weak battery, a torque constant of another kind."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,11 +68,24 @@ class Result:
         return [(c, rows) for c, rows in self.places if there[list(rows)].any()]
 
 
-def odd_candidates(
-    plant: Plant, records: Sequence[Record], now: Numbers, torque: Float[np.ndarray, " n"]
-) -> list[Candidate]:
-    """Effects that few robots have; `now`: numbers as fitted, `torque`: typical of each joint's motion [N m]."""
-    return [*candidates(plant, records, now, torque), STRENGTH]
+def fits(
+    plant: Plant,
+    found: Fit,
+    result: Result,
+    pool: Sequence[Candidate],
+    records: Sequence[Record],
+    floor: Float[np.ndarray, " m"],
+) -> list[tuple[Candidate, Fit]]:
+    """Fits of replays with each odd effect of a result that is in the pool, from the result's numbers."""
+    count = len(result.table) - sum(len(c.parameters) for c in result.pool)
+    out = []
+    for c, rows in result.odd:
+        if c in pool:
+            theta = np.concatenate(
+                [result.theta[:count], found.theta[count:], result.theta[list(rows)]]
+            )
+            out.append((c, fitted_from(plant, found, c, theta, records, floor)))
+    return out
 
 
 def find(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search import afresh as afresh_fits
-from jax_inertia.replay.search import by_law
+from jax_inertia.replay.search import by_law, closed_loop
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.candidates import Candidate, candidates
 from jax_inertia.replay.search.parsimony import Parabola, Worth
@@ -88,6 +88,8 @@ def add_odd(
     pool = [c for c in candidates(plant, records, numbers, torque) if c.family not in exclude]
     run, torque_logged = unseen.Unseen(plant, held_out, floor), records[0].torque is not None
     out, possible, afresh = [], [], True
+    progress("looking for odd effects by the loop's own response")
+    proposed = closed_loop.find(plant, found.table, pool, records, floor[: len(plant.names)])
     for k in range(MOST):
         progress(f"looking for odd effects, {k} found")
         said = afresh_fits.gains_as_said(plant, found, records, floor)
@@ -111,6 +113,8 @@ def add_odd(
                 break
         if not passed:
             fits = _finalists(plant, found, here, records, floor)
+            if proposed is not None:
+                fits += closed_loop.fits(plant, found, proposed, here, records, floor)
             if afresh:
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
