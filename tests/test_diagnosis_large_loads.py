@@ -1,6 +1,7 @@
 """One effect that makes most of a gap, on robots as bought and on calibrated ones; logs by MuJoCo C."""
 
 import re
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -9,6 +10,8 @@ from arm_log import ARM, loaded, simulate
 
 import jax_inertia as ji
 from jax_inertia.diagnosis import pipeline
+from jax_inertia.diagnosis.effects.base import Place
+from jax_inertia.diagnosis.effects.external_force import ConstantForce
 from jax_inertia.diagnosis.settings import CalibrationState
 from jax_inertia.robots.pendulum import double_pendulum, swing
 
@@ -58,3 +61,11 @@ def test_a_load_half_way_down_a_long_link():
     assert (effect.family, effect.place.name) == ("payload", "lower")
     assert effect.parameters["mass"].value == pytest.approx(0.5, rel=0.05)
     assert effect.parameters["com_z"].value == pytest.approx(-0.5, rel=0.05)
+
+
+def test_what_pulls_on_a_small_robot_for_good_is_no_more_than_its_weight():
+    body = Place("body", "lower", 1)
+    for mass, newtons in ((0.05, 0.1 * 9.81), (1.0, 10.0), (50.0, 0.025 * 100.0 * 9.81)):
+        pi = np.array([[mass, 0.0, 0.0, 0.1 * mass, *[0.0] * 6]] * 2)
+        context = SimpleNamespace(pi=pi, scale=1.0)
+        assert ConstantForce().scale(context, body, ())[0] == pytest.approx(newtons)

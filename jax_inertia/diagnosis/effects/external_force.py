@@ -12,10 +12,14 @@ SHORTEST, LONGEST = 0.1, 3.0
 """Of a push [s]: a period of the band in which it is looked for; what lasts longer is no push."""
 
 
+def weight_of(context) -> float:
+    """Of the robot [N]."""
+    return 9.81 * float(context.pi[:, 0].sum())
+
+
 def usual_force(context) -> float:
     """Standard deviation of a force on a robot [N]: 10 N, more on one of over 40 kg."""
-    weight = 9.81 * float(context.pi[:, 0].sum())
-    return max(10.0, 0.025 * weight)
+    return max(10.0, 0.025 * weight_of(context))
 
 
 REACH = 0.06
@@ -66,7 +70,7 @@ class ConstantForce(_Force):
     loads = True
     source, advice = "a cable, a hoist, a balancer", advice.BRISK
     units = {f"force_{k}": "N" for k in "xyz"} | {f"point_{k}": "m" for k in "xyz"}
-    prior = "10 N along each axis, more on a robot of over 40 kg; at the centre of mass, give or take a link"
+    prior = "10 N along each axis, at most the robot's weight, more above 40 kg; at the centre of mass, give or take a link"
 
     def shapes(self, context, place):
         return [(0.0,) * 6]
@@ -77,7 +81,9 @@ class ConstantForce(_Force):
 
     def scale(self, context, place, shape):
         lever = lever_on(context, place)
-        return np.append(np.full(3, usual_force(context)), np.full(3, lever))
+        # Motors that carry a small robot would not move it against more for long.
+        size = min(usual_force(context), weight_of(context))
+        return np.append(np.full(3, size), np.full(3, lever))
 
     def numbers(self, context, place, shape, theta):
         pi = context.pi[place.index]
