@@ -70,7 +70,7 @@ class ConstantForce(_Force):
     loads = True
     source, advice = "a cable, a hoist, a balancer", advice.BRISK
     units = {f"force_{k}": "N" for k in "xyz"} | {f"point_{k}": "m" for k in "xyz"}
-    prior = "10 N along each axis, at most the robot's weight, more above 40 kg; at the centre of mass, give or take a link"
+    prior = "10 N along each axis, at most the robot's weight, more above 40 kg; at the centre of mass, within a link"
 
     def shapes(self, context, place):
         return [(0.0,) * 6]
