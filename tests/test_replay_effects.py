@@ -180,6 +180,45 @@ def test_a_dead_band_is_found_and_replays_in_mujoco_alone():
     assert np.all(in_mujoco_alone(found) < found.replayed.after + found.replayed.floor)
 
 
+@pytest.mark.slow
+def test_a_dead_band_of_a_slide_is_found():
+    def slide():
+        spec = one()
+        spec.joint("a").type = mujoco.mjtJoint.mjJNT_SLIDE
+        spec.joint("a").axis = [1, 0, 0]
+        return spec
+
+    def law(miss, v):
+        return KP[:1] * dead_zone(miss, 0.03) - 4.0 * v, 0.2
+
+    kd = np.array([4.0])
+    log, other = (made(law, spec=slide, seed=k, kd=kd) for k in (0, 1))
+    odd = odd_effects(pipeline.diagnose([log], slide, test_log=other))
+    assert set(odd) == {("dead_band", "a")}
+    assert odd["dead_band", "a"].size.value == pytest.approx(0.03, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_rotor_that_is_most_of_a_light_joint_is_found():
+    """Twenty times the inertia of its link, and half of what the other joint has."""
+
+    def light(rotor=0.0):
+        spec = two()
+        body, joint = spec.body("right"), spec.joint("b")
+        body.mass, body.inertia, joint.armature = 0.04, [2e-5, 2e-5, 2e-5], rotor
+        return spec
+
+    kp, kd = np.array([20.0, 1.5]), np.array([0.7, 0.06])
+    logs = [
+        made(lambda miss, v: (kp * miss - kd * v, 0.0), spec=lambda: light(0.02), seed=k, kp=kp, kd=kd)
+        for k in (0, 1)
+    ]  # fmt: skip
+    found = pipeline.diagnose(logs[:1], light, test_log=logs[1])
+    (effect,) = [e for e in found.effects if e.share > 0.05]
+    assert (effect.family, effect.name) == ("armature", "b")
+    assert effect.size.value == pytest.approx(0.02, rel=0.05)
+
+
 def in_mujoco_alone(found) -> np.ndarray:
     """What corrected.xml errs by on the other run, rms of each joint."""
     spec = two()

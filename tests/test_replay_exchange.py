@@ -8,7 +8,7 @@ from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.search import exchange
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.exchange import _with
-from jax_inertia.replay.search.odd import Odd, Search
+from jax_inertia.replay.search.odd import Odd, Search, _without_stiffness
 from jax_inertia.replay.simulation.plant import Plant
 
 NONE = np.zeros(0)
@@ -65,3 +65,10 @@ def test_a_second_exchange_finds_its_effect_where_the_first_left_it(monkeypatch)
     assert [o.candidate for o in new.odd] == [force, bias, play]
     for o in new.odd:
         assert tuple(new.found.table[k] for k in o.rows) == o.candidate.parameters
+
+
+def test_a_spring_without_stiffness_is_a_torque_where_both_are_as_good():
+    spring, bias = candidate("joint_spring", 2), candidate("torque_bias", 1)
+    for short, wanted in ((3.0, bias), (30.0, spring)):
+        fits = {spring: (100.0, fitted(spring)), bias: (100.0 - short, fitted(bias))}
+        assert _without_stiffness(spring, fits) == wanted

@@ -273,7 +273,17 @@ def _first(
                 x: fits[0] for x, fits in _judged(plant, found, [whole], run, before)[0].items()
             }
             near += [whole[0]] if whole[0] in out else []
-    return max(near, key=lambda c: out[c][0]), out
+    best = max(near, key=lambda c: out[c][0])
+    return _without_stiffness(best, out), out
+
+
+def _without_stiffness(best: Candidate, out: dict[Candidate, tuple[float, Fit]]) -> Candidate:
+    """A spring without stiffness is a torque, and said to be one where both are as good."""
+    for c, (evidence, _) in out.items():
+        same = best.family == "joint_spring" and (c.family, c.place) == ("torque_bias", best.place)
+        if same and evidence > out[best][0] - AS_GOOD:
+            return c
+    return best
 
 
 def _simplest(plant: Plant, fits: Sequence[Fit], samples: float) -> Fit:
