@@ -1,4 +1,7 @@
-"""Fits that start elsewhere than at the numbers without an effect: from the nominal model's, or a joint's anew."""
+"""Fits that start elsewhere than at the numbers without an effect: from the nominal model's, or a joint's anew.
+
+Where the loop's own response does not hold (`closed_loop.find`): torque is logged, or the base is free.
+"""
 
 import itertools
 from collections.abc import Sequence

@@ -115,7 +115,7 @@ def add_odd(
             fits = _finalists(plant, found, here, records, floor)
             if proposed is not None:
                 fits += closed_loop.fits(plant, found, proposed, here, records, floor)
-            if afresh:
+            elif afresh:
                 fits += afresh_fits.dead_bands(plant, found, here, excess, records, floor)
                 fits += afresh_fits.limits(plant, found, here, excess, records, floor)
                 fits += afresh_fits.from_nominal(plant, found, here, records, floor)
