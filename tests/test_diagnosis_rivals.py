@@ -1,7 +1,6 @@
 """What may be there in the place of an effect that was found: as probable as it, and more so than nothing."""
 
 import copy
-import dataclasses
 
 import mujoco
 import numpy as np
@@ -10,11 +9,10 @@ from diagnosis_robot import log_of, motion, needed
 from test_diagnosis_calibrated import COULOMB, ELBOW, ROTOR, VISCOUS, with_joints
 
 from jax_inertia import load_model
-from jax_inertia.diagnosis.certainty.rivals import behind_without_a_name, rivals
+from jax_inertia.diagnosis.certainty.rivals import rivals
 from jax_inertia.diagnosis.checks import rows
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
-from jax_inertia.diagnosis.effects.generic_forms import LoadRipple
 from jax_inertia.diagnosis.effects.joint import Armature, Cogging
 from jax_inertia.diagnosis.hypothesis import hypothesis
 from jax_inertia.diagnosis.residual import Residual
@@ -101,15 +99,3 @@ def test_what_has_no_name_is_noise_where_numbers_are_stated(sound):
     assert noise[1] == pytest.approx(rows(left, residual.weight)[1], rel=0.1)
     assert noise[1] > 3 * np.sqrt(np.mean(selection.evidence.noise.variance, axis=0))[1]
     assert _without(selection, []) is selection
-
-
-def test_what_a_shape_without_a_name_explains_as_well_is_less_sure(sound):
-    """It names no cause, so it is no tie; rarer by two nats, it leaves odds of e² at most."""
-    residual, *_ = sound
-    h = hypothesis(residual, Cogging(), ELBOW, (8.0,), 8.0)
-    same = dataclasses.replace(h, effect=LoadRipple(), odds=10.0)
-    other = dataclasses.replace(same, columns=same.columns[::-1])
-    selection = found(sound, h, 0.5, (same,))
-    assert behind_without_a_name(selection, h, SETTINGS) == pytest.approx((2.0,))
-    assert rivals(selection, h, SETTINGS) == ()
-    assert behind_without_a_name(found(sound, h, 0.5, (other,)), h, SETTINGS) == ()

@@ -6,7 +6,7 @@ import numpy as np
 
 from jax_inertia.diagnosis.certainty.causes import Judges
 from jax_inertia.diagnosis.certainty.probability import behind_it, odds_of_effect, probability
-from jax_inertia.diagnosis.certainty.rivals import behind_without_a_name, is_law_of, rivals
+from jax_inertia.diagnosis.certainty.rivals import is_law_of, rivals
 from jax_inertia.diagnosis.checks import rows
 from jax_inertia.diagnosis.corrected.intervals import added, intervals, nominal_number, reported
 from jax_inertia.diagnosis.effects.dry_friction import DryFriction
@@ -66,8 +66,7 @@ def _found(selection, h: Hypothesis, shares, worths, judges: Judges, settings: S
         for r, by in zip(others, behind, strict=True)
         if by <= 0.0
     )
-    unnamed = () if h.ordinary else behind_without_a_name(selection, h, settings)
-    apart = [*(by for by in behind if by > 0.0), *unnamed]
+    apart = [by for by in behind if by > 0.0]
     odds = own if h.ordinary else odds_of_effect(selection, h, apart, judges)
     return Found(
         family=h.family,

@@ -105,26 +105,6 @@ def rivals(selection: Selection, h: Hypothesis, settings: Settings) -> tuple[Riv
     return tuple(out)
 
 
-def behind_without_a_name(
-    selection: Selection, h: Hypothesis, settings: Settings
-) -> tuple[float, ...]:
-    """By how much each shape that names no cause is behind `h` in its place, of those near it [nats].
-
-    What a link of another length explains as well may be one, and `h` is the less probable for it.
-    """
-    now, evidence = selection.posterior, selection.evidence
-    rest, taken = now.without(h), {c.key for c in now.chosen}
-    own = float(evidence.gains(rest, (h,))[0]) - h.odds
-    generic = Bank(tuple(c for c in selection.candidates if not c.named and c.key not in taken))
-    best: dict[tuple[str, str, str], float] = {}
-    gains = evidence.gains(now, generic, (h,)) - generic.odds if len(generic) else []
-    for c, gain in zip(generic.candidates, gains, strict=True):
-        if np.isfinite(gain) and not excluded(selection.residual, c, rest.chosen):
-            best[c.key] = max(best.get(c.key, -np.inf), float(gain))
-    every = (max(own - gain, 0.0) for gain in best.values())
-    return tuple(x for x in every if x < min(settings.reach(own) + NEAR, own))
-
-
 def told_apart(selection: Selection, judge: OtherRun, settings: Settings) -> Selection:
     """The selection with each odd effect that another motion speaks against the one of its ties that it speaks for.
 
