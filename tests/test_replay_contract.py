@@ -241,7 +241,7 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
     assert 0.5 < sure(0.2, shapes=0.0) < alone
 
 
-def test_an_odd_effect_is_judged_by_all_rows_as_another_motion_may_hardly_ask_for_it():
+def test_a_limit_is_judged_by_all_rows_as_another_motion_may_hardly_ask_for_it():
     """No parabola reaches a model without a limit either."""
 
     class Rows(Unseen):
@@ -268,13 +268,13 @@ def test_an_odd_effect_is_judged_by_all_rows_as_another_motion_may_hardly_ask_fo
 
     number = straight(0.8, 0.0, 0.8)
     limit = number._replace(table=(number.table[0]._replace(nominal=np.inf),))
-    for found in (limit, number):
-        assert sure(found, 100.0) > 0.9
-        assert sure(found, 0.0) < 0.5
-        assert sure(found, 100.0, shapes=0.0) == pytest.approx(0.5, abs=0.01)
-    # An ordinary number's evidence is on the parabola; what has no name is of all rows for it too.
-    assert sure(number, 0.0, odd=()) > 0.9
-    assert sure(number, 0.0, shapes=-9.0, odd=()) == pytest.approx(0.5, abs=0.02)
+    assert sure(limit, 100.0) > 0.9
+    assert sure(limit, 0.0) < 0.5
+    assert sure(limit, 100.0, shapes=0.0) == pytest.approx(0.5, abs=0.01)
+    # The evidence of a number is on the parabola; what has no name is of all rows for it too.
+    for odd in ((), ((0,),)):
+        assert sure(number, 0.0, odd=odd) > 0.9
+        assert sure(number, 0.0, shapes=-9.0, odd=odd) == pytest.approx(0.5, abs=0.02)
 
 
 def test_what_is_left_is_told_by_its_shape_and_frequency():

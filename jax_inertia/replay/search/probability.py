@@ -9,9 +9,9 @@ likewise, is what alternative a costs more than the effect, on the fitted rows a
 What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L is calibrated as by
 torque (`diagnosis.certainty.probability`).
 
-An odd effect may be far from none (a limit has no size there), so that no parabola leads to a model without it, and
-another motion may hardly ask for it: E is of fitted and validation rows then, all others refitted without it. Of these
-rows together is what has no name, too: a stretch of two seconds is like some handful of shapes whatever moves there.
+A limit has no size in a model without one, no parabola leads there, and another motion may hardly ask for it: E is of
+fitted and validation rows then, all others refitted without it. Of these rows together is what has no name, of all
+effects: a stretch of two seconds is like some handful of shapes whatever moves there.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -45,11 +45,12 @@ def probabilities(
     held, errors = (rows.taken_back(found, units) for rows in (run, everything))
     now, out = errors[0], {}
     for rows, lost, without in zip(units, held[1:], errors[1:], strict=True):
-        if rows in odd:
-            without = everything.errors(refitted(rows))
-            evidence = everything.likelier(now, without, found.weights) - 2.0 * LOG_ODDS
-        else:
+        if np.isfinite([found.table[k].nominal for k in rows]).all():
             evidence = _evidence(found, rows) + min(run.likelier(held[0], lost, found.weights), 0.0)
+        else:
+            bare = refitted(rows)
+            evidence = everything.likelier(now, everything.errors(bare), found.weights)
+        evidence -= 2.0 * LOG_ODDS * (rows in odd)
         evidence -= numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
         others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
         # What has no name is as rare as any odd effect, and what every robot has is not. Behind an alternative with a
