@@ -134,19 +134,24 @@ def _judged(
         handed = _handed_over(draft, unseen)
         return Made(causes, draft, handed, own, causes.left(own, handed))
 
-    causes, draft, handed, *held_out = _borne_out_by_files(selection, settings.gate, made)
+    done = _borne_out_by_files(selection, settings.gate, made)
     progress("what this log would have shown")
     context = selection.residual.context
     fast = np.percentile(np.abs(context.v), 99, axis=0)
     draft = dataclasses.replace(
-        draft,
-        notes=(*selection.residual.log.notes, *_of_the_ground(selection.residual), *draft.notes),
+        done.draft,
+        notes=(
+            *selection.residual.log.notes,
+            *_of_the_ground(selection.residual),
+            *done.draft.notes,
+        ),
         undetectable_below=undetectable(selection),
         speed=dict(zip(context.row_names, fast.tolist(), strict=True)),
     )
     progress("the error of what is handed over")
     test = _other_run(unseen.robot, unseen.test_log, selection, settings)
-    return summary.concluded(draft, causes, handed, tuple(held_out), validation, test)
+    rows = done.heldout, done.left
+    return summary.concluded(draft, done.causes, done.handed, rows, validation, test)
 
 
 class Made(NamedTuple):
