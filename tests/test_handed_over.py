@@ -204,9 +204,10 @@ def test_an_effect_without_which_the_files_predict_better_is_named_and_withheld(
         there = h in now.posterior.chosen
         draft = diagnosis(Verdict.PARTLY, *((found,) if there else ()))
         left = one_row(whole if there else without)
-        return pipeline.Made(Known(), draft, object.__new__(HandedOver), left)  # pyright: ignore
+        own = object.__new__(HandedOver)
+        return pipeline.Made(Known(), draft, own, OneRow(), left)  # pyright: ignore
 
-    out = pipeline._borne_out_by_files(selection, 0.1, files, OneRow())
+    out = pipeline._borne_out_by_files(selection, 0.1, files)
     assert [f.handed_over for f in out.draft.found] == [handed_over]
     # What is named and withheld is no doubt about the verdict.
     assert out.causes.named == (set() if handed_over else {("joint_spring", place)})  # pyright: ignore
