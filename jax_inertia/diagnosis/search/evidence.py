@@ -255,7 +255,8 @@ class Evidence:
 
         σ_j: residual rms of the row, degrees of freedom taken off, the sensors' noise at least; fₖ: relative error of
         effect k's equation, and λ_j ≤ 1, by which those of a row are smaller where more would be more than its whole
-        residual. As bought, a robot has misfit of its own on top of those errors, `least` included. With
+        residual, but of a calibrated model, whose equations' errors are as stated. As bought, a robot has misfit of its
+        own on top of those errors, `least` included. With
         `memory`, how much of it is slow is learned too; without, two hypotheses can be compared before and after.
         """
         left = self.y - now.fitted
@@ -266,7 +267,9 @@ class Evidence:
         excused = (self.weight * form).sum(axis=0) / np.maximum(self.count, 1.0)
         least = self.sensors if self.exact else np.maximum(self.sensors, self.least)
         own = np.maximum(np.maximum(energy - excused, 0.1 * energy), least**2)
-        shown = np.clip((energy - own) / np.maximum(excused, 1e-300), 0.0, 1.0)
+        shown = (
+            1.0 if self.exact else np.clip((energy - own) / np.maximum(excused, 1e-300), 0.0, 1.0)
+        )
         variance, slow = np.maximum(own + shown * form, self.least**2), self.noise.slow
         if memory:
             white = left / np.sqrt(variance)
