@@ -47,6 +47,7 @@ from jax_inertia.diagnosis.result import (
     Verdict,
 )
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
+from jax_inertia.diagnosis.search.one_more import SETTLING
 from jax_inertia.diagnosis.search.ordinary import bounded
 from jax_inertia.diagnosis.search.refuted_tolerances import refuted
 from jax_inertia.diagnosis.search.selection import Selection
@@ -285,14 +286,10 @@ def _without(selection: Selection, generic: Sequence[Hypothesis]) -> Selection:
         return selection
     kept = tuple(h for h in selection.posterior.chosen if h not in generic)
     now = selection.evidence.posterior(kept)
-    for _ in range(LEARNING):
+    for _ in range(SETTLING):
         selection = remembering(selection, now)
         now = selection.posterior
     return selection
-
-
-LEARNING = 3
-"""Rounds in which that noise is learned."""
 
 
 def _causes(

@@ -82,23 +82,20 @@ def fitted(
     loop: Likelihood,
     *,
     rounds: int = ROUNDS,
-    start: Float[np.ndarray, " P"] | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Found:
-    """The effects of most evidence and their numbers, from `start` or the model as given.
+    """The effects of most evidence and their numbers, from the model as given.
 
     Ordinary numbers first; then odd effects one by one, each with all others fitted anew, for as long as the replays'
     score asks for one: far from the right numbers a linear model is wrong, and many effects would mend it.
     """
     groups = Groups(loop.numbers)
-    theta = np.zeros(len(loop.numbers)) if start is None else np.asarray(start, float)
+    theta = np.zeros(len(loop.numbers))
     error = [e[0] for e in loop.errors(theta[None])]
     history = [_total(loop, error)]
     allowed = {*groups.ordinary, *groups.there(theta)}
     first = _State(theta, error, loop.weights(error))
-    now = _converged(
-        loop, groups, first, allowed, rounds, history, progress, with_delay=start is None
-    )
+    now = _converged(loop, groups, first, allowed, rounds, history, progress, with_delay=True)
     for k in range(_MOST):
         progress(f"closed loop, {k} odd effects")
         best, tried = now, None
@@ -108,7 +105,7 @@ def fitted(
                 wider = allowed | {g} | groups.rivals[g]
                 tried = _converged(
                     loop, groups, state, wider, _FIRST, history, progress,
-                    added=g, with_delay=state is first and start is None,
+                    added=g, with_delay=state is first,
                 )  # fmt: skip
                 if _better(loop, groups, tried, best):
                     best = tried

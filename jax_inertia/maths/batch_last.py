@@ -126,7 +126,7 @@ def total(x: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
 # Lists of 3-vectors (n, 3, *b) and of 3×3 matrices (n, 3, 3, *b). Sums over components are no products of matrices: XLA
 # would take each of those for a tiny one of its own.
 
-# Unsigned: JAX asks of others whether they are negative, and by integers of the precision that it was first set to.
+# Unsigned: JAX 0.9 could not make signed ones positive in `enable_x64` after other work in single precision.
 _NEXT, _AFTER = np.array([1, 2, 0], np.uint8), np.array([2, 0, 1], np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""Joints read by what their own numbers can be, where those stand for all that the model needs of them.
+"""Turned signs and lost weights, by bounds on a joint's friction, rotor inertia and offset.
 
 Friction, rotor inertia and offset are free where a torque is compared with its model (`compared`), and of a slide that
 always carries the same nothing is left to compare: it needs b + J a + F sign(v) + d v. But no rotor has less than no
@@ -17,9 +17,9 @@ from jax_inertia.logs.findings import Finding
 from jax_inertia.preflight.compared import Compared, norm
 from jax_inertia.preflight.other_readings import FITS, error
 
-# An offset is less than this share of the weight that the joint carries.
+# An offset is less than this share of the weight that the joint carries (a decision: a drive holds half at least).
 _OFFSET = 0.5
-# Offsets hide a weight that changes by less than this share of it.
+# Offsets hide a weight that changes by less than this share of it (a decision: a slide that tilts by 1 in 50).
 _CONSTANT = 0.02
 # Of the logged energy, what another reading leaves of what the plain one does, which leaves more than the latter.
 _LEAVES, _SOUND = 1.0 / 9.0, 0.05

@@ -150,7 +150,7 @@ def slope(time: np.ndarray, q: np.ndarray) -> np.ndarray:
     k = max(5, int(np.searchsorted(time - time[0], 0.05)))
     k = min(k, len(time))
     t = time[:k] - time[0]
-    return np.linalg.lstsq(np.stack([t**0, t, t**2], 1), q[:k], rcond=None)[0][1]
+    return _tangent(t, q[:k], 2)
 
 
 def speed_at(time: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:
@@ -158,8 +158,12 @@ def speed_at(time: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:
     wide = max(3, int(np.searchsorted(time - time[0], 0.05)))
     near = slice(max(row - wide, 0), row + wide + 1)
     t = time[near] - time[row]
-    basis = np.stack([t**k for k in range(min(4, len(t)))], 1)
-    return np.linalg.lstsq(basis, q[near], rcond=None)[0][1]
+    return _tangent(t, q[near], min(3, len(t) - 1))
+
+
+def _tangent(t: np.ndarray, q: np.ndarray, degree: int) -> np.ndarray:
+    """Slope at t = 0 of a polynomial through samples."""
+    return np.linalg.lstsq(np.stack([t**k for k in range(degree + 1)], 1), q, rcond=None)[0][1]
 
 
 def step_means(

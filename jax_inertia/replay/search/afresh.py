@@ -1,6 +1,7 @@
 """Fits that start elsewhere than at the numbers without an effect: from the nominal model's, or a joint's anew.
 
-Where the loop's own response does not hold (`closed_loop.find`): torque is logged, or the base is free.
+Dead bands, limits and single effects have such starts where the loop's own response does not hold (`closed_loop.find`):
+torque is logged, or chains close.
 """
 
 import itertools

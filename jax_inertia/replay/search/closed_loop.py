@@ -3,7 +3,7 @@ response, and its results as numbers of replays.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,7 @@ from jax_inertia.maths.precision import in_double_precision
 from jax_inertia.model.load import load_model
 from jax_inertia.model.robot import Robot
 from jax_inertia.replay.fitting.fit import Fit
-from jax_inertia.replay.loop import LOGARITHMIC, Parameter
+from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.entries import Names, named
@@ -40,11 +40,6 @@ class Result:
         return self.names.table
 
     @property
-    def error(self) -> float:
-        """Of its replays, rms over joints [rad]."""
-        return self.found.rounds[-1]
-
-    @property
     def there(self) -> Bool[np.ndarray, " P"]:
         """Which numbers are there."""
         out = np.zeros(len(self.table), bool)
@@ -53,19 +48,20 @@ class Result:
         return out
 
     @property
-    def places(self) -> list[tuple[Candidate, tuple[int, ...]]]:
-        """All odd candidates, each with its rows of the table."""
-        out, first = [], len(self.table) - sum(len(c.parameters) for c in self.pool)
-        for c in self.pool:
-            out.append((c, tuple(range(first, first + len(c.parameters)))))
-            first += len(c.parameters)
-        return out
+    def ordinaries(self) -> int:
+        """How many numbers are ordinary, the first of the table."""
+        return len(self.table) - sum(len(c.parameters) for c in self.pool)
 
     @property
-    def odd(self) -> list[tuple[Candidate, tuple[int, ...]]]:
+    def odd(self) -> list[tuple[Candidate, list[int]]]:
         """Odd effects that are there, with their rows of the table."""
-        there = self.there
-        return [(c, rows) for c, rows in self.places if there[list(rows)].any()]
+        out, first, there = [], self.ordinaries, self.there
+        for c in self.pool:
+            rows = list(range(first, first + len(c.parameters)))
+            if there[rows].any():
+                out.append((c, rows))
+            first += len(rows)
+        return out
 
 
 def fits(
@@ -77,13 +73,10 @@ def fits(
     floor: Float[np.ndarray, " m"],
 ) -> list[tuple[Candidate, Fit]]:
     """Fits of replays with each odd effect of a result that is in the pool, from the result's numbers."""
-    count = len(result.table) - sum(len(c.parameters) for c in result.pool)
-    out = []
+    count, out = result.ordinaries, []
     for c, rows in result.odd:
         if c in pool:
-            theta = np.concatenate(
-                [result.theta[:count], found.theta[count:], result.theta[list(rows)]]
-            )
+            theta = np.concatenate([result.theta[:count], found.theta[count:], result.theta[rows]])
             out.append((c, fitted_from(plant, found, c, theta, records, floor)))
     return out
 
@@ -94,28 +87,25 @@ def find(
     odd: Sequence[Candidate],
     records: Sequence[Record],
     floor: Float[np.ndarray, " m"],
-    *,
-    start: Float[np.ndarray, " P"] | None = None,
-    rounds: int = likelihood.ROUNDS,
-    progress: Callable[[str], None] = lambda text: None,
 ) -> Result | None:
-    """The numbers that are there, of ordinary ones and odd candidates; `start`: of the table's numbers.
+    """The numbers that are there, of ordinary ones and odd candidates.
 
     None where the linear response does not hold: it does on a fixed base of hinges and slides without chains that
     close, of logs without torque. `floor`: of each joint's error, what encoders leave, rms [rad].
     """
-    return in_double_precision(_find)(plant, table, odd, records, floor, start, rounds, progress)
+    return in_double_precision(_find)(plant, table, odd, records, floor)
 
 
-def _find(plant: Plant, table, odd, records, floor, start, rounds: int, progress) -> Result | None:
+def _find(plant: Plant, table, odd, records, floor) -> Result | None:
+    if records[0].torque is not None:
+        return None
     robot = load_model(plant.model)
     joints = joints_of(robot, plant.names)
-    if joints is None or records[0].torque is not None:
+    if joints is None:
         return None
     names = named(plant, table, odd)
     loop = _likelihood(plant, names, robot, joints, records, floor)
-    begins = None if start is None else _from(names, start)
-    found = likelihood.fitted(loop, rounds=rounds, start=begins, progress=progress)
+    found = likelihood.fitted(loop)
     return Result(found, names, tuple(odd), names.theta(found.theta))
 
 
@@ -130,17 +120,6 @@ def _likelihood(
         return replay(plant, names.table, np.array([names.theta(x) for x in thetas]), record)
 
     return ClosedLoop(robot, joints, runs, names.numbers, simulated, floor)
-
-
-def _from(names: Names, start: Float[np.ndarray, " P"]) -> np.ndarray:
-    """Ordinary numbers of replays as the likelihood has them."""
-    out = np.zeros(len(names.entries))
-    for i, e in enumerate(names.entries):
-        k, p = e.rows[0], names.table[e.rows[0]]
-        if k < len(start) and start[k] != p.nominal:
-            off = start[k] - p.nominal
-            out[i] = np.expm1(off) if p.family in LOGARITHMIC else off
-    return out
 
 
 def _run(plant: Plant, r: Record) -> Run:

@@ -278,7 +278,7 @@ def _first(
 
 
 def _without_stiffness(best: Candidate, out: dict[Candidate, tuple[float, Fit]]) -> Candidate:
-    """A spring without stiffness is a torque, and said to be one where both are as good."""
+    """The constant torque of the same joint in place of a spring, where its evidence is within 20 to 1 of that."""
     for c, (evidence, _) in out.items():
         same = best.family == "joint_spring" and (c.family, c.place) == ("torque_bias", best.place)
         if same and evidence > out[best][0] - AS_GOOD:
