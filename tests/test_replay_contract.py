@@ -223,12 +223,15 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
         def unnamed(self, with_it, without, numbers):
             return self.shapes
 
-    def sure(theta, instead=(), cost=0.0, odd=(), shapes=1e3):
+    def both(theta, instead=(), cost=0.0, odd=(), shapes=1e3):
         Rows.cost, Rows.shapes = cost, shapes
         found = straight(theta, 0.0, theta)
         rows = Rows()
         given = {(0,): instead}
         return probabilities(found, [(0,)], odd, given, rows, rows, lambda _: found)[0,]
+
+    def sure(*args, **more):
+        return both(*args, **more).own
 
     p = Parameter("kp_scale", 0, 0.0, 1.0, -9.0, 9.0)
     alone = sure(0.2)
@@ -236,6 +239,8 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
     assert sure(0.05) < alone
     assert sure(0.1, odd=[(0,)]) < sure(0.1)
     assert sure(0.2, (Instead(p, 0.1, cost=0.0),)) == pytest.approx(0.5, abs=0.01)
+    # What has a name and would do as well takes from the effect; that one of them is there is as sure as before.
+    assert both(0.2, (Instead(p, 0.1, cost=0.0),)).or_another == alone
     assert sure(0.2, (Instead(p, 0.1, "by the equation"),)) == alone
     assert sure(0.2, cost=100.0) < 0.2
     assert 0.5 < sure(0.2, shapes=0.0) < alone
@@ -264,7 +269,7 @@ def test_a_limit_is_judged_by_all_rows_as_another_motion_may_hardly_ask_for_it()
 
     def sure(found, gain, shapes=1e3, odd=((0,),)):
         rows = Rows(0.0, 0.0), Rows(gain, shapes)
-        return probabilities(found, [(0,)], odd, {}, *rows, lambda rows: found)[0,]
+        return probabilities(found, [(0,)], odd, {}, *rows, lambda rows: found)[0,].own
 
     number = straight(0.8, 0.0, 0.8)
     limit = number._replace(table=(number.table[0]._replace(nominal=np.inf),))

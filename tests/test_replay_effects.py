@@ -559,7 +559,7 @@ def test_friction_that_may_fall_with_speed_is_a_tie_where_the_log_does_not_decid
     def law(miss, v):
         return KP[:1] * miss - KD[:1] * v, dry + more * np.exp(-((v / speed) ** 2))
 
-    log, other = (coarse(made(law, spec=one, seed=k, seconds=6.0)) for k in (2, 3))
+    log, other = (coarse(made(law, spec=one, seed=k, seconds=8.0)) for k in (2, 3))
     found = pipeline.diagnose([log], one, test_log=other)
     named = {e.family for e in found.effects} | {t.family for e in found.effects for t in e.ties}
     assert "coulomb_friction" in named

@@ -38,6 +38,14 @@ _DELAYS = (0.004, 0.01, 0.02, 0.035, 0.06, 0.1, 0.15)
 """Delays of all targets that are tried at the start [s]: none leads to another by small steps over a jump."""
 
 
+class Rival(NamedTuple):
+    """What was fitted in place of an odd effect, and was less likely along the linear response."""
+
+    effect: int
+    instead_of: int
+    theta: Float[np.ndarray, " P"]
+
+
 class Found(NamedTuple):
     """Numbers of a closed loop, which effects are there, and how well they are known."""
 
@@ -54,6 +62,8 @@ class Found(NamedTuple):
     """Rms error of the replays after each round [rad]."""
     normal: Normal
     groups: Groups
+    rivals: tuple[Rival, ...]
+    """Of the same joints as the odd effects that were taken."""
 
     @property
     def there(self) -> Bool[np.ndarray, " P"]:
@@ -96,9 +106,10 @@ def fitted(
     allowed = {*groups.ordinary, *groups.there(theta)}
     first = _State(theta, error, loop.weights(error))
     now = _converged(loop, groups, first, allowed, rounds, history, progress, with_delay=True)
+    rivals: list[Rival] = []
     for k in range(_MOST):
         progress(f"closed loop, {k} odd effects")
-        best, tried = now, None
+        best, taken, lost = now, -1, []
         # What ordinary numbers, each far off, pass for is sought where they are not off yet, too.
         for state in (now, first) if k == 0 else (now,):
             for g in _promising(loop, groups, state, allowed):
@@ -108,9 +119,11 @@ def fitted(
                     added=g, with_delay=state is first,
                 )  # fmt: skip
                 if _better(loop, groups, tried, best):
-                    best = tried
+                    best, taken, tried, g = tried, g, best, taken
+                lost.append((g, tried.theta))
         if best is now:
             break
+        rivals += _rivals(groups, taken, lost)
         before = {*groups.there(now.theta)} - {*groups.ordinary}
         allowed = {*groups.ordinary, *groups.there(best.theta)}
         now = _converged(loop, groups, best, allowed, rounds, history, progress)
@@ -121,8 +134,19 @@ def fitted(
     solved = solve(normal, groups, chosen)
     return Found(
         now.theta, solved.covariance, tuple(chosen), solved.evidence, now.error, now.weights,
-        tuple(history), normal, groups,
+        tuple(history), normal, groups, tuple(rivals),
     )  # fmt: skip
+
+
+def _rivals(groups: Groups, taken: int, lost) -> list[Rival]:
+    """Of the fits that lost a turn, the latest with each other effect of the joint or body that gained one."""
+
+    def place(g: int) -> tuple[int, str]:
+        number = groups.numbers[groups.rows[g][0]]
+        return number.joint, number.body
+
+    near = {g: x for g, x in lost if g >= 0 and g != taken and place(g) == place(taken)}
+    return [Rival(g, taken, x) for g, x in near.items() if np.any(x[groups.rows[g]] != 0.0)]
 
 
 def _better(loop: Likelihood, groups: Groups, new: _State, old: _State) -> bool:

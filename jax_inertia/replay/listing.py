@@ -14,6 +14,7 @@ from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
+from jax_inertia.replay.search.probability import Sure
 from jax_inertia.replay.search.ties import IN_PART, effect_of, place_of, ties_of
 
 CHANGES = ("armature", "viscous_friction", "coulomb_friction")
@@ -84,7 +85,7 @@ def listed(
     search: Search,
     instead: Mapping[Rows, tuple[Instead, ...]],
     shares: Mapping[Rows, float],
-    probabilities: Mapping[Rows, float],
+    probabilities: Mapping[Rows, Sure],
     loop: Loop,
     names: Sequence[str],
 ) -> tuple[Effect, ...]:
@@ -95,7 +96,7 @@ def listed(
     out, added = [], {o.rows: o for o in search.odd}
     for rows, share in sorted(shares.items(), key=lambda x: -x[1]):
         p = found.table[rows[0]]
-        sure = probabilities[rows]
+        sure = probabilities[rows].own
         if rows in added:
             effect = _odd(found, added[rows], share, sure, loop, names)
             out.append(_with_ties(effect, _instead(instead.get(rows, ()), loop, names)))

@@ -152,9 +152,11 @@ def _told(
     """Everything in words."""
     done, found, correction, file, whole = handed
     names, loop, test = correction.names, case.loop, case.parts.test
-    # What is less likely than not is handed over and has no name.
+    # What is less likely than not, with all that has a name and would do in its place, is handed over and has no name.
     distinct = {k: s for k, s in done.shares.items() if listing.distinct(found, k)}
-    kept = {k: s for k, s in distinct.items() if done.probabilities[k] >= Settings.likely}
+    kept = {
+        k: s for k, s in distinct.items() if done.probabilities[k].or_another >= Settings.likely
+    }
     effects = listing.listed(
         found, done.search, done.instead, kept, done.probabilities, loop, names
     )

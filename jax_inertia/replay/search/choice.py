@@ -20,7 +20,7 @@ from jax_inertia.replay.search.exchange import exchanged
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.search.possible import pressed
-from jax_inertia.replay.search.probability import probabilities
+from jax_inertia.replay.search.probability import Sure, probabilities
 from jax_inertia.replay.search.tries import AS_GOOD
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.text.words import number
@@ -50,7 +50,7 @@ class Chosen(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: Mapping[Rows, float]
     """Of the gap in the validation rows, by the rows of each number or odd effect that is large enough to be listed."""
-    probabilities: Mapping[Rows, float]
+    probabilities: Mapping[Rows, Sure]
     impossible: tuple[str, ...]
     records: Sequence[Record]
     """That were fitted, and in which samples the robot touches something."""

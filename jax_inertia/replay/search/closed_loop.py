@@ -3,6 +3,7 @@ response, and its results as numbers of replays.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,13 +56,30 @@ class Result:
     @property
     def odd(self) -> list[tuple[Candidate, list[int]]]:
         """Odd effects that are there, with their rows of the table."""
-        out, first, there = [], self.ordinaries, self.there
-        for c in self.pool:
-            rows = list(range(first, first + len(c.parameters)))
-            if there[rows].any():
-                out.append((c, rows))
-            first += len(rows)
-        return out
+        there = self.there
+        return [(c, rows) for c, rows in self._rows if there[rows].any()]
+
+    @property
+    def rivals(self) -> list[tuple[Candidate, list[int], Candidate, Float[np.ndarray, " P"]]]:
+        """What was fitted in an odd effect's place: it, its rows, that effect, and all numbers."""
+        groups = self.found.groups
+        of = {k: (c, rows) for c, rows in self._rows for k in rows}
+
+        def candidate(effect: int) -> tuple[Candidate, list[int]]:
+            return of[self.names.entries[groups.rows[effect][0]].rows[0]]
+
+        return [
+            (*candidate(r.effect), candidate(r.instead_of)[0], self.names.theta(r.theta))
+            for r in self.found.rivals
+        ]
+
+    @property
+    def _rows(self) -> list[tuple[Candidate, list[int]]]:
+        """All odd effects, with their rows of the table."""
+        ends = np.cumsum([self.ordinaries, *(len(c.parameters) for c in self.pool)]).tolist()
+        return [
+            (c, list(range(*e))) for c, e in zip(self.pool, itertools.pairwise(ends), strict=True)
+        ]
 
 
 def fits(
@@ -72,11 +90,17 @@ def fits(
     records: Sequence[Record],
     floor: Float[np.ndarray, " m"],
 ) -> list[tuple[Candidate, Fit]]:
-    """Fits of replays with each odd effect of a result that is in the pool, from the result's numbers."""
+    """Fits of replays with each odd effect of a result that is in the pool, from the result's numbers.
+
+    Along the linear response a lag of targets with less damping is a motor's lag; replays tell them apart, each from
+    the numbers that the likelihood has with it. So what was fitted in an effect's place starts a fit too.
+    """
     count, out = result.ordinaries, []
-    for c, rows in result.odd:
+    starts = [(c, rows, result.theta) for c, rows in result.odd]
+    starts += [(c, rows, x) for c, rows, other, x in result.rivals if other in pool]
+    for c, rows, x in starts:
         if c in pool:
-            theta = np.concatenate([result.theta[:count], found.theta[count:], result.theta[rows]])
+            theta = np.concatenate([x[:count], found.theta[count:], x[rows]])
             out.append((c, fitted_from(plant, found, c, theta, records, floor)))
     return out
 

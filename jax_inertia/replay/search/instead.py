@@ -77,7 +77,9 @@ def in_place_of(
     changes = {}
     for c, start, error in tried_errors(plant, about, tries, records):
         k, change = column(c, start, error - errors[0])
-        changes[c.parameters[k]] = change
+        # A spring without stiffness is a torque, which has a number of its own.
+        if c.parameters[k].family != "spring_torque":
+            changes[c.parameters[k]] = change
     more = list(changes.values())
     table = (*found.table, *changes)
     costs = _Costs(

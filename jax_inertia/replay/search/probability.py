@@ -6,6 +6,7 @@ E, in twice nats, is by how much the log is likelier with the effect's numbers t
 the cost's parabola θᵀ C⁻¹ θ of its numbers θ from the model's own, C their covariance, less ln N for each (BIC, N
 independent samples) and the odds against an odd one; and less what validation rows lose by it, if they do. c_a,
 likewise, is what alternative a costs more than the effect, on the fitted rows and on the validation rows together.
+That the effect or an alternative with a name is there has the log odds without those alternatives' c_a.
 What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L is calibrated as by
 torque (`diagnosis.certainty.probability`).
 
@@ -15,6 +16,7 @@ effects: a stretch of two seconds is like some handful of shapes whatever moves 
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +29,15 @@ from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.tries import LOG_ODDS
 
 
+class Sure(NamedTuple):
+    """How probable an effect is."""
+
+    own: float
+    """That it is there."""
+    or_another: float
+    """That it is, or one of those with a name that would do in its place."""
+
+
 def probabilities(
     found: Fit,
     units: Sequence[Rows],
@@ -35,7 +46,7 @@ def probabilities(
     run: Unseen,
     everything: Unseen,
     refitted: Callable[[Rows], Fit],
-) -> dict[Rows, float]:
+) -> dict[Rows, Sure]:
     """Of the effects of some rows; `odd`: those that few robots have, `run`: the validation rows.
 
     `everything`: fitted and validation rows; `refitted`: the fit without the numbers of some rows.
@@ -52,14 +63,19 @@ def probabilities(
             evidence = everything.likelier(now, everything.errors(bare), found.weights)
         evidence -= 2.0 * LOG_ODDS * (rows in odd)
         evidence -= numbers_paid(found, rows) * float(np.log(max(found.samples, 2.0)))
-        others = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
+        named = [max(x.cost, 0.0) for x in instead.get(rows, ()) if not x.bound]
         # What has no name is as rare as any odd effect, and what every robot has is not. Behind an alternative with a
         # name it may be that one.
         rare = 2.0 * LOG_ODDS * (rows not in odd)
         unnamed = everything.unnamed(now, without, numbers_paid(found, rows)) + rare
-        if unnamed < min(others, default=np.inf):
-            others.append(max(unnamed, 0.0))
-        out[rows] = probability(log_odds([0.5 * x for x in (evidence, *others)]))
+        against = [evidence]
+        if unnamed < min(named, default=np.inf):
+            against.append(max(unnamed, 0.0))
+        own, together = (
+            probability(log_odds([0.5 * x for x in costs]))
+            for costs in ((*against, *named), against)
+        )
+        out[rows] = Sure(own, together)
     return out
 
 

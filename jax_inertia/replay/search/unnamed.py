@@ -2,10 +2,11 @@
 
     e_j = Σ_k a_k s_k(t − l_k) + rest
 
-e is the remainder of replays without an effect, s shapes of the motion and of the targets (`remainder.shapes`): a few
-of them, taken one by one for as long as each brings its price: ln N for its number (BIC, N independent samples) and the
-logarithm of how many it was chosen from. A law that is in the model leaves the sensors' noise, and no handful of shapes
-does. Where much is left with an effect too, they may do as well: then nothing says that the effect is the cause.
+e is the remainder of replays without an effect, s shapes of the motion and of the targets (`remainder.shapes`) and a
+constant: a few of them, taken one by one for as long as each brings its price: ln N for its number (BIC, N independent
+samples) and the logarithm of how many it was chosen from. A law that is in the model leaves the sensors' noise, and no
+handful of shapes does. Where much is left with an effect too, they may do as well: then nothing says that the effect is
+the cause.
 """
 
 from collections.abc import Sequence
@@ -50,10 +51,8 @@ def _left(
     """What shapes leave of one joint's error, and how many there are."""
     independent = len(error) / autocorrelation_time(error)
     price = np.log(independent) + 2.0 * np.log(len(columns))
-    chosen = [np.ones(len(error))]
-    left, count = error - error.mean(), 0
+    basis, left, count = np.zeros((len(error), 0)), error, 0
     while count < _MOST:
-        basis = np.linalg.qr(np.array(chosen).T)[0]
         new = columns - (columns @ basis) @ basis.T
         size = np.linalg.norm(new, axis=1)
         along = np.divide(new @ left, size, out=np.zeros(len(new)), where=size > 1e-6)
@@ -62,14 +61,14 @@ def _left(
         after = power - along[best] ** 2
         if power <= 0.0 or independent * np.log(power / max(after, 1e-300)) < price:
             break
-        chosen.append(columns[best])
-        left = left - along[best] * new[best] / size[best]
+        basis = np.column_stack([basis, new[best] / size[best]])
+        left = left - along[best] * basis[:, -1]
         count += 1
     return left, count
 
 
 def _columns(names: Sequence[str], j: int, records: Sequence[Record]) -> Float[np.ndarray, "k N"]:
-    """Each shape along all records, at each lag, of size one."""
+    """Each shape along all records, at each lag, and a constant, of size one."""
     out = []
     for late in _LATE:
         every = []
@@ -79,5 +78,6 @@ def _columns(names: Sequence[str], j: int, records: Sequence[Record]) -> Float[n
         out.append(np.concatenate(every, axis=1))
     columns = np.concatenate(out)
     columns = columns - columns.mean(axis=1, keepdims=True)
+    columns = np.concatenate([np.ones((1, columns.shape[1])), columns])
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     return columns / np.maximum(size, 1e-300)

@@ -8,7 +8,8 @@ the positions that were measured: over a window of ± `WINDOW` about every sampl
 At measured positions, not at replayed ones: p(q, τ | q*, θ) is the product over samples of p(τ_t | q up to t, θ) and
 p(q_t | τ before t, θ). What friction or masses do to q beyond the model is in the replay's error once, and not in the
 torque's again; and torque tells the loop's own numbers whatever the robot does. The mean of q̇ over a window is the
-difference of q over it, and an edge of a target that is known to a part of a sample moves a mean by little.
+difference of q over it, as old as the replay's is, and an edge of a target that is known to a part of a sample moves a
+mean by little.
 """
 
 from collections.abc import Sequence
@@ -199,9 +200,10 @@ def misses(
         # Most numbers of a vector are not the loop's, and most that are, another joint's.
         done: dict[tuple[float, ...], np.ndarray] = {}
         for b, x in enumerate(every):
-            own = tuple(float(getattr(x, name)[j]) for name in _LAW)
+            age = float(x.steps[j] * x.step_of_kd[j]) - plant.own.of_kd
+            own = age, *(float(getattr(x, name)[j]) for name in _LAW)
             if own not in done:
-                done[own] = _miss(record, windows, x, j)
+                done[own] = _miss(record, windows, x, j, age)
             out[b, :, k] = done[own]
     return out
 
@@ -231,7 +233,10 @@ class Windows:
         return (x[last] - x[first]) / (self.time[last] - self.time[first])
 
 
-def _miss(record: Record, windows: Windows, x: Numbers, j: int) -> Float[np.ndarray, " T"]:
+def _miss(
+    record: Record, windows: Windows, x: Numbers, j: int, age: float
+) -> Float[np.ndarray, " T"]:
+    """`age`: by how much a loop's velocity is older than its position, where the log has no velocity [s]."""
     q, targets = record.q[:, j], record.commanded
     kp, kd, back = x.kp[j], x.kd[j], x.back[j]
     aim = _held(record, targets.position[:, j], x, j)
@@ -244,7 +249,8 @@ def _miss(record: Record, windows: Windows, x: Numbers, j: int) -> Float[np.ndar
     if targets.torque is not None:
         asked = asked + _held(record, targets.torque[:, j], fed, j)
     if record.velocity is None:
-        v, mean_v = windows.slope(q, _SLOPE), windows.slope(q)
+        slopes = windows.slope(q, _SLOPE), windows.slope(q)
+        v, mean_v = (np.interp(record.time - age, record.time, y) for y in slopes)
     else:
         v, mean_v = record.velocity[:, j], windows.mean(record.velocity[:, j])
     if x.integral[j] > 0:
