@@ -2,7 +2,7 @@
 
     python benchmarks/closed_loop.py --robots 16 --seconds 4 --machine leg
 
-Every robot has gains, friction and a delay of its own, simulated by MuJoCo C (`replay/closed_loop_cases.py`); from
+Every robot has gains, friction and a delay of its own, simulated by MuJoCo C (`worlds/targets/machines.py`); from
 `--simulated` of them on, logs repeat with other noise of the encoders.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.replay import closed_loop_cases as cases
+from benchmarks.worlds.targets import machines as cases
 from jax_inertia.likelihood import batch
 from jax_inertia.likelihood.linearised import joints_of
 from jax_inertia.model.load import load_model

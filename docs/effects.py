@@ -31,7 +31,7 @@ that friction is counted once), plus the friction law of every joint, less force
 after `time_delay`, `actuator_lag` and limits, g the joint's `torque_gain`. Effects with `"handed_over": false` are
 named and not in the files: leave them out; `push` belongs to the log that was diagnosed. How far a soft joint bends is
 computed from the motion, never from the torque that is to be predicted. Errors in reports count the rows in which a
-joint moves faster than 0.02 rad/s, below 10 Hz. `benchmarks/gap/report_torque.py` is such a program; it
+joint moves faster than 0.02 rad/s, below 10 Hz. `benchmarks/exam/report_torque.py` is such a program; it
 shares no code with the package.
 
 The friction law of a joint is `friction.<joint>` of report.json. It is the joint's whole friction: it replaces damping

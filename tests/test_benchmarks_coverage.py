@@ -1,13 +1,11 @@
 """The Monte Carlo's coverage: what is chosen never sees what it is scored on, and a filter too sure is found out."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
 
 from benchmarks import coverage  # noqa: E402
 

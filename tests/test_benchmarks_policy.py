@@ -1,17 +1,12 @@
 """Policies trained in simulators that differ: the arm, the network, late targets, and the numbers of the page."""
 
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from policy import __main__ as command
-from policy import arm, train
+from benchmarks.policy import __main__ as command
+from benchmarks.policy import arm, train
 
 
 def test_the_hand_is_where_mujoco_has_it():

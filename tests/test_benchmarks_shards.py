@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
 
 from benchmarks.harness.shards import MANIFEST, Shards  # noqa: E402
 

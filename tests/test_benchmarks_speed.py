@@ -1,7 +1,6 @@
 """The clocks of the benchmarks, and the figures that are looked up by name."""
 
 import json
-import sys
 import time
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
 
 from benchmarks.harness.clock import race, times_faster  # noqa: E402
 from benchmarks.harness.gate_page import touchdowns  # noqa: E402

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 BLIND = Path(__file__).parents[1] / "benchmarks" / "blind"
-for folder in (BLIND.parent / "gap", BLIND.parent, BLIND):
-    sys.path.insert(0, str(folder))
 
-from exam import page  # noqa: E402
-from exam.rates import Share, confidence_error, count, median  # noqa: E402
+from benchmarks.exam import page  # noqa: E402
+from benchmarks.exam.rates import Share, confidence_error, count, median  # noqa: E402
 
 
 def row(log: str, stratum: str, hidden: str, right: bool = True, **more) -> dict:
@@ -101,11 +99,11 @@ def test_bounds():
 
 
 def test_the_stored_page_is_that_of_the_stored_rows():
-    import score
+    from benchmarks.blind import score
 
     if not score.STORED.exists():
         pytest.skip("no set is opened")
-    command = [sys.executable, str(BLIND / "score.py"), "page", "--check"]
+    command = [sys.executable, "-m", "benchmarks.blind.score", "page", "--check"]
     assert subprocess.run(command, check=False).returncode == 0
     stored = json.loads(score.STORED.read_text())["tools"]
     made = page.summary(next(iter(stored.values())), stored.get(page.PACE, []))

@@ -12,24 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-BLIND = Path(__file__).parents[1] / "benchmarks" / "blind"
-for folder in (BLIND.parent / "gap", BLIND.parent, BLIND):
-    sys.path.insert(0, str(folder))
+from benchmarks.blind import score, seal, solve, vault
+from benchmarks.worlds import strata
 
-import mixed  # noqa: E402
-import score  # noqa: E402
-import seal  # noqa: E402
-import solve  # noqa: E402
-import vault  # noqa: E402
+BLIND = Path(__file__).parents[1] / "benchmarks" / "blind"
 
 SEED = b"a seed for a test"
 KINDS = (("bare", "", False), ("bare_odd", "cogging", True), ("outside", "clock_skew", False))
 
 
-def three(words: int, count: int) -> list[mixed.Task]:
+def three(words: int, count: int) -> list[strata.Task]:
     """Ordinary physics, one effect with a validation run, and what no library has."""
     return [
-        mixed.Task(stratum, kind, words, 3 * k, validation=more)
+        strata.Task(stratum, kind, words, 3 * k, validation=more)
         for k, (stratum, kind, more) in enumerate(KINDS[:count])
     ]
 
@@ -39,10 +34,10 @@ def sealed(tmp_path_factory):
     """Three tiny logs, their vault and the commitment."""
     home = tmp_path_factory.mktemp("blind")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mixed, "plan", three)
-        patch.setattr(mixed, "SECONDS", 2.0)
-        patch.setattr(mixed, "OTHER", 2.0)
-        patch.setattr(mixed, "WINDOW", (0.0, np.inf))
+        patch.setattr(strata, "plan", three)
+        patch.setattr(strata, "SECONDS", 2.0)
+        patch.setattr(strata, "OTHER", 2.0)
+        patch.setattr(strata, "WINDOW", (0.0, np.inf))
         promise = seal.make(home / "logs", home / "vault", SEED, 3)
     return home / "logs", home / "vault", promise
 
@@ -70,7 +65,7 @@ def test_a_log_holds_the_contract_and_nothing_else(sealed):
 
 def test_names_and_times_tell_nothing(sealed):
     logs, _, _ = sealed
-    words = {*mixed.ONE, *mixed.OUTSIDE, *mixed.SHARES, "pinocchio", "truth"}
+    words = {*strata.ONE, *strata.OUTSIDE, *strata.SHARES, "pinocchio", "truth"}
     for path in logs.rglob("*"):
         assert path.stat().st_mtime == seal.MOMENT
         assert not any(word in path.name for word in words)
@@ -96,10 +91,10 @@ def test_the_commitment_holds_end_to_end(sealed, tmp_path, monkeypatch):
     logs, hidden, promise = sealed
     manifest = vault.check(logs, hidden, promise, SEED)
     assert len(manifest["logs"]) == 3
-    monkeypatch.setattr(mixed, "plan", three)
-    monkeypatch.setattr(mixed, "SECONDS", 2.0)
-    monkeypatch.setattr(mixed, "OTHER", 2.0)
-    monkeypatch.setattr(mixed, "WINDOW", (0.0, np.inf))
+    monkeypatch.setattr(strata, "plan", three)
+    monkeypatch.setattr(strata, "SECONDS", 2.0)
+    monkeypatch.setattr(strata, "OTHER", 2.0)
+    monkeypatch.setattr(strata, "WINDOW", (0.0, np.inf))
     (task, name) = seal.plan(SEED, 3)[1]
     again = tmp_path / "again"
     seal.write_log(task, name, again / "logs", again / "vault")

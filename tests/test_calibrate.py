@@ -1,16 +1,11 @@
 """The map from log odds to probabilities: fitted to what was so, and what is stored is what is written."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "gap"))
-
-import calibrate
-
+from benchmarks.exam import calibrate
 from jax_inertia.diagnosis.certainty.probability import confidence, probability
 
 

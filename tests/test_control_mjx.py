@@ -3,17 +3,12 @@
 Compiling the loop in MJX takes minutes on two cores.
 """
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.paper.brain import ORACLE, Inputs, make_brain
 from benchmarks.paper.mjx_loop import at_home, make_loop

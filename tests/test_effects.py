@@ -66,9 +66,9 @@ CASES = {
     "push": (HAND, (2.0, 3.0, 0.3, 0.2), [20.0, 0.0, -10.0], 0.01),
 }
 ELSEWHERE = {
-    "joint_elasticity": "a second hinge: test_gap_twomass.py, test_diagnose_model.py",
-    "backlash": "a second hinge: test_gap_twomass.py, test_diagnose_model.py",
-    "contact_force_scale": "what a sensor reads: test_gap_support.py",
+    "joint_elasticity": "a second hinge: test_diagnosis_two_mass.py, test_diagnose_model.py",
+    "backlash": "a second hinge: test_diagnosis_two_mass.py, test_diagnose_model.py",
+    "contact_force_scale": "what a sensor reads: test_diagnosis_support.py",
 }
 ROBOT = load_model(mujoco.MjModel.from_xml_string(NOMINAL)).astype("float64")
 

@@ -1,16 +1,11 @@
 """A filter that keeps all samples' likelihood: against generalised least squares, and its ± by Monte Carlo."""
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.online import honest
 from jax_inertia import load_model

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -14,6 +13,9 @@ import pytest
 from diagnosis_made_up import diagnosis
 from diagnosis_robot import NOMINAL, log_of, motion, needed, ordinary
 
+from benchmarks.exam.report_torque import of_folder
+from benchmarks.exam.torque_error import needed as as_given
+from benchmarks.exam.torque_error import read, torque_error
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis import pipeline
 from jax_inertia.diagnosis.checks import HeldOut
@@ -43,7 +45,6 @@ from jax_inertia.maths.inertial_parameters import is_physical
 from jax_inertia.model.load import load_model
 from jax_inertia.model.robot_spec import spec_of
 
-GAP = Path(__file__).parents[1] / "benchmarks" / "gap"
 MODEL = mujoco.MjModel.from_xml_string(NOMINAL)
 LOADED = NOMINAL.replace(
     'mass="0.6" diaginertia="0.002 0.002 0.001"', 'mass="1.5" diaginertia="0.007 0.007 0.003"'
@@ -96,14 +97,7 @@ def written(tmp_path_factory):
 
 
 def again(folder: Path, name: str) -> float:
-    """Torque error of a run by benchmarks/gap/report_torque.py over that of the nominal model."""
-    sys.path.insert(0, str(GAP))
-    try:
-        from report_torque import of_folder
-        from torque_error import needed as as_given
-        from torque_error import read, torque_error
-    finally:
-        sys.path.remove(str(GAP))
+    """Torque error of a run by benchmarks/exam/report_torque.py over that of the nominal model."""
     log = read(folder / name)
     told = of_folder(folder / "out", folder)
     after = told.error(log, held=False)

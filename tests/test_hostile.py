@@ -40,6 +40,7 @@ from log_files import (
 from test_model_files import ARM, DEFAULTS, URDF
 
 import jax_inertia as ji
+from benchmarks import mutations
 from jax_inertia.cli import console
 from jax_inertia.cli.main import _COMMANDS, main
 from jax_inertia.logs.atomic_files import held
@@ -47,10 +48,6 @@ from jax_inertia.logs.log import LogError
 from jax_inertia.logs.log_files import read_log
 from jax_inertia.logs.readers import Options
 from jax_inertia.model.load import ModelError, write_urdf
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from benchmarks import mutations
 
 SLOW = 10.0
 ROS = Options(topic_base="/odom", topic_wrenches={"foot": "/ft"})

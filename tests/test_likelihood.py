@@ -1,8 +1,5 @@
 """The closed-loop likelihood: its linear response against closed forms and MuJoCo C, and what it finds."""
 
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -10,6 +7,7 @@ import numpy as np
 import pytest
 
 import jax_inertia as ji
+from benchmarks.worlds.targets import machines as cases
 from jax_inertia.likelihood import batch, motion
 from jax_inertia.likelihood.closed_loop import ClosedLoop
 from jax_inertia.likelihood.columns import ALL, Number
@@ -26,10 +24,6 @@ from jax_inertia.replay.search import closed_loop
 from jax_inertia.replay.search.candidates import candidates
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import replay
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from benchmarks.replay import closed_loop_cases as cases
 
 STEP = 2.5e-4
 

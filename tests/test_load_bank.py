@@ -1,16 +1,11 @@
 """Which link took up a load: the bank against MuJoCo C rollouts, and what it must leave alone."""
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.online import draws, links
 from jax_inertia import load_model

@@ -1,13 +1,10 @@
 """What nobody measured is left out by name, and velocities that contradict positions: arms by MuJoCo C, brakes on."""
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import jax_inertia as ji
 from benchmarks.harness import pickup_log

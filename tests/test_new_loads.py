@@ -1,16 +1,12 @@
 """Loads of 0.1 to 30 times the link that takes them up: found by the defaults, whatever rows are lost. By MuJoCo C."""
 
 import functools
-import sys
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import jax_inertia as ji
 from benchmarks.harness import pickup_log

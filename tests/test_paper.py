@@ -1,7 +1,6 @@
 """The experiments' own pieces: plant, sensors, waveforms, report. The closed loops are `benchmarks/paper`."""
 
 import json
-import sys
 from pathlib import Path
 
 import mujoco
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
 
 from benchmarks.paper import curl, elbow, pelvis, report  # noqa: E402
 from benchmarks.paper.brain import carrying_rows  # noqa: E402

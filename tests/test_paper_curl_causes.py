@@ -1,15 +1,10 @@
 """What the curl's estimator is told of a diagnosis, against MuJoCo's own forces."""
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.paper import curl
 from benchmarks.paper.brain import Brain, Inputs

@@ -1,11 +1,8 @@
 """The curls' log keeps to the contract, and says what the sensors said."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.paper.curl_log import contract, sensed
 from benchmarks.paper.plant import Fleet, Sensors, model

@@ -1,20 +1,12 @@
 """Real robots as they are diagnosed: models and logs as prepared, and the published fits."""
 
-import sys
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "real_logs"))
-
-import cases
-import logs
-import other_run
-from torque_error import read, torque_error
-
 import jax_inertia as ji
+from benchmarks.exam.torque_error import read, torque_error
+from benchmarks.real_logs import cases, logs, other_run
 
 pytestmark = pytest.mark.skipif(
     not logs.SHARED.is_dir(),

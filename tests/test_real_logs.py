@@ -1,20 +1,13 @@
 """Recorded logs of real arms, with the settings of `benchmarks/real_logs`; skipped where the data are not there."""
 
 import functools
-import sys
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "real_logs"))
-
-import arms
-import logs
-import ur10e
-
+from benchmarks.real_logs import arms, logs, ur10e
 from jax_inertia.estimation import batch_fit
 from jax_inertia.estimation.batch_fit import Calibrated
 from jax_inertia.maths.inertial_parameters import is_physical

@@ -2,8 +2,8 @@
 
     python -m benchmarks.blind --model my_robot.xml [--n 12] [--seed 1] [--jobs 2] [--out FOLDER] [--fix-base]
 
-Makes logs of robots like the model (`mixed.py`: sound ones, one effect on a good model, robots as they are bought
-with and without an odd effect, effects that no library has, logs that mean something else, robots that are told
+Makes logs of robots like the model (`worlds/strata.py`: sound ones, one effect on a good model, robots as they are
+bought with and without an odd effect, effects that no library has, logs that mean something else, robots that are told
 positions), diagnoses each by the public command in a process that can open nothing else, and writes OUT/RESULTS.md,
 rows.json and summary.json; settings.json holds what makes the same logs again. Without --model: the generator's own
 robots, quadrupeds and bipeds on their feet among them. A third of the logs with torques are made by Pinocchio where
@@ -21,36 +21,30 @@ import argparse
 import hashlib
 import json
 import shutil
-import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-for folder in (HERE, HERE.parent, HERE.parent / "gap"):
-    sys.path.append(str(folder))
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.progress import track
 
-import adapters  # noqa: E402
-import checkout  # noqa: E402
-import mixed  # noqa: E402
-import position  # noqa: E402
-import solve  # noqa: E402
-from exam import marks, page  # noqa: E402
-from own_robot import Unsuitable, own_robot  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.markdown import Markdown  # noqa: E402
-from rich.progress import track  # noqa: E402
+from benchmarks.blind import adapters, checkout, solve
+from benchmarks.exam import marks, page
+from benchmarks.worlds import setting, strata
+from benchmarks.worlds.own_robot import Unsuitable, own_robot
+from benchmarks.worlds.targets import position
 
 
-def generate(tasks: list[mixed.Task], logs: Path, jobs: int) -> list[Path]:
+def generate(tasks: list[strata.Task], logs: Path, jobs: int) -> list[Path]:
     """The folders of all logs that could be made."""
     logs.mkdir(parents=True, exist_ok=True)
     folders = [logs / f"{k:04d}" for k in range(len(tasks))]
     skipped = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         running = {
-            pool.submit(mixed.write, t, f): (t, f) for t, f in zip(tasks, folders, strict=True)
+            pool.submit(strata.write, t, f): (t, f) for t, f in zip(tasks, folders, strict=True)
         }
         for done in track(as_completed(running), "making logs", len(running)):
             task, folder = running[done]
@@ -102,7 +96,7 @@ def main() -> None:
             own_robot(path, args.fix_base)
         except Unsuitable as error:
             parser.error(str(error))
-    engines = mixed.cad.ENGINES if find_spec("pinocchio") else (mixed.cad.MUJOCO,)
+    engines = setting.ENGINES if find_spec("pinocchio") else (setting.MUJOCO,)
     settings = {
         "models": {
             str(p.resolve()): hashlib.sha256(p.read_bytes()).hexdigest() for p in args.model
@@ -118,7 +112,7 @@ def main() -> None:
         parser.error(f"{args.out} holds another check ({kept.name}); choose another --out")
     args.out.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(settings, indent=1))
-    tasks = mixed.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base, engines)
+    tasks = strata.plan(args.seed, args.n, tuple(map(str, args.model)), args.fix_base, engines)
     folders = generate(tasks, args.out / "logs", args.jobs)
     rows = examine(folders, args.out, args.jobs)
     pace = pace_like(folders, args.out, args.jobs)

@@ -1,13 +1,12 @@
 """What an engineer tries without a diagnosis, as tools of the protocol: a report.json for every log.
 
-    python benchmarks/blind/adapters.py LOGS OUT [--jobs 2] \\
-        --tool least_squares|largest_residual|greedy_bic|pace_like|mujoco_sysid
+    python -m benchmarks.blind.adapters LOGS OUT --tool least_squares|pace_like|mujoco_sysid [--jobs 2]
 
 `least_squares`: viscous and dry friction, rotor inertia and offset of every joint and every body's mass at once
-(`gap/baseline_least_squares`); a term that carries a hundredth of what the fit explains is listed. `mujoco_sysid`:
+(`exam/least_squares.py`); a term that carries a hundredth of what the fit explains is listed. `mujoco_sysid`:
 MuJoCo's own, told to fit all of these but the offset (`sysid_fit.py`). `pace_like`: the fit of closed-loop replays
-(`pace_positions.py`), of logs of targets alone. The others are those of `gap/baselines.py`. Floating bases are refused,
-and logs without torque by all but these two. All are `explained` where they list anything.
+(`pace_positions.py`), of logs of targets alone. Floating bases are refused, and logs without torque by
+`least_squares`. All are `explained` where they list anything.
 """
 
 from __future__ import annotations
@@ -20,29 +19,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import json
 import shutil
-import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "gap"))
-
-import baselines
 import mujoco
 import numpy as np
-import pace_positions
-import sysid_fit
-from baseline_chain import Residual
-from baseline_least_squares import columns
-from cad_truth import TERMS
-from torque_error import needed, read, signals
+
+from benchmarks.blind import pace_positions, sysid_fit
+from benchmarks.exam.least_squares import columns
+from benchmarks.exam.torque_error import needed, read, signals
+from benchmarks.worlds.truth import TERMS
 
 CARRIES = 0.01
-TOOLS = {
-    name.replace(" ", "_").replace("-", "_").lower(): f for name, f in baselines.BASELINES.items()
-}
-"""The other baselines by a name for the command line."""
 
 
 def least_squares(folder: Path) -> tuple[dict, str]:
@@ -120,10 +110,8 @@ def report(folder: Path, tool: str) -> tuple[dict, str | None]:
         made, corrected = pace_positions.answer(folder, log)
     elif "tau" not in log and tool != "mujoco_sysid":
         raise ValueError("the log has no torque")
-    elif tool in FITS:
-        made, corrected = FITS[tool](folder)
     else:
-        made = {"effects": TOOLS[tool](Residual.read(folder))}
+        made, corrected = FITS[tool](folder)
     for effect in made["effects"]:
         effect.setdefault("equivalent", [])
     verdict = "explained" if made["effects"] else "no_gap"
@@ -167,7 +155,7 @@ def main() -> None:
     )
     parser.add_argument("logs", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--tool", required=True, choices=[*FITS, *TOOLS])
+    parser.add_argument("--tool", required=True, choices=["pace_like", *FITS])
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     folders = sorted(p for p in args.logs.iterdir() if (p / "log.npz").exists())

@@ -1,16 +1,13 @@
-"""The PACE-like fit (`../replay/pace_like.py`) as a tool of the protocol, for logs of positions without torque."""
+"""The PACE-like fit (`../exam/pace_like.py`) as a tool of the protocol, for logs of positions without torque."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-
-from replay.pace_like import PaceLike
+from benchmarks.exam.pace_like import PaceLike
 
 CARRIES = 0.01
 """Listed is what returns so much of the error that the fit took away, where it alone goes back to the model's."""

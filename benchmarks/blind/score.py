@@ -1,9 +1,9 @@
 """Scores folders of answers on a sealed set, after seed, commitment and every log have been checked.
 
-    python benchmarks/blind/score.py run LOGS VAULT --commitment HEX --out OUT [--jobs 1] [--reached] \\
+    python -m benchmarks.blind.score run LOGS VAULT --commitment HEX --out OUT [--jobs 1] [--reached] \\
         --tool NAME=FOLDER [--tool ...]
-    python benchmarks/blind/score.py store OUT/rows.json --set S1 --seed SEED --note "what was run" ...
-    python benchmarks/blind/score.py page [--check]
+    python -m benchmarks.blind.score store OUT/rows.json --set S1 --seed SEED --note "what was run" ...
+    python -m benchmarks.blind.score page [--check]
 
 Each tool's folder holds results/NAME/report.json (PROTOCOL.md). `run` writes OUT/rows.json, a row a log and tool; the
 tool called pace_like is what the first tool's closed-loop replays are compared with, and a log that a tool has no
@@ -23,18 +23,16 @@ import argparse
 import hashlib
 import json
 import re
-import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-for folder in (HERE, HERE.parent, HERE.parent / "gap"):
-    sys.path.append(str(folder))
+from rich.progress import track
 
-import vault  # noqa: E402
-from exam import marks, page  # noqa: E402
-from rich.progress import track  # noqa: E402
+from benchmarks.blind import vault
+from benchmarks.exam import marks, page
+
+HERE = Path(__file__).resolve().parent
 
 RESULTS = HERE.parent / "results"
 STORED, SUMMARY, PAGE = RESULTS / "sealed_rows.json", RESULTS / "sealed.json", HERE / "RESULTS.md"
@@ -173,7 +171,7 @@ def main() -> None:
             raise SystemExit(int(any(p.read_text() != text for p, text in pages.items())))
         for place, text in pages.items():
             place.write_text(text)
-        from exam import figures  # Matplotlib, which scoring does without.
+        from benchmarks.exam import figures  # Matplotlib, which scoring does without.
 
         rows = next(iter(json.loads(STORED.read_text())["tools"].values()))
         figures.confidence(page.reliability(rows), DOCS / "figures" / "confidence.png")

@@ -1,7 +1,7 @@
 """Seals a set: draws a seed, makes the logs that follow from it, and fixes them before any diagnosis.
 
-    python benchmarks/blind/seal.py draw SEED                                   prints its SHA-256: publish it
-    python benchmarks/blind/seal.py make LOGS VAULT --seed SEED --n 615 --jobs 30 [--engine pinocchio]
+    python -m benchmarks.blind.seal draw SEED                                   prints its SHA-256: publish it
+    python -m benchmarks.blind.seal make LOGS VAULT --seed SEED --n 615 --jobs 30 [--engine pinocchio]
 
 `make` writes LOGS/NAME/{log.npz, nominal.xml} and, of some logs, validation.npz: what a tool may see; and
 VAULT/NAME/{test.npz, truth.json}: what the scorer alone opens. Names follow from the seed and tell nothing. A second
@@ -29,12 +29,13 @@ from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
-import checkout
-import mixed
 import mujoco
 import numpy as np
-import vault
 from rich.progress import track
+
+from benchmarks.blind import checkout, vault
+from benchmarks.worlds import setting, strata
+from benchmarks.worlds.targets import position
 
 MOMENT = 946_684_800  # 1 January 2000, of every file
 TRIES, FURTHER = 5, 1_000_000
@@ -72,7 +73,7 @@ def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def write_log(task: mixed.Task, name: str, logs: Path, hidden: Path) -> str | None:
+def write_log(task: strata.Task, name: str, logs: Path, hidden: Path) -> str | None:
     """Both folders of one log, each whole or not at all; why it cannot be made, where that is so."""
     if (logs / name).exists() and (hidden / name).exists():
         return None
@@ -102,21 +103,21 @@ def _put(folder: Path, files: dict[str, bytes]) -> None:
     part.rename(folder)
 
 
-def _made(task: mixed.Task):
+def _made(task: strata.Task):
     """Of another robot where no draw of the effect leaves the loop stable."""
     for further in range(TRIES):
         try:
-            return mixed.make(replace(task, index=task.index + further * FURTHER))
+            return strata.make(replace(task, index=task.index + further * FURTHER))
         except RuntimeError as error:
             failure = error
     raise failure
 
 
-def plan(seed: bytes, count: int) -> list[tuple[mixed.Task, str]]:
+def plan(seed: bytes, count: int) -> list[tuple[strata.Task, str]]:
     """What each log holds, and its name: who lacks the seed learns nothing from it."""
     words = int.from_bytes(hashlib.sha256(seed).digest(), "little")
     names = [hashlib.sha256(b"%b name %d" % (seed, k)).hexdigest()[:12] for k in range(count)]
-    return list(zip(mixed.plan(words, count), names, strict=True))
+    return list(zip(strata.plan(words, count), names, strict=True))
 
 
 def make(
@@ -126,7 +127,7 @@ def make(
     tasks = plan(seed, count)
     todo = [x for x in tasks if engine in (None, x[0].engine)]
     # Those of targets take longest: their effects' sizes are measured by further simulations.
-    todo.sort(key=lambda x: x[0].stratum not in mixed.position.STRATA)
+    todo.sort(key=lambda x: x[0].stratum not in position.STRATA)
     lacking: dict[str, str | None] = {}
     if jobs == 1:
         lacking = {name: write_log(task, name, logs, hidden) for task, name in todo}
@@ -162,7 +163,7 @@ def main() -> None:
     more.add_argument("--seed", type=Path, required=True)
     more.add_argument("--n", type=int, default=615)
     more.add_argument("--jobs", type=int, default=1)
-    more.add_argument("--engine", choices=mixed.cad.ENGINES)
+    more.add_argument("--engine", choices=setting.ENGINES)
     args = parser.parse_args()
     if args.command == "draw":
         if args.seed.exists():

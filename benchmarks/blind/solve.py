@@ -1,6 +1,6 @@
 """Diagnoses every log of a sealed set with the public command, in processes that know nothing of the examination.
 
-    python benchmarks/blind/solve.py LOGS OUT --jobs 2 [--timeout 300] [--exclude FAMILY ...] [--fresh] [--only FILE]
+    python -m benchmarks.blind.solve LOGS OUT --jobs 2 [--timeout 300] [--exclude FAMILY ...] [--fresh] [--only FILE]
 
 Each log is copied under a neutral name into a private folder, where a process that can import the package (a copy of
 it) and its libraries alone, and open no other file, runs `jax-inertia diagnose`, with the log's validation run where it
@@ -27,9 +27,10 @@ from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
-import checkout
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
+
+from benchmarks.blind import checkout
 
 GIVEN = ("log.npz", "nominal.xml", "validation.npz")
 KEPT = ("report.json", "corrected.xml")

@@ -11,9 +11,13 @@ import contextlib
 
 import mujoco
 import numpy as np
-from baseline_chain import smooth
-from baseline_sysid import AVAILABLE, sysid, windows
+from mujoco import sysid
+from scipy import signal
 
+# Without the extra the module is empty.
+AVAILABLE = hasattr(sysid, "optimize")
+WINDOWS, HORIZON = 24, 0.25  # s
+CUTOFF = 10.0  # Hz
 MISSING = "mujoco.sysid lacks its libraries; pip install 'mujoco[sysid]'"
 ITERATIONS = 12
 FIRST = 0.2  # of its unit, what a number starts from that the model has none of: not at its bound
@@ -117,3 +121,41 @@ def _inertia(model: mujoco.MjModel) -> np.ndarray:
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
     return full.diagonal().copy()
+
+
+def smooth(x: np.ndarray, rate: float) -> np.ndarray:
+    """Zero-phase low-pass along the leading axis."""
+    return signal.sosfiltfilt(signal.butter(3, CUTOFF, fs=rate, output="sos"), x, axis=0)
+
+
+def windows(
+    spec: mujoco.MjSpec, log: dict[str, np.ndarray], told: str = "tau"
+) -> sysid.ModelSequences:
+    """The log in short windows, each from a state of its own, `told` as controls and joint positions as sensors."""
+    rate = 1.0 / float(np.median(np.diff(log["time"])))
+    joints = [str(n) for n in log["joint_names"]]
+    for name in joints:
+        spec.add_sensor(
+            name=f"{name}_at",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
+    model = spec.compile()
+    order = [joints.index(model.joint(model.actuator_trnid[k, 0]).name) for k in range(model.nu)]
+    clean = smooth(log["qpos"], rate)
+    speed = np.gradient(clean, 1.0 / rate, axis=0)
+    length = round(HORIZON * rate)
+    starts = np.linspace(0.3 * rate, len(clean) - length - 0.3 * rate, WINDOWS).astype(int)
+    data = mujoco.MjData(model)
+    states, controls, sensors = [], [], []
+    for k in starts:
+        span = slice(k, k + length)
+        when = np.arange(length) / rate
+        for j, name in enumerate(joints):
+            data.joint(name).qpos, data.joint(name).qvel = clean[k, j], speed[k, j]
+        states.append(sysid.create_initial_state(model, data.qpos, data.qvel, data.act))
+        controls.append(sysid.TimeSeries(when, log[told][span][:, order]))
+        sensors.append(sysid.TimeSeries.from_names(when, log["qpos"][span], model))
+    names = [f"from {k}" for k in starts]
+    return sysid.ModelSequences("robot", spec, names, states, controls, sensors)

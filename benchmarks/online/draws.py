@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from benchmarks.gap.robots import quadruped as quadruped_of_gap
+from benchmarks.worlds.feet.quadruped import quadruped
 from jax_inertia.robots import HumanoidOptions, humanoid_mjcf
 from jax_inertia.robots.arm import arm_mjcf
 from jax_inertia.signals.differences import Observation, aligned_differences
@@ -60,7 +60,7 @@ def subject(name: str) -> Subject:
             5.0,
         ),
         "quadruped": lambda: (
-            quadruped_of_gap().xml,
+            quadruped().xml,
             ("trunk", "FL_shank", "FR_shank", "RL_shank", "RR_shank"),
             2.0,
         ),

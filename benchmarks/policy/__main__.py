@@ -22,8 +22,19 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from policy.arm import FRICTION, JOINTS, LATE, LOAD, LOWER, MODEL, PERIOD, WEAK, moved, tip, wanted
+from benchmarks.policy.arm import (
+    FRICTION,
+    JOINTS,
+    LATE,
+    LOAD,
+    LOWER,
+    MODEL,
+    PERIOD,
+    WEAK,
+    moved,
+    tip,
+    wanted,
+)
 
 NAMES = ("nominal", "randomised", "corrected", "true")
 TITLES = ("model as given", "plain randomisation", "corrected by diagnosis", "true numbers")
@@ -104,7 +115,8 @@ def simulators(out: Path) -> dict:
     """By name."""
     import jax
     import jax.numpy as jnp
-    from policy.train import Simulator
+
+    from benchmarks.policy.train import Simulator
 
     given = mujoco.MjModel.from_xml_string(MODEL)
     spec = importlib.util.spec_from_file_location("playground", out / "found" / "playground.py")
@@ -140,7 +152,7 @@ def simulators(out: Path) -> dict:
 
 def train(out: Path, only: list[str], size: dict[str, int]) -> None:
     """Weights and errors along the way, OUT/NAME.npz."""
-    from policy.train import trained
+    from benchmarks.policy.train import trained
 
     for name in only:
         start = time.perf_counter()
@@ -158,7 +170,7 @@ def train(out: Path, only: list[str], size: dict[str, int]) -> None:
 
 def judge(out: Path) -> None:
     """Tip errors on the real arm, results/policy.json and the figure."""
-    from policy.train import act
+    from benchmarks.policy.train import act
 
     motions = [wanted(np.random.default_rng(90_000 + k)) for k in range(_TRIALS)]
 

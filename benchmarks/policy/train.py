@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 from jax.example_libraries.optimizers import adam
 from mujoco import mjx
-from policy.arm import PERIOD, SECONDS, STEPS, tip, wanted
+
+from benchmarks.policy.arm import PERIOD, SECONDS, STEPS, tip, wanted
 
 HIDDEN, MOST = 32, 0.4  # units, rad by which a target may be off the motion that is wanted
 SPREAD, RATE = 0.05, 0.02  # of perturbations, of Adam

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from logs import LWR, PANDA, Setting
 
 import jax_inertia as ji
+from benchmarks.real_logs.logs import LWR, PANDA, Setting
 from jax_inertia.estimation import batch_fit
 from jax_inertia.estimation.batch_fit import BatchFit
 from jax_inertia.estimation.inertial_filter import make_estimator

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import ur10e
-from logs import SHARED
-from ur10e_model import LINKS, makers_model
 
+from benchmarks.real_logs import ur10e
+from benchmarks.real_logs.logs import SHARED
+from benchmarks.real_logs.ur10e_model import LINKS, makers_model
 from jax_inertia.logs.log import Log, TorqueKind, TorqueUnit
 from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.model.load import ModelWarning, compile_spec, load_spec, set_inertials

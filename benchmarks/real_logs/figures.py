@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import matplotlib
-import ur10e
+
+from benchmarks.real_logs import ur10e
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -1,15 +1,15 @@
 """Real robots: torque error of a run that nothing saw, of the model as given, least squares, published fits, diagnosis.
 
-    python benchmarks/real_logs/other_run.py OUT [--only NAME ...] [--python PYTHON]
+    python -m benchmarks.real_logs.other_run OUT [--only NAME ...] [--python PYTHON]
 
 Each robot is fitted on one run (or the first part of its only one) and judged on another (or the rest), then the other
-way round, by the measure of `benchmarks/gap/torque_error.py`: rows in which a joint moves, 10 Hz. `jax-inertia diagnose
-LOG --model MODEL` runs with its defaults in a fresh process; the judged run is never given to it. What it hands over is
-report.json and corrected.xml, computed again by `report_torque.py`, which imports nothing of the package; what it
-states is its error on held-out rows of its own log. Currents and voltages become torques by published gains; in runs
-named `_raw` they stay what they are, and least squares gets a gain a joint. OUT/NAME.json is written as each row is
-done, and a row that is there is not made again. The logs are looked for in ../shared/data beside the repository, or in
-$JAX_INERTIA_DATA; what is absent is skipped.
+way round, by the measure of `benchmarks/exam/torque_error.py`: rows in which a joint moves, 10 Hz. `jax-inertia
+diagnose LOG --model MODEL` runs with its defaults in a fresh process; the judged run is never given to it. What it
+hands over is report.json and corrected.xml, computed again by `report_torque.py`, which imports nothing of the package;
+what it states is its error on held-out rows of its own log. Currents and voltages become torques by published gains; in
+runs named `_raw` they stay what they are, and least squares gets a gain a joint. OUT/NAME.json is written as each row
+is done, and a row that is there is not made again. The logs are looked for in ../shared/data beside the repository, or
+in $JAX_INERTIA_DATA; what is absent is skipped.
 """
 
 import os
@@ -28,13 +28,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "gap"))
-
-import cases
-from baseline_least_squares import fit
-from logs import SHARED
-from report_torque import ReportTorque
-from torque_error import Predictor, needed, read, torque_error
+from benchmarks.exam.least_squares import fit
+from benchmarks.exam.report_torque import ReportTorque
+from benchmarks.exam.torque_error import Predictor, needed, read, torque_error
+from benchmarks.real_logs import cases
+from benchmarks.real_logs.logs import SHARED
 
 CASES = {case.name: case for case in cases.CASES}
 UR10E, DFKI, LWR4 = "ur10e_dynamic_calibration", "dfki_double_pendulum", "kuka_lwr4_flobaroid"

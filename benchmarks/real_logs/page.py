@@ -1,7 +1,7 @@
 """Writes docs/real_robots.md from stored results; `--add` takes new ones in first, `--check` writes nothing.
 
-    python benchmarks/real_logs/other_run.py OUT
-    python benchmarks/replay/real.py ../shared/data OUT/replay.json so101 go2 xl330
+    python -m benchmarks.real_logs.other_run OUT
+    python -m benchmarks.real_logs.replays ../shared/data OUT/replay.json so101 go2 xl330
     python benchmarks/real_logs/page.py [--add OUT/*.json --commit HASH] [--check]
 
 Stored in benchmarks/results/real_robots.json: a row for each robot and direction by torque, robots and motions by
@@ -68,7 +68,7 @@ BASELINES = ("nominal", "least_squares", "published")
 
 
 def take(stored: dict, file: Path, commit: str) -> None:
-    """A row of other_run.py, or robots of replay/real.py's file, in place of older ones."""
+    """A row of other_run.py, or robots of replays.py's file, in place of older ones."""
     new = json.loads(file.read_text())
     if "tool" in new:
         torque = stored["torque"]

@@ -3,12 +3,11 @@
 import os
 import platform
 
-import arms
 import jax
 import numpy as np
-import ur10e
-from logs import LWR, PANDA, UR10E
 
+from benchmarks.real_logs import arms, ur10e
+from benchmarks.real_logs.logs import LWR, PANDA, UR10E
 from jax_inertia.maths.inertial_parameters import PI_NAMES
 
 
@@ -52,7 +51,7 @@ def render(
 ) -> str:
     """The whole text."""
     parts = [
-        "# Real logs\n\n`python benchmarks/real_logs/run.py` writes this page and its figures. "
+        "# Real logs\n\n`python -m benchmarks.real_logs.run` writes this page and its figures. "
         "Intervals are 95 % (± 1.96 σ). Nothing was tuned on the payload or on held-out logs.",
         _ur10e(weighings, held_out, by_joint, by_setting),
         _online(online),

@@ -1,6 +1,6 @@
 """Real logs: what the estimator says of a UR10e, a Panda and an LWR4+. Writes RESULTS.md and figures beside itself.
 
-    python benchmarks/real_logs/run.py
+    python -m benchmarks.real_logs.run
 
 The logs are looked for in ../shared/data beside the repository, or in $JAX_INERTIA_DATA.
 """
@@ -13,12 +13,10 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import arms  # noqa: E402
-import figures  # noqa: E402
 import numpy as np  # noqa: E402
-import report  # noqa: E402
-import ur10e  # noqa: E402
-from logs import SHARED  # noqa: E402
+
+from benchmarks.real_logs import arms, figures, report, ur10e  # noqa: E402
+from benchmarks.real_logs.logs import SHARED  # noqa: E402
 
 HERE = Path(__file__).parent
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from logs import UR10E, Setting
-from ur10e_model import LINKS, makers_model
 
+from benchmarks.real_logs.logs import UR10E, Setting
+from benchmarks.real_logs.ur10e_model import LINKS, makers_model
 from jax_inertia.estimation import batch_fit
 from jax_inertia.estimation.batch_fit import BatchFit, Calibrated, Carried
 from jax_inertia.estimation.inertial_filter import make_estimator

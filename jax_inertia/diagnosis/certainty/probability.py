@@ -10,7 +10,7 @@ less. Alternatives that are tied are counted with it: what predicts those others
 Equations are not exact, and what they miss grows with an effect's size, so L is too sure of itself in proportion. The
 probability is p = 1 / (1 + exp(−a asinh L − b)) (after Platt, Advances in Large Margin Classifiers, 1999), a > 0
 fitted on opened sets, of effects and of verdicts apart, and kept in `calibration.json` with where it is from
-(`benchmarks/gap/calibrate.py`). Of an effect b = 0: even odds stay even. What stands against a verdict is summed as if
+(`benchmarks/exam/calibrate.py`). Of an effect b = 0: even odds stay even. What stands against a verdict is summed as if
 each of it came alone, which counts some of it twice: b > 0 is fitted with a.
 """
 

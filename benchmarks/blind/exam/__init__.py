@@ -1,1 +1,0 @@
-"""Marking: what was right, rates with their bounds, tables and figures."""
