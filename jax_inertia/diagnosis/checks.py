@@ -105,13 +105,13 @@ class _Run(abc.ABC):
         discrepancy may be in its place (`SlowNoise.repeated`).
         """
         after = self.left(now)
-        return [self._likelier(after, left) for left in self.left_without(now, asked)]
+        return [self.likelier(after, left) for left in self.left_without(now, asked)]
 
     def ahead(self, now: Posterior, other: Posterior) -> float:
         """By how much rows its numbers were not fitted to are likelier by one posterior than by another, nats."""
-        return self._likelier(self.left(now), self.left(other))
+        return self.likelier(self.left(now), self.left(other))
 
-    def _likelier(self, after: Float[np.ndarray, "R n"], before: Float[np.ndarray, "R n"]) -> float:
+    def likelier(self, after: Float[np.ndarray, "R n"], before: Float[np.ndarray, "R n"]) -> float:
         """Σⱼ (Nⱼ / mⱼ) ln(σⱼ⁻ / σⱼ) of two residuals, mⱼ of the latter (`support`) [nats]."""
         weight, least = self.residual.weight, np.maximum(self.residual.sensors, 1e-12)
         own, other = (np.maximum(rows(x, weight), least) for x in (after, before))

@@ -67,14 +67,13 @@ def diagnose(
     LogError for a log that does not fit the robot.
     """
     library, residual = _begun(robot, log, exclude, extra, settings, progress)
-    selection, as_bought = None, np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
+    as_bought = np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
     if state is None and not _shows_joints(residual):
         # Forces of the ground use up what legs' torques would say of their joints' ordinary physics.
         state = CalibrationState.CALIBRATED
     if state is None:
-        selection, as_bought = _selected_as_bought(residual, library, settings, progress)
-        state = CalibrationState.CALIBRATED
-    if selection is None:
+        selection, as_bought = _selected(residual, library, settings, progress)
+    else:
         selection = searched(
             started(residual, library, settings, state), library, settings, progress
         )
@@ -242,22 +241,36 @@ def _shows_joints(residual: Residual) -> bool:
     return bool(np.median(residual.weight[:, rows].sum(axis=0)) >= LEAST_ROWS)
 
 
-def _selected_as_bought(
+def _selected(
     residual: Residual, library: tuple[Effect, ...], settings: Settings, progress: Progress
-) -> tuple[Selection | None, float]:
-    """The search of a robot as bought, None where its model is calibrated, and the log odds of the former [nats].
+) -> tuple[Selection, float]:
+    """The search of a robot as bought or of one whose model is calibrated, and the log odds of the former [nats].
 
-    Every joint votes before anything odd is known; where that does not tell, after the search.
+    Every joint votes before anything odd is known; where that does not tell, after the search; and where some joints
+    lack what others have, rows that no number was fitted to say which of the two searches predicts them.
     """
     progress("ordinary physics of every joint")
     bought = started(residual, library, settings, CalibrationState.AS_BOUGHT)
     progress(_first_answer(bought))
     odds = log_odds_as_bought(bought, settings)
-    if odds <= -settings.odd_odds:
-        return None, odds
-    bought = searched(bought, library, settings, progress)
-    odds = log_odds_as_bought(bought, settings)
-    return bought if odds > settings.as_bought else None, odds
+    decided = odds <= -settings.odd_odds
+    if not decided:
+        bought = searched(bought, library, settings, progress)
+        odds = log_odds_as_bought(bought, settings)
+        if odds > settings.as_bought:
+            return bought, odds
+        decided = odds <= -settings.odd_odds
+    start = started(residual, library, settings, CalibrationState.CALIBRATED)
+    calibrated = searched(start, library, settings, progress)
+    if not decided:
+        odds += _predicts_better(bought, calibrated, settings)
+    return (bought if odds > settings.as_bought else calibrated), odds
+
+
+def _predicts_better(one: Selection, other: Selection, settings: Settings) -> float:
+    """By how much rows that numbers were not fitted to are likelier by one search than by another [nats]."""
+    a, b = (HeldOut(x, settings) for x in (one, other))
+    return a.likelier(a.left(one.posterior), b.left(other.posterior))
 
 
 def _first_answer(start: Selection) -> str:
