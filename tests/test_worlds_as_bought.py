@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.exam import least_squares, torque_marks
-from benchmarks.exam.report_torque import ORDINARY, ReportTorque, dahl
+from benchmarks.exam.report_numbers import dahl
+from benchmarks.exam.report_torque import ORDINARY, ReportTorque
 from benchmarks.exam.torque_error import Signals, error_of, needed, rigid, signals, torque_error
 from benchmarks.worlds import as_bought
 from benchmarks.worlds import truth as nearest

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.exam.report_numbers import LAWS, dahl, law_torque, number, push_window, vector
 from benchmarks.exam.torque_error import (
     SIGN,
     Signals,
@@ -35,58 +36,6 @@ NAMES = {
     "armature": ("armature",),
     "torque_bias": ("bias",),
 }
-
-
-def number(effect: dict, *names: str, default: float | None = None) -> float:
-    """The first of these parameters that the effect states."""
-    for name in names:
-        p = effect["parameters"].get(name)
-        if p is not None and p.get("value") is not None:
-            return float(p["value"])
-    if default is None:
-        raise KeyError(f"{effect['family']} states none of {names}")
-    return default
-
-
-def vector(effect: dict, name: str) -> np.ndarray:
-    """A vector as one parameter, or as three with axes in their names."""
-    whole = effect["parameters"].get(name)
-    if whole is not None and np.ndim(whole["value"]) == 1:
-        return np.array(whole["value"], float)
-    return np.array([number(effect, f"{name}_{k}", default=0.0) for k in "xyz"])
-
-
-def dahl(v: np.ndarray, dt: float, displacement: float, straight: bool = False) -> np.ndarray:
-    """Dry friction over its level with a presliding displacement [rad]: dz/dt = v / displacement (1 − z sign v).
-
-    `straight`: dz/dt = v / displacement until it slips at ±1. Exact for steps of a path.
-    """
-    z = np.full_like(v, np.sign(v[0]))
-    # Central differences along the path: the step from one row to the next is the mean of both rows' speeds.
-    for k, step in enumerate(0.5 * (v[1:] + v[:-1]) * dt / displacement):
-        if straight:
-            z[k + 1] = min(max(z[k] + step, -1.0), 1.0)
-        else:
-            z[k + 1] = np.sign(step) + (z[k] - np.sign(step)) * np.exp(-abs(step))
-    return z
-
-
-CREEP = 2.0 / (0.95 * 0.02)
-"""Damping of MuJoCo's friction loss at its defaults [1/s]."""
-LAWS = {
-    *("stribeck_friction", "load_friction", "asymmetric_coulomb", "asymmetric_viscous"),
-    *("quadratic_friction", "quadratic_viscous", "friction_drift"),
-}
-"""Families whose torque is in the friction law of a report that states one."""
-
-
-def push_window(effect: dict, time: np.ndarray) -> np.ndarray:
-    """w(t) of a push: Tukey's window, skewed."""
-    start, end = number(effect, "start"), number(effect, "end")
-    flank, skew = number(effect, "flank", default=0.1), number(effect, "skew", default=0.0)
-    phase = np.clip((time - start) / (end - start), 0.0, 1.0)
-    near = np.minimum(np.minimum(phase, 1.0 - phase) / flank, 1.0)
-    return 0.5 * (1.0 - np.cos(np.pi * near)) * (1.0 + skew * np.sin(2.0 * np.pi * phase))
 
 
 @dataclass
@@ -206,45 +155,10 @@ class ReportTorque:
         out = np.zeros_like(v)
         for j, name in enumerate(self.joints):
             terms = self.report["friction"][name]["terms"]
-            z = self._direction(terms[0], v[:, j], a[:, j], s.dt)
-            speed, of_motor = np.abs(v[:, j]), 0.0
-            for term in terms:
-                x, form = term["value"], term["form"]
-                if form in ("bristle", "creep"):
-                    out[:, j] += x * self._direction(term, v[:, j], a[:, j], s.dt)
-                elif form == "slow":
-                    out[:, j] += x * z * np.exp(-((speed / term["speed"]) ** term["exponent"]))
-                elif form == "load" and not term["of_motor"]:
-                    out[:, j] += x * z * np.abs(bodies[:, j])
-                elif form == "load":
-                    of_motor += x
-                elif form == "constant":
-                    out[:, j] += x
-                elif form == "by_direction":
-                    out[:, j] += x * np.abs(z)
-                elif form == "viscous":
-                    out[:, j] += x * v[:, j]
-                elif form == "quadratic":
-                    out[:, j] += x * speed * v[:, j]
-                elif form == "slope_by_direction":
-                    out[:, j] += 0.5 * x * speed
-                elif form == "drift":
-                    out[:, j] += x * np.exp(-s.time / term["time_constant"]) * v[:, j]
-                else:
-                    self.left_out.add(f"friction: {form}")
-            if of_motor:
-                # The motor's torque τ has this friction in it: τ (1 − μ z sign τ) is what it needs without.
-                own = needed[:, j] + out[:, j]
-                out[:, j] += own * (1.0 / (1.0 - of_motor * z * np.sign(own)) - 1.0)
+            of = [x[:, j] for x in (bodies, v, a, needed)]
+            out[:, j], unknown = law_torque(terms, s.time, *of)
+            self.left_out |= unknown
         return out
-
-    def _direction(self, term: dict, v: np.ndarray, a: np.ndarray, dt: float) -> np.ndarray:
-        """z of one bristle (T,)."""
-        if term["form"] == "creep":
-            return np.clip((v + a / CREEP) / term["speed"], -1.0, 1.0)
-        if not term["displacement"]:
-            return np.tanh(v / SIGN)
-        return dahl(v, dt, term["displacement"], bool(term["straight"]))
 
     def _springs(self, q: np.ndarray) -> np.ndarray:
         """Springs and other torques of the position that act on the joint."""

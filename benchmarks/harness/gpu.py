@@ -123,12 +123,11 @@ def mjx_ticks(robots: int, ticks: int = 10) -> Build:
 
 
 def closed_loop(robots: int, ticks: int = 30) -> Build:
-    """MJX, whole-body control and estimator: the walk of `benchmarks.paper.mjx_cost`."""
+    """MJX, whole-body control and estimator: the walk of `benchmarks.paper.mjx_loop`."""
 
     def build() -> Ready:
         from benchmarks.paper.brain import make_brain, spread
-        from benchmarks.paper.mjx_cost import PER_TICK
-        from benchmarks.paper.mjx_loop import at_home, make_loop
+        from benchmarks.paper.mjx_loop import PER_TICK, at_home, make_loop
         from benchmarks.paper.pelvis import SETTINGS
         from benchmarks.paper.plant import Sensors
         from benchmarks.paper.strides import begin_at_home, flat, strolling, walk_figures

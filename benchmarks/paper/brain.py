@@ -18,7 +18,6 @@ from jaxtyping import Array, Bool, Float, Int
 from benchmarks.paper.plant import PER_TICK, TICK, Sensed, Sensors
 from jax_inertia import load_model
 from jax_inertia.control.composite import damping_step
-from jax_inertia.control.terms import Terms
 from jax_inertia.control.whole_body import Gains, Reference, WholeBody, make_whole_body
 from jax_inertia.dynamics.rigid_body import (
     body_jacobian,
@@ -355,47 +354,3 @@ def inputs(sensed: Sensed, mode: np.ndarray, truth: np.ndarray, on: bool = True)
 def spread(tree: Any, size: int) -> Any:
     """One robot's memory for each of the fleet."""
     return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], size, axis=0), tree)
-
-
-class Still(eqx.Module):
-    """Joint angles that do not change."""
-
-    angles: Float[Array, "nu"]
-
-    def __call__(self, time: Float[Array, ""]) -> Float[Array, "3 nu"]:
-        return jnp.stack([self.angles, 0.0 * self.angles, 0.0 * self.angles])
-
-
-class Standing(eqx.Module):
-    """Stand in the home pose; `posture(time)` gives joint positions, velocities and accelerations."""
-
-    height: Float[Array, ""]
-    com: Float[Array, "3"]
-    posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]]
-
-    def __call__(self, plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
-        want = self.posture(time)
-        push = 25.0 * (self.com[:2] - now.com[:2]) - 10.0 * now.com_velocity[:2]
-        reference = Reference(
-            com_acceleration=push,
-            height=jnp.stack([self.height, 0.0 * time, 0.0 * time]),
-            heading=jnp.zeros(()),
-            foot=jnp.zeros((2, 3, 3)),
-            foot_heading=jnp.zeros(2),
-            contact=jnp.ones(8),
-            stance=jnp.ones(2),
-            posture=want,
-        )
-        return plan, reference, want[0]
-
-
-def standing(
-    model: mujoco.MjModel, posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]] | None = None
-) -> Standing:
-    """Stand where the model's home pose stands."""
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_forward(model, data)
-    home = jnp.asarray(data.qpos.copy())
-    com = jnp.asarray(data.subtree_com[1].copy())
-    return Standing(home[2], com, Still(home[7:]) if posture is None else posture)

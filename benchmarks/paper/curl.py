@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from benchmarks.paper.brain import COMPOSITE, MODES, NONE, Brain, Settings, make_brain, standing
+from benchmarks.paper.brain import COMPOSITE, MODES, NONE, Brain, Settings, make_brain
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.hardware import (
     DUMBBELL,
@@ -26,6 +26,7 @@ from benchmarks.paper.hardware import (
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import NU, Fleet, LinkMass, Sensors, model
 from benchmarks.paper.shared_out import Wanted, every
+from benchmarks.paper.strides import standing
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.model.load import body_pi
 

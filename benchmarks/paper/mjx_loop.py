@@ -14,6 +14,8 @@ from mujoco import mjx
 from benchmarks.paper.brain import ORACLE, Brain, Inputs, Memory
 from jax_inertia.robots import CORNERS
 
+PER_TICK = 2  # steps of 1.5 ms
+
 
 class Loop(eqx.Module):
     """A brain and the robot that it drives, `per_tick` steps of the model to a tick."""

@@ -1,13 +1,19 @@
-"""Walking for the experiments: the robot's own figures, grounds, and the reference that the brain follows."""
+"""Standing and walking for the experiments: the robot's own figures, grounds, and what the brain follows."""
 
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Array, Float
 
 from benchmarks.paper.brain import Inputs
 from benchmarks.paper.plant import TICK
 from jax_inertia.control.terms import Terms
 from jax_inertia.control.walking import Ground, Plan, Walk, begin, walking
+from jax_inertia.control.whole_body import Reference
 from jax_inertia.robots.nadia_figures import SOLE_DEPTH, SOLE_HALF_WIDTH, SOLE_X
 
 CELL = 0.4  # m, side of a box of rough ground
@@ -86,3 +92,47 @@ def strolling(plan: tuple[Walk, Plan], now: Terms, x: Inputs, time):
 def begin_at_home(walk: Walk, model: mujoco.MjModel) -> tuple[Walk, Plan]:
     """A plan that starts in the home pose."""
     return walk, begin(walk, float(model.key_qpos[0][2]))
+
+
+class Still(eqx.Module):
+    """Joint angles that do not change."""
+
+    angles: Float[Array, "nu"]
+
+    def __call__(self, time: Float[Array, ""]) -> Float[Array, "3 nu"]:
+        return jnp.stack([self.angles, 0.0 * self.angles, 0.0 * self.angles])
+
+
+class Standing(eqx.Module):
+    """Stand in the home pose; `posture(time)` gives joint positions, velocities and accelerations."""
+
+    height: Float[Array, ""]
+    com: Float[Array, "3"]
+    posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]]
+
+    def __call__(self, plan: Any, now: Terms, x: Inputs, time: Float[Array, ""]):
+        want = self.posture(time)
+        push = 25.0 * (self.com[:2] - now.com[:2]) - 10.0 * now.com_velocity[:2]
+        reference = Reference(
+            com_acceleration=push,
+            height=jnp.stack([self.height, 0.0 * time, 0.0 * time]),
+            heading=jnp.zeros(()),
+            foot=jnp.zeros((2, 3, 3)),
+            foot_heading=jnp.zeros(2),
+            contact=jnp.ones(8),
+            stance=jnp.ones(2),
+            posture=want,
+        )
+        return plan, reference, want[0]
+
+
+def standing(
+    model: mujoco.MjModel, posture: Callable[[Float[Array, ""]], Float[Array, "3 nu"]] | None = None
+) -> Standing:
+    """Stand where the model's home pose stands."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    home = jnp.asarray(data.qpos.copy())
+    com = jnp.asarray(data.subtree_com[1].copy())
+    return Standing(home[2], com, Still(home[7:]) if posture is None else posture)

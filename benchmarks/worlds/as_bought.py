@@ -17,16 +17,19 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import argparse
 import json
+import shutil
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.worlds import truth as nearest_truth
 from benchmarks.worlds.effects import Effect
-from benchmarks.worlds.files import parser, write_all, write_folder
 from benchmarks.worlds.hidden import Hidden, as_drawn, draw_ordinary, good_model, nominal_run
 from benchmarks.worlds.joint_physics import STEP
 from benchmarks.worlds.motions import make_motion
@@ -230,9 +233,43 @@ def write(out: Path, seed: int, index: int) -> str:
     return f"{truth['robot']} {truth['rate_hz']} Hz {told} ({time.time() - begun:.1f} s)"
 
 
+def write_folder(
+    folder: Path, log: dict, test: dict, texts: dict[str, str], validation: dict | None = None
+) -> None:
+    """log.npz, test.npz, perhaps validation.npz, and files of text, by name."""
+    part = folder.with_name(f".{folder.name}.{os.getpid()}")
+    part.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(part / "log.npz", allow_pickle=False, **log)
+    np.savez_compressed(part / "test.npz", allow_pickle=False, **test)
+    if validation:
+        np.savez_compressed(part / "validation.npz", allow_pickle=False, **validation)
+    for name, text in texts.items():
+        (part / name).write_text(text)
+    if folder.exists():
+        shutil.rmtree(folder)
+    part.rename(folder)
+
+
 def main() -> None:
-    args = parser(__doc__, 60).parse_args()
-    write_all(args, write, args.out)
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--n", type=int, default=60, help="number of logs")
+    parser.add_argument("--first", type=int, default=0, help="index of the first log")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
+    args = parser.parse_args()
+    failed = 0
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+        indices = range(args.first, args.first + args.n)
+        jobs = {pool.submit(write, args.out, args.seed, k): k for k in indices}
+        for done, job in enumerate(as_completed(jobs), start=1):
+            try:
+                line = job.result()
+            except RuntimeError as error:
+                failed, line = failed + 1, f"skipped: {error}"
+            print(f"[{done}/{args.n}] {jobs[job]:05d} {line}", flush=True)
+    if failed:
+        raise SystemExit(f"{failed} of {args.n} logs could not be drawn")
 
 
 if __name__ == "__main__":

@@ -30,9 +30,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.worlds import fleet, odd
-from benchmarks.worlds.as_bought import Made, simulated
+from benchmarks.worlds.as_bought import Made, simulated, write_folder
 from benchmarks.worlds.feet import standing
-from benchmarks.worlds.files import write_folder
 from benchmarks.worlds.misread import FAULTS, misread, mount
 from benchmarks.worlds.own_robot import own_robot, rated_torque
 from benchmarks.worlds.robots import Robot, bare

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.worlds.effects import Effect
+from benchmarks.worlds.feet.legs import Leg, turned
 from benchmarks.worlds.feet.quadruped import (
     HIP_W,
     HIP_X,
@@ -22,32 +23,16 @@ from benchmarks.worlds.friction import KnownFriction
 from benchmarks.worlds.plant import Noise, Plant, disturb_base
 from benchmarks.worlds.robots import Robot
 
+SIDES = tuple(
+    Leg(leg, (HIP_X * (1 if leg[0] == "F" else -1), HIP_W * left), left, HIP_Y, THIGH, SHANK)
+    for leg in LEGS
+    for left in (1.0 if leg[1] == "L" else -1.0,)
+)
 
-def leg_angles(foot: np.ndarray, front: float, left: float) -> np.ndarray:
+
+def leg_angles(foot: np.ndarray, leg: Leg) -> np.ndarray:
     """Joint angles that put the foot's centre at `foot` (trunk frame)."""
-    x, y, z = foot - np.array([front * HIP_X, left * HIP_W, 0.0])
-    lateral = left * HIP_Y
-    r = math.sqrt(max(y * y + z * z - lateral**2, 1e-4))
-    abduction = math.atan2(z, y) + math.atan2(r, lateral)
-    reach = min(math.sqrt(x * x + r * r), 0.999 * (THIGH + SHANK))
-    cosine = (reach**2 - THIGH**2 - SHANK**2) / (2 * THIGH * SHANK)
-    knee = -math.acos(min(max(cosine, -1.0), 1.0))
-    hip = math.atan2(-x, r) - math.atan2(SHANK * math.sin(knee), THIGH + SHANK * math.cos(knee))
-    return np.array([abduction, hip, knee])
-
-
-def matrix_from_rpy(rpy: np.ndarray) -> np.ndarray:
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-SIDES = tuple((1.0 if leg[0] == "F" else -1.0, 1.0 if leg[1] == "L" else -1.0) for leg in LEGS)
+    return leg.angles(foot - np.array([*leg.hip, 0.0]))
 
 
 class Balance:
@@ -68,7 +53,7 @@ class Balance:
         """qpos of the standing robot at the motion's first pose."""
         pose = self.motion.pose(-2.0)
         home = self.motion.home - np.array([0.0, 0.0, pose[2]])
-        legs = [leg_angles(p, *side) for p, side in zip(home, SIDES, strict=True)]
+        legs = [leg_angles(p, leg) for p, leg in zip(home, SIDES, strict=True)]
         return np.concatenate([[0, 0, pose[2] - 0.0005, 1, 0, 0, 0], *legs])
 
     def __call__(self, k: int, t: float, q, v, base, target):
@@ -80,7 +65,7 @@ class Balance:
         before, after = self.motion.pose(t - h), self.motion.pose(t + h)
         pose, speed = target.pose, (after - before) / (2 * h)
         accel = (after - 2 * pose + before) / h**2
-        rot, want = d.xmat[1].reshape(3, 3), matrix_from_rpy(pose[3:])
+        rot, want = d.xmat[1].reshape(3, 3), turned(pose[3:])
         error = want @ rot.T
         error = 0.5 * np.array(
             [error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]
@@ -109,7 +94,7 @@ class Balance:
         for i, side in enumerate(SIDES):
             leg = slice(3 * i, 3 * i + 3)
             foot, gains = self._foot(i, target, position[i], base)
-            angles[leg] = leg_angles(want.T @ (foot - pose[:3]), *side)
+            angles[leg] = leg_angles(want.T @ (foot - pose[:3]), side)
             mujoco.mj_jacBody(m, d, self.jac, None, self.feet[i])
             tau[leg] -= self.jac[:, 6 + 3 * i : 9 + 3 * i].T @ forces[i]
             tau[leg] += gains[0] * (angles[leg] - q[leg]) - gains[1] * v[leg]
