@@ -17,7 +17,8 @@ from jax_inertia.diagnosis.checks import rms, rows
 from jax_inertia.diagnosis.corrected.intervals import reported
 from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import Settings
+from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.model.robot import Robot
 
 NUMBERS = {
     "viscous_friction": "damping",
@@ -25,6 +26,13 @@ NUMBERS = {
     "armature": "armature",
 }
 """Ordinary numbers that a model can hold, by family."""
+
+
+def stated_by_model(robot: Robot) -> CalibrationState:
+    """What a model alone says: every joint has friction, so one that states none of any joint is as it is bought."""
+    rubs = np.asarray(robot.damping) + np.asarray(robot.frictionloss)
+    states = bool(np.any(rubs[robot.topology.dof_scalar]))
+    return CalibrationState.CALIBRATED if states else CalibrationState.AS_BOUGHT
 
 
 def log_odds_as_bought(selection: Selection, settings: Settings) -> float:

@@ -49,9 +49,11 @@ def _is_listed(selection, h: Hypothesis, worths, settings: Settings) -> bool:
     own = nominal_number(selection.residual.context, h.family, row)
     if abs(mean[0]) < settings.ordinary_tolerance * own:
         return False
-    torque = selection.posterior.torque(h)
-    size = rows(torque, selection.residual.weight)[row]
-    matters = size**2 > settings.material * selection.evidence.gap[row] ** 2
+    size = rows(selection.posterior.torque(h), selection.residual.weight)
+    gap = selection.evidence.gap
+    # What a leg does that stands is seen on the base.
+    seen = list(h.rows) if selection.residual.prepared.spreads(row) else [row]
+    matters = np.any(size[seen] ** 2 > settings.material * gap[seen] ** 2)
     return bool(distinct and matters and worths[id(h)] > h.odds)
 
 

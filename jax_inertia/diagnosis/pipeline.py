@@ -12,7 +12,7 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from jax_inertia.diagnosis import summary
-from jax_inertia.diagnosis.calibration_state import log_odds_as_bought
+from jax_inertia.diagnosis.calibration_state import log_odds_as_bought, stated_by_model
 from jax_inertia.diagnosis.certainty.causes import borne_out, judges_of, remembering
 from jax_inertia.diagnosis.certainty.rivals import told_apart
 from jax_inertia.diagnosis.checks import LEAST_ROWS, PASSING, HeldOut, OtherRun, gated, rms
@@ -67,10 +67,10 @@ def diagnose(
     LogError for a log that does not fit the robot.
     """
     library, residual = _begun(robot, log, exclude, extra, settings, progress)
-    as_bought = np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
     if state is None and not _shows_joints(residual):
         # Forces of the ground use up what legs' torques would say of their joints' ordinary physics.
-        state = CalibrationState.CALIBRATED
+        state = stated_by_model(robot)
+    as_bought = np.inf if state is CalibrationState.AS_BOUGHT else -np.inf
     if state is None:
         selection, as_bought = _selected(residual, library, settings, progress)
     else:

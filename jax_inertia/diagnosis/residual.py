@@ -14,6 +14,7 @@ from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log
 from jax_inertia.model.robot import Robot
 from jax_inertia.signals.bands import DIAGNOSIS, DIAGNOSIS_IN_CONTACT
+from jax_inertia.signals.ground.support import BASE
 from jax_inertia.signals.sensor_noise import perturbed
 from jax_inertia.signals.torque_residual import Prepared, prepare
 
@@ -122,11 +123,21 @@ class Residual:
     @functools.cached_property
     def weight(self) -> Float[np.ndarray, "R n"]:
         """1 where a row is measured and its joint moves, 0 where it rests: there friction is whatever balances."""
+        return self._moves * self.prepared.valid
+
+    @functools.cached_property
+    def _moves(self) -> Float[np.ndarray, "R n"]:
         speed, moving = np.abs(self.context.v / self.context.radian), np.ones_like(self.context.v)
         for row in self.context.joint_dofs.values():
             moving[:, row] = speed[:, row] > self.settings.rest_speed
-        moves = np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
-        return moves * self.prepared.valid
+        return np.clip(self.prepared.finish(moving), 0.0, 1.0) ** 4
+
+    def shown(self, row: int) -> Float[np.ndarray, " R"]:
+        """1 where a joint moves and its friction is seen: on its own row, or on the base's while its leg stands."""
+        if not self.prepared.spreads(row):
+            return self.weight[:, row]
+        valid = self.prepared.valid
+        return self._moves[:, row] * np.maximum(valid[:, row], valid[:, :BASE].max(axis=1))
 
     @functools.cached_property
     def moving(self) -> Float[np.ndarray, "R n"]:

@@ -161,12 +161,16 @@ def remembering(selection: Selection, now: Posterior) -> Selection:
 
 
 def _uncertain_gains(residual: Residual, now: Posterior) -> Iterator[Hypothesis]:
-    """Of each joint whose torque is a current times a constant, unless one is in it: by that its numbers may be off."""
+    """Of each joint whose torque is a current times a constant, unless one is in it: by that its numbers may be off.
+
+    Torques of a leg that stands say what the robot weighs: a gain there passes for weight, and is as the log has it.
+    """
     if residual.log.tau_kind is TorqueKind.CURRENT:
         effect = GainTolerance()
         there = {h.place.name for h in now.chosen if isinstance(h.effect, TorqueGain)}
         for place in effect.places(residual.context):
-            if place.kind == "joint" and place.name not in there:
+            weighs = residual.prepared.spreads(place.index)
+            if place.kind == "joint" and place.name not in there and not weighs:
                 yield hypothesis(residual, effect, place, (), 0.0)
 
 

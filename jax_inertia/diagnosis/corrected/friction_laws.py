@@ -138,7 +138,7 @@ def nearest_numbers(
         ],
         axis=1,
     )
-    root = np.sqrt(residual.weight[:, row])[:, None]
+    root = np.sqrt(residual.shown(row))[:, None]
     both = residual.prepared.finish(np.concatenate([fast, target], axis=1)) * root
     forms, columns = both[:, : fast.shape[1]], both[:, fast.shape[1] :]
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)

@@ -198,6 +198,8 @@ class Effect(abc.ABC):
     """Of its place: 'joint', 'body', 'contact' or 'global'."""
     ordinary: ClassVar[bool] = False
     """Whether every robot has it."""
+    constant: ClassVar[bool] = False
+    """Whether its torque is the same at all times."""
     level: ClassVar[str] = ""
     """The ordinary effect that it is one law with: its level, its slope, its offset."""
     level_in: ClassVar[tuple[str, ...]] = ()

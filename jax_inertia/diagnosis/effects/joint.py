@@ -78,7 +78,7 @@ class Armature(_AlongTheJoint):
 
 
 class TorqueBias(_AlongTheJoint):
-    name, equation, ordinary = "torque_bias", "+ b", True
+    name, equation, ordinary, constant = "torque_bias", "+ b", True, True
     source = "a current sensor's or a torque sensor's zero"
     units, share, advice = {"bias": "N m"}, 0.05, advice.BOTH_WAYS
     prior = "0.05 of the joint's peak torque"

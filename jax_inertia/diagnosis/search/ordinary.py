@@ -23,7 +23,7 @@ from jax_inertia.diagnosis.effects.ground import places_of_ground
 from jax_inertia.diagnosis.effects.tolerances import TIMING, InertialTolerances, StatedNumbers
 from jax_inertia.diagnosis.hypothesis import Hypothesis, hypothesis, reshaped
 from jax_inertia.diagnosis.residual import Ordinary, Residual
-from jax_inertia.diagnosis.search.candidates import make
+from jax_inertia.diagnosis.search.candidates import assumes, make
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
 from jax_inertia.logs.schema import TorqueKind
@@ -59,6 +59,7 @@ def ordinary_physics(
             chosen += [
                 make(residual, effect, place, (), settings)
                 for place in effect.places(residual.context)
+                if assumes(residual, effect, place)
             ]
     if dry is not None:
         for place in dry.places(residual.context):

@@ -1,5 +1,7 @@
 """Where in a log something pushed: windows of a few lengths at every time, judged by evidence on every body."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jax_inertia.diagnosis.effects.base import Columns
@@ -17,18 +19,20 @@ def windows(
     now: Posterior,
     scale: float,
     odds: float,
+    bodies: Sequence[int],
     most: int = 3,
 ) -> tuple[list[tuple[float, float]], float]:
-    """Stretches [s] in which a constant force on some body pays its prior odds, the best first, none overlap; and those
-    odds [nats]: `odds` against a push, and the number of stretches in which it may have been.
+    """Stretches [s] in which a constant force on one of some `bodies` pays its prior odds, and those odds [nats].
+
+    The best first, none overlap. The odds: `odds` against a push, and the number of stretches where it may have been.
 
     `scale`: prior standard deviation of each component of the force [N]. On the slow grid, unfiltered: what is found
     is computed exactly afterwards.
     """
     context, time = residual.context, residual.time
-    count = len(context.robot.body_names)
+    count = len(bodies)
     forces = np.stack(
-        [residual.rows_of(Columns(context.force_rows[:, b]))[0] for b in range(count)], axis=1
+        [residual.rows_of(Columns(context.force_rows[:, b]))[0] for b in bodies], axis=1
     )
     root = np.sqrt(evidence.precision)
     left = root * (evidence.y - now.fitted)
