@@ -19,6 +19,7 @@ from jax_inertia.diagnosis.effects.ground import APART, MISSES, SampledAccelerat
 from jax_inertia.diagnosis.effects.inertial import Payload
 from jax_inertia.diagnosis.effects.joint import TorqueBias
 from jax_inertia.diagnosis.residual import Residual
+from jax_inertia.diagnosis.result import Diagnosis
 from jax_inertia.diagnosis.search.candidates import make, pushes
 from jax_inertia.diagnosis.search.evidence import Evidence
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
@@ -100,7 +101,7 @@ def test_an_accelerometer_errs_by_the_whole_robot():
     for axis in range(3):
         own = columns[:, axis, axis]
         np.testing.assert_allclose(own, MISSES * 0.002 * mass * context.a[:, axis], atol=1e-9)
-        late = slow(columns[:, axis, 3 + axis] / (APART * 0.002 * mass), 250.0)[60:-60]
+        late = slow(columns[:, axis, 6 + axis] / (APART * 0.002 * mass), 250.0)[60:-60]
         wanted = slow(jerk[:, axis], 250.0)[60:-60]
         np.testing.assert_allclose(late, wanted, atol=0.1 * np.abs(wanted).max())
 
@@ -156,6 +157,7 @@ def test_a_quadruped_as_bought_is_weighed_as_it_sways(load):
     arrays = walked(DOG, shifts, load=load, at=(0.1, 0.05, 0.06), seed=5)
     log = log_of(arrays, "tau", kp=np.full(12, DOG.kp), kd=np.full(12, DOG.kd))
     found = ji.diagnose(ji.load_model(mujoco.MjModel.from_xml_string(BARE)), log)
+    assert isinstance(found, Diagnosis)
     assert [(f.family, f.place.name) for f in found.odd] == [("payload", "trunk")] * bool(load)
     if load:
         assert found.odd[0].parameters["mass"].value == pytest.approx(load, rel=0.06)

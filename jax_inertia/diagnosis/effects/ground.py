@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.diagnosis.effects.base import Columns, Effect, Place, of_row
 from jax_inertia.diagnosis.features.context import Context
 from jax_inertia.maths.finite_difference import derivative
+from jax_inertia.signals.ground.support import BASE
 from jax_inertia.signals.torque_residual import needed_torques, without_friction
 
 
@@ -39,20 +40,20 @@ class GivingFeet(_Ground):
         return super().places(context) if context.prepared.by_feet else []
 
     def columns(self, context, place, shape):
-        return Columns(_moved(context, GIVES * np.asarray(context.a)))
+        return Columns(_moved(context, GIVES * context.a[:, :3]))
 
     def scale(self, context, place, shape):
         return np.ones(3)
 
 
 MISSES, APART = 15.0, 0.5
-"""One standard deviation of an accelerometer's gain per second of the log's period, and of when it samples, of that
+"""One standard deviation of an IMU's gain per second of the log's period, and of when it samples, of that
 period: of what is between two samples it says nothing. Samples of 200 Hz that fall on a walking robot's new targets, at
 which its acceleration jumps, showed 1.06 of it below 20 Hz, 1.7 ms too early; those between targets 0.99 and 0.4."""
 
 
 class SampledAcceleration(_Ground):
-    """An acceleration that an accelerometer shows too large or too small, or early or late, along each axis.
+    """A base's acceleration that its IMU shows too large or too small, or early or late, along and about each axis.
 
     Shape: the log's period [s].
     """
@@ -68,20 +69,20 @@ class SampledAcceleration(_Ground):
         return super().places(context) if not (prepared.knows_velocity or prepared.by_feet) else []
 
     def columns(self, context, place, shape):
-        a = np.asarray(context.a)
+        a = context.a[:, :BASE]
         size, late = MISSES * shape[0] * a, APART * shape[0] * derivative(context.time, a)
         return Columns(np.concatenate([_moved(context, x) for x in (size, late)], axis=2))
 
     def scale(self, context, place, shape):
-        return np.ones(6)
+        return np.ones(2 * BASE)
 
 
-def _moved(context: Context, by: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, "T nv 3"]:
-    """Torque of a base that accelerates so much more along each of its three axes [N m]."""
+def _moved(context: Context, by: Float[np.ndarray, "T k"]) -> Float[np.ndarray, "T nv k"]:
+    """Torque of a base that accelerates so much more along each of its first axes [N m]."""
     observation = context.prepared.observation
     bare = without_friction(context.robot)
     own, columns = needed_torques(bare, observation), []
-    for axis in range(3):
+    for axis in range(by.shape[1]):
         a = np.array(observation.a)
         a[:, axis] += by[:, axis]
         columns.append(needed_torques(bare, dataclasses.replace(observation, a=a)) - own)
