@@ -13,6 +13,7 @@ from test_replay import ARM, arm, run, without_torque
 
 import jax_inertia as ji
 from jax_inertia.cli.main import main
+from jax_inertia.diagnosis.certainty.probability import calibration, probability
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.verdict import Left
 from jax_inertia.logs.log import Log
@@ -29,7 +30,7 @@ from jax_inertia.replay.result import Replayed
 from jax_inertia.replay.search.held_out import Unseen
 from jax_inertia.replay.search.instead import Instead
 from jax_inertia.replay.search.possible import pressed
-from jax_inertia.replay.search.probability import probabilities
+from jax_inertia.replay.search.probability import Sure, odds_of_effects
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.spec_edits import PLAY, add_play
 
@@ -48,6 +49,23 @@ def soft(tmp_path_factory) -> Path:
     asked = ["diagnose", str(folder / "0.npz"), "--model", str(folder / "arm.xml")]
     assert main([*asked, "--test-log", str(folder / "1.npz"), "--out", str(out)]) == 0
     return folder
+
+
+def test_a_verdict_is_as_sure_as_one_by_torque_of_the_same_odds(soft):
+    """σ(a asinh L + b) of one file."""
+    report = json.loads((soft / "out" / "report.json").read_text())
+    fitted = calibration()
+    a, b = fitted["slope_of_verdicts"], fitted["offset_of_verdicts"]
+    stated = 1.0 / (1.0 + np.exp(-a * np.arcsinh(report["log_odds"]) - b))
+    assert report["confidence"] == pytest.approx(stated, abs=1e-12)
+
+
+def test_gains_that_no_log_says_are_known_no_better_than_the_masses(soft):
+    """Gains, frictions and masses by one factor are the same motion, and a model's masses are off by 2 %."""
+    effects = json.loads((soft / "out" / "report.json").read_text())["effects"]
+    (scale,) = (e["parameters"]["scale"]["ci95"] for e in effects if e["family"] == "kp_scale")
+    assert scale[0] < 0.7 < scale[1]
+    assert 0.01 < (scale[1] - scale[0]) / 0.7 < 0.12
 
 
 def test_the_file_replays_as_the_report_says(soft, capsys):
@@ -228,7 +246,8 @@ def test_a_probability_falls_with_its_evidence_and_with_what_else_would_do():
         found = straight(theta, 0.0, theta)
         rows = Rows()
         given = {(0,): instead}
-        return probabilities(found, [(0,)], odd, given, rows, rows, lambda _: found)[0,]
+        L = odds_of_effects(found, [(0,)], odd, given, rows, rows, lambda _: found)[0,]
+        return Sure(probability(L.own), probability(L.or_another))
 
     def sure(*args, **more):
         return both(*args, **more).own
@@ -269,7 +288,8 @@ def test_a_limit_is_judged_by_all_rows_as_another_motion_may_hardly_ask_for_it()
 
     def sure(found, gain, shapes=1e3, odd=((0,),)):
         rows = Rows(0.0, 0.0), Rows(gain, shapes)
-        return probabilities(found, [(0,)], odd, {}, *rows, lambda rows: found)[0,].own
+        L = odds_of_effects(found, [(0,)], odd, {}, *rows, lambda rows: found)[0,]
+        return probability(L.own)
 
     number = straight(0.8, 0.0, 0.8)
     limit = number._replace(table=(number.table[0]._replace(nominal=np.inf),))

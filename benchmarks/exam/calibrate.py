@@ -65,7 +65,10 @@ Listed and not there: {wrong}.
 A verdict is right where it is `explained`, all that is listed is there and no effect of 3 sigma is missed, or where it
 is `partly` or `unknown` and an effect outside the library is there; in a sealed set by that set's own marks (an effect
 that was hidden is found, nothing is `no_gap`, what is outside the library is not `explained`). These robots are
-simulated: on real ones equations err more. Replays use the map of effects, which was not measured on them.
+simulated: on real ones equations err more. Replays use both
+maps, which were not fitted on them. Of 79 logs of targets of S1 (56 verdicts right) a product of chances that stood in
+the place of the second map had a log loss of 1.24; the map, of log odds that are those of the product, has 0.71. Of 12
+of S2 (10 right) they have 0.71 and 0.48.
 """
 BY_TORQUE = ("sound", "one_effect", "bare", "bare_odd", "outside")
 """Strata of a sealed set that are diagnosed by torque and may hold an effect."""

@@ -129,6 +129,7 @@ def simulators(out: Path) -> dict:
     elbow.gainprm[0], elbow.biasprm[1:3] = WEAK * elbow.gainprm[0], WEAK * elbow.biasprm[1:3]
     load = true.body("lower").add_body(name="load", pos=[LOWER, 0, 0])
     load.mass, load.inertia, load.explicitinertial = LOAD, [4e-4] * 3, True
+    load.ipos = np.zeros(3)
 
     def none(keys, step):
         return jnp.zeros((len(keys), 3), int)

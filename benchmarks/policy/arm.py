@@ -75,6 +75,7 @@ def _real() -> mujoco.MjModel:
         spec.delete(actuator)
     load = spec.body("lower").add_body(name="load", pos=[LOWER, 0, 0])
     load.mass, load.inertia, load.explicitinertial = LOAD, [4e-4] * 3, True
+    load.ipos = np.zeros(3)
     spec.option.timestep, spec.option.integrator = _STEP, mujoco.mjtIntegrator.mjINT_EULER
     return spec.compile()
 

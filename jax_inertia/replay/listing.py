@@ -85,7 +85,7 @@ def listed(
     search: Search,
     instead: Mapping[Rows, tuple[Instead, ...]],
     shares: Mapping[Rows, float],
-    probabilities: Mapping[Rows, Sure],
+    odds: Mapping[Rows, Sure],
     loop: Loop,
     names: Sequence[str],
 ) -> tuple[Effect, ...]:
@@ -96,7 +96,7 @@ def listed(
     out, added = [], {o.rows: o for o in search.odd}
     for rows, share in sorted(shares.items(), key=lambda x: -x[1]):
         p = found.table[rows[0]]
-        sure = probabilities[rows].own
+        sure = odds[rows].own
         if rows in added:
             effect = _odd(found, added[rows], share, sure, loop, names)
             out.append(_with_ties(effect, _instead(instead.get(rows, ()), loop, names)))

@@ -112,6 +112,13 @@ class Parameter(NamedTuple):
     body: str = ""
     centre: float | None = None
     """Of the prior, where that is not the nominal value: of what is not there in the nominal model at all."""
+    given: bool = False
+    """Whether the model's own number is kept, and is off by what such numbers are off by alone."""
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether it is what every nominal model is off by: fitted, and no effect."""
+        return self.given or self.family in TOLERANCES
 
     @property
     def mean(self) -> float:

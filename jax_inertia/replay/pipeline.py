@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jax_inertia.diagnosis.certainty.probability import probability
 from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log
 from jax_inertia.model.mujoco_types import MjModel, MjSpec
@@ -155,15 +156,14 @@ def _told(
     # What is less likely than not, with all that has a name and would do in its place, is handed over and has no name.
     distinct = {k: s for k, s in done.shares.items() if listing.distinct(found, k)}
     kept = {
-        k: s for k, s in distinct.items() if done.probabilities[k].or_another >= Settings.likely
+        k: s for k, s in distinct.items() if probability(done.odds[k].or_another) >= Settings.likely
     }
-    effects = listing.listed(
-        found, done.search, done.instead, kept, done.probabilities, loop, names
-    )
+    effects = listing.listed(found, done.search, done.instead, kept, done.odds, loop, names)
     discrepancy = checks.discrepancy(correction.numbers, whole, timed.steps)
     # Where nothing is distinct the file differs from the model within its tolerances, and by a clock.
     in_tolerance = not distinct and not done.harm
-    told = proof.judgement(replayed, effects, discrepancy, done, in_tolerance)
+    sure = [done.odds[k] for k in kept]
+    told = proof.judgement(replayed, sure, discrepancy, done, in_tolerance)
     notes = [*dict.fromkeys(n for r in whole for n in checks.objections(r, names))]
     notes += [*causal.notes(found, loop, torque), *checks.touch_note(whole)]
     notes += [_HARM] if done.harm else []
@@ -172,7 +172,7 @@ def _told(
     left = [x.name for x in told.left if x.name in names]
     like = resemblances(names, left, replayed.corrected, test)
     return Diagnosis(
-        told.verdict, told.confidence, proof.headline(told, replayed, like), effects, done.everything, found,
+        told.verdict, told.log_odds, proof.headline(told, replayed, like), effects, done.everything, found,
         correction, file.text, changes(case.given, file.model), _clock(found, effects, loop), replayed,
         discrepancy, told.left, like, told.impossible,
         proof.worse(replayed, names), (*notes, *file.remarks),

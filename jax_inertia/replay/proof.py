@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import expit
 
+from jax_inertia.diagnosis.certainty.doubts import Doubts, odds_of_verdict
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.verdict import Errors, Left, judged
 from jax_inertia.maths.sample_weight import odds_within
@@ -18,8 +18,10 @@ from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import Numbers
 from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record, step_means
-from jax_inertia.replay.result import Effect, Fan, Replayed, Resemblance, Torques, rms, total
+from jax_inertia.replay.result import Fan, Replayed, Resemblance, Torques, rms, total
 from jax_inertia.replay.search.choice import Chosen
+from jax_inertia.replay.search.probability import Sure
+from jax_inertia.replay.search.tries import LOG_ODDS
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.replay.simulation.simulate import misses, replay
 
@@ -95,41 +97,33 @@ def mean_friction(x: Numbers, records: Sequence[Record]) -> Float[np.ndarray, " 
 
 
 class Told(NamedTuple):
-    """A verdict, how probable it is, and what stands against a better one."""
+    """A verdict, log odds that it is right [nats], and what stands against a better one."""
 
     verdict: Verdict
-    confidence: float
+    log_odds: float
     left: tuple[Left, ...]
     impossible: tuple[str, ...]
 
 
 def judgement(
     r: Replayed,
-    effects: Sequence[Effect],
+    effects: Sequence[Sure],
     discrepancy: Float[np.ndarray, " n"],
     done: Chosen,
     in_tolerance: bool,
 ) -> Told:
     """By the test rows, every joint's position and logged torque (`diagnosis.verdict`).
 
-    Where nothing but a clock was found, and numbers within the model's tolerances (`in_tolerance`), the model as given
+    `effects`: how sure those are that are listed. Where nothing but a clock was found, and numbers within the model's tolerances (`in_tolerance`), the model as given
     is the one with these: no gap is forgiven for them, and none is seen in them.
     """
     errors = _errors(r, discrepancy, done.plant.names)
     errors = errors.as_given() if in_tolerance else errors
     found = judged(errors, bool(effects), done.impossible)
-    within = _chances(r, errors)
-    sure = [e.probability for e in effects]
-    if found.verdict is Verdict.NO_GAP:
-        confidence = float(within.min())
-    elif found.verdict is Verdict.EXPLAINED:
-        confidence = float(within.min()) * min(sure, default=1.0)
-    elif found.against:
-        confidence = max(sure, default=1.0)
-    else:
-        short = float((1.0 - within).max())
-        confidence = short * (max(sure) if found.verdict is Verdict.PARTLY else 1.0)
-    return Told(found.verdict, confidence, found.left, found.against)
+    # A number that is asked beyond its bound is so by 20 to 1 at least.
+    doubts = Doubts(unnamed=LOG_ODDS if done.impossible else None)
+    odds = odds_of_verdict(_within(r, errors), found.verdict, effects, doubts)
+    return Told(found.verdict, odds, found.left, found.against)
 
 
 def _errors(r: Replayed, stated: Float[np.ndarray, " n"], names: tuple[str, ...]) -> Errors:
@@ -145,12 +139,12 @@ def _errors(r: Replayed, stated: Float[np.ndarray, " n"], names: tuple[str, ...]
     return Errors(names, floor, before, after, moves > 0, stated)
 
 
-def _chances(r: Replayed, errors: Errors) -> Float[np.ndarray, " n"]:
-    """How probable it is that the error of each joint that moves is within its limit."""
+def _within(r: Replayed, errors: Errors) -> Float[np.ndarray, " m"]:
+    """Log odds that the error of each joint that moves is within its limit [nats]."""
     pairs = zip(r.corrected, r.records, strict=True)
     e = np.concatenate([(p - x.q)[x.settled] for p, x in pairs])
     moves = errors.moves[: e.shape[1]]
-    return np.where(moves, expit(odds_within(e, errors.limit[: e.shape[1]])), 1.0)
+    return odds_within(e, errors.limit[: e.shape[1]])[moves]
 
 
 def headline(told: Told, r: Replayed, resembles: Sequence[Resemblance] = ()) -> str:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.certainty.probability import confidence, probability
 from jax_inertia.diagnosis.result import Verdict
 from jax_inertia.diagnosis.verdict import Left
 from jax_inertia.model.write import Change
@@ -40,10 +41,15 @@ class Effect:
     """Of the first."""
     share: float
     """Of the nominal replay's squared error on validation rows: what returns when it alone is left out."""
-    probability: float
-    """That it, or one that it is tied with by an equation, is there, given this log (`search/probability.py`)."""
+    log_odds: float
+    """That it, or one that it is tied with by an equation, is there (`search/probability.py`) [nats]."""
     ordinary: bool
     ties: tuple["Tie", ...]
+
+    @property
+    def probability(self) -> float:
+        """The same, calibrated."""
+        return probability(self.log_odds)
 
     @property
     def parameter(self) -> str:
@@ -185,7 +191,8 @@ class Diagnosis:
     """Verdict, effects, every joint's numbers, and the replays that prove or disprove them."""
 
     verdict: Verdict
-    confidence: float
+    log_odds: float
+    """That the verdict is right, before calibration [nats]."""
     headline: str
     effects: tuple[Effect, ...]
     everything: Fit
@@ -214,6 +221,11 @@ class Diagnosis:
     notes: tuple[str, ...]
     draws: Draws | None = None
     """Of the corrected robot; none where nothing but a clock was changed."""
+
+    @property
+    def confidence(self) -> float:
+        """Calibrated probability that the verdict is right."""
+        return confidence(self.log_odds)
 
     @property
     def names(self) -> tuple[str, ...]:

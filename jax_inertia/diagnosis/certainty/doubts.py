@@ -1,13 +1,23 @@
 """What stands against a verdict besides the errors that it is about, and how probable that makes it."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from jax_inertia.diagnosis.certainty.probability import log_odds
-from jax_inertia.diagnosis.result import Found, Verdict
+from jax_inertia.diagnosis.result import Verdict
+
+
+@runtime_checkable
+class HasOdds(Protocol):
+    """An effect of either engine."""
+
+    @property
+    def log_odds(self) -> float:
+        """That it is there [nats]."""
+        ...
 
 
 class Doubts(NamedTuple):
@@ -31,7 +41,7 @@ class Doubts(NamedTuple):
 
 
 def odds_of_verdict(
-    within: Float[np.ndarray, " m"], given: Verdict, odd: Sequence[Found], doubts: Doubts
+    within: Float[np.ndarray, " m"], given: Verdict, effects: Sequence[HasOdds], doubts: Doubts
 ) -> float:
     """Log odds that a verdict is right, as the search has it [nats].
 
@@ -46,4 +56,4 @@ def odds_of_verdict(
         against = (-another, *within.tolist())
     else:
         against = (max(beyond, unnamed, another if given is Verdict.PARTLY else -np.inf),)
-    return log_odds((*(f.log_odds for f in odd), *against))
+    return log_odds((*(f.log_odds for f in effects), *against))

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from jax_inertia.replay.fitting import columns as derivatives
 from jax_inertia.replay.fitting.errors import Weights, replay_errors, weights
 from jax_inertia.replay.fitting.problem import ENOUGH, Problem, normal
-from jax_inertia.replay.loop import TOLERANCES, Parameter
+from jax_inertia.replay.loop import Parameter
 from jax_inertia.replay.record import Record
 from jax_inertia.replay.simulation.plant import Plant
 
@@ -122,7 +122,7 @@ def _nearby(
     """By wide differences; where `exact` ones follow, no more of them than lead on."""
     mended = int(known)
     # What is off by little is nearly linear: its columns are computed first, and anew once all others stay.
-    most = problem.free & np.array([p.family not in TOLERANCES for p in problem.table], bool)
+    most = problem.free & np.array([not p.is_tolerance for p in problem.table], bool)
     asked, outdated = most, False
     for k in range(rounds):
         progress(f"fitting replays, round {k + 1}")

@@ -60,6 +60,7 @@ def _verdict(found: Diagnosis) -> dict[str, Any]:
         "schema": 1,
         "verdict": str(found.verdict),
         "confidence": found.confidence,
+        "log_odds": found.log_odds,
         "headline": found.headline,
     }
 
@@ -185,6 +186,7 @@ def _effect(e: Effect) -> dict[str, Any]:
         "parameters": {name: _size(size) for name, size in e.sizes},
         "share": e.share,
         "probability": e.probability,
+        "log_odds": e.log_odds,
         "explained_heldout": e.share,
         "equivalent": [
             {

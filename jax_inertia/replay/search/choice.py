@@ -20,7 +20,7 @@ from jax_inertia.replay.search.exchange import exchanged
 from jax_inertia.replay.search.held_out import LISTED, Unseen, least_share, shown_in
 from jax_inertia.replay.search.instead import Instead, Rows, in_place_of
 from jax_inertia.replay.search.possible import pressed
-from jax_inertia.replay.search.probability import Sure, probabilities
+from jax_inertia.replay.search.probability import Sure, odds_of_effects
 from jax_inertia.replay.search.tries import AS_GOOD
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.text.words import number
@@ -50,7 +50,8 @@ class Chosen(NamedTuple):
     instead: Mapping[Rows, tuple[Instead, ...]]
     shares: Mapping[Rows, float]
     """Of the gap in the validation rows, by the rows of each number or odd effect that is large enough to be listed."""
-    probabilities: Mapping[Rows, Sure]
+    odds: Mapping[Rows, Sure]
+    """Of each of these."""
     impossible: tuple[str, ...]
     records: Sequence[Record]
     """That were fitted, and in which samples the robot touches something."""
@@ -97,7 +98,7 @@ def chosen(
     own = {k: least_odd if max(k) >= len(table) else LISTED for k in shares}
     listed = {k: s for k, s in shares.items() if s > own[k]} | {k: shares.get(k, 0.0) for k in seen}
     every = Unseen(plant, [*records, *held], least)
-    sure = probabilities(
+    sure = odds_of_effects(
         found, [*listed], [o.rows for o in search.odd], others, run, every,
         lambda rows: _without(plant, found, rows, records, least),
     )  # fmt: skip
@@ -206,16 +207,18 @@ def _creeps(
 def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -> Fit:
     """The numbers that are needed, refitted alone; all of them where the held-out replay is better for it.
 
-    What a clock leaves open of the others they stay free by, as a nominal model's tolerances are.
+    The others are the model's own, and off by no more than such numbers are, or a clock leaves open. Within that they
+    stay free: held, they would measure every other number. Gains, frictions and masses by one factor are the same
+    motion, and a friction of 0.2 N m that is exactly that says the factor.
     """
     asked = [k for k in range(ordinaries) if full.table[k].family not in TOLERANCES]
     keep = parsimony.needed(full, asked)
     given_up = np.isin(np.arange(len(full.table)), np.setdiff1d(asked, keep))
-    loose = checks.loose(full.table)
-    free = full.free & ~(given_up & (loose == 0))
-    by_clock = np.where(given_up & free, loose, 0.0)
+    within = np.hypot(checks.loose(full.table), parsimony.own_tolerance(full.table, plant.loop))
+    free = full.free & ~(given_up & (within == 0))
     table = tuple(
-        p._replace(sd=sd) if sd else p for p, sd in zip(full.table, by_clock.tolist(), strict=True)
+        p._replace(sd=sd, given=True) if up and sd else p
+        for p, up, sd in zip(full.table, given_up, within.tolist(), strict=True)
     )
     nominal = np.array([p.nominal for p in full.table])
     start = np.where(given_up, nominal, np.where(free, full.theta, nominal))
@@ -270,7 +273,7 @@ def gated(
     run = Unseen(plant, held, least)
     energy = run.misses(found.table, nominal[None])[0]
     grouped, dropped = {k for rows in groups for k in rows}, 0
-    grouped |= {k for k, p in enumerate(found.table) if p.family in TOLERANCES}
+    grouped |= {k for k, p in enumerate(found.table) if p.is_tolerance}
     while True:
         away = set(np.flatnonzero(found.theta != nominal).tolist())
         units = [(k,) for k in sorted(away - grouped)]

@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.replay import checks
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
-from jax_inertia.replay.loop import ALL, ORDINARY, Parameter
+from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
 
 
 class Simplest(NamedTuple):
@@ -69,6 +70,26 @@ def needed(found: Fit, rows: Sequence[int]) -> list[int]:
     kept = [i for i in np.flatnonzero(least.kept & chosen[go]) if off[i] != 0]
     kept.sort(key=lambda i: -abs(off[i]) / np.sqrt(covariance[i, i]))
     return go[kept].tolist()
+
+
+def own_tolerance(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
+    """By how much ordinary numbers of a model that are right are off, standard deviations; 0 where there is none.
+
+    Gains that the log or the user says are taken at their word.
+    """
+    own, out = Settings.ordinary_tolerance / 2.0, np.zeros(len(table))
+    gains = own if loop.source == "model" else 0.0
+    for k, p in enumerate(table):
+        if p.family == "armature":
+            out[k] = Settings.inertia_tolerance * p.nominal
+        elif p.family == "coulomb_friction":
+            out[k] = own * p.nominal
+        elif p.family == "viscous_friction":
+            kd = float(loop.kd[p.joint])
+            out[k] = np.hypot(own * (p.nominal - kd), gains * kd)
+        elif p.family in ("kp_scale", "kd_scale"):
+            out[k] = gains
+    return out
 
 
 def nominal(found: Fit) -> Float[np.ndarray, " P"]:

@@ -7,8 +7,8 @@ the cost's parabola θᵀ C⁻¹ θ of its numbers θ from the model's own, C th
 independent samples) and the odds against an odd one; and less what validation rows lose by it, if they do. c_a,
 likewise, is what alternative a costs more than the effect, on the fitted rows and on the validation rows together.
 That the effect or an alternative with a name is there has the log odds without those alternatives' c_a.
-What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L is calibrated as by
-torque (`diagnosis.certainty.probability`).
+What is the same by an equation is no alternative, and what has no name is one (`unnamed`). L becomes a probability
+as by torque (`diagnosis.certainty.probability`).
 
 A limit has no size in a model without one, no parabola leads there, and another motion may hardly ask for it: E is of
 fitted and validation rows then, all others refitted without it. Of these rows together is what has no name, of all
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.certainty.probability import log_odds, probability
+from jax_inertia.diagnosis.certainty.probability import log_odds
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
 from jax_inertia.replay.search.held_out import Unseen
@@ -30,15 +30,20 @@ from jax_inertia.replay.search.tries import LOG_ODDS
 
 
 class Sure(NamedTuple):
-    """How probable an effect is."""
+    """Log odds L of an effect [nats]."""
 
     own: float
     """That it is there."""
     or_another: float
     """That it is, or one of those with a name that would do in its place."""
 
+    @property
+    def log_odds(self) -> float:
+        """What a verdict that lists it stands on: the effect with its ties."""
+        return self.or_another
 
-def probabilities(
+
+def odds_of_effects(
     found: Fit,
     units: Sequence[Rows],
     odd: Sequence[Rows],
@@ -72,8 +77,7 @@ def probabilities(
         if unnamed < min(named, default=np.inf):
             against.append(max(unnamed, 0.0))
         own, together = (
-            probability(log_odds([0.5 * x for x in costs]))
-            for costs in ((*against, *named), against)
+            log_odds([0.5 * x for x in costs]) for costs in ((*against, *named), against)
         )
         out[rows] = Sure(own, together)
     return out

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import ACROSS, CENTRE, FORCE, SHIFT, TILT
-from jax_inertia.replay.loop import ALL, TOLERANCES, Loop, Parameter
+from jax_inertia.replay.loop import ALL, Loop, Parameter
 from jax_inertia.replay.result import Tie
 
 _TIED = 0.9
@@ -81,7 +81,7 @@ def ties_of(
     sigma = found.sigma
     for i, other in enumerate(found.table):
         known = sigma[i] > 0 and sigma[k] > 0
-        if i == k or not known or other.family in TOLERANCES:
+        if i == k or not known or other.is_tolerance:
             continue
         commanded = {(t.family, t.kind, t.name) for t in out}
         named = (effect_of(other), *place_of(other.joint, other.body, names))
