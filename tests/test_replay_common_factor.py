@@ -94,6 +94,7 @@ def test_a_load_is_held_by_its_interval_where_no_log_says_the_gains(tmp_path, mo
     log = ji.Log(time=at, joint_names=arm.JOINTS, qpos=seen, qpos_target=sent)
     (tmp_path / "arm.xml").write_text(arm.MODEL)
     found = ji.diagnose(tmp_path / "arm.xml", log)
+    assert isinstance(found, ji.ReplayDiagnosis)
     sizes = {(e.family, e.name): dict(e.sizes) for e in found.effects}
     load, gain = sizes["payload", "lower"], sizes["kp_scale", "elbow"]["scale"]
     assert load["mass"].low < arm.LOAD < load["mass"].high

@@ -114,8 +114,9 @@ def judgement(
 ) -> Told:
     """By the test rows, every joint's position and logged torque (`diagnosis.verdict`).
 
-    `effects`: how sure those are that are listed. Where nothing but a clock was found, and numbers within the model's tolerances (`in_tolerance`), the model as given
-    is the one with these: no gap is forgiven for them, and none is seen in them.
+    `effects`: how sure those are that are listed. Where nothing but a clock was found, and numbers within the model's
+    tolerances (`in_tolerance`), the model as given is the one with these: no gap is forgiven for them, and none is seen
+    in them.
     """
     errors = _errors(r, discrepancy, done.plant.names)
     errors = errors.as_given() if in_tolerance else errors
