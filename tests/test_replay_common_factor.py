@@ -4,7 +4,6 @@ MuJoCo C moves the arms, and the law (M q̈ + g + friction = τ, both sides by o
 """
 
 import dataclasses
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from test_replay import ARM, NAMES, run, without_torque
 
 import jax_inertia as ji
+from benchmarks.policy import arm
 from jax_inertia.replay.fitting import columns
 from jax_inertia.replay.fitting.errors import replay_errors
 from jax_inertia.replay.loop import ALL, NO_JOINT, Parameter, ordinary, position_loop
@@ -19,7 +19,6 @@ from jax_inertia.replay.record import record_of
 from jax_inertia.replay.search.parsimony import own_tolerance
 from jax_inertia.replay.simulation.plant import Plant
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 EARLY = '<mujoco><option timestep="0.001" iterations="4" ls_iterations="6"/>'
 """Of a model for MJX: the solver of friction stops early."""
 
@@ -83,11 +82,8 @@ def test_what_a_model_says_is_off_by_a_tolerance_and_what_a_log_says_is_not():
 
 
 @pytest.mark.slow
-def test_a_load_is_held_by_its_interval_where_no_log_says_the_gains(tmp_path, monkeypatch):
+def test_a_load_is_held_by_its_interval_where_no_log_says_the_gains(tmp_path):
     """The arm of benchmarks/policy, of MuJoCo C with LuGre's friction: 0.5 kg at its tip, 0.7 of the elbow's gain."""
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    from policy import arm
-
     motion = arm.wanted(np.random.default_rng(1), seconds=20.0, fastest=2.0)
     seen, sent = arm.moved(lambda k, q, v: motion[k], motion, seed=1)
     at = arm.PERIOD * np.arange(len(seen))

@@ -1,7 +1,6 @@
 """What a diagnosis by replays states, against its files and the logs that it may and may not read."""
 
 import dataclasses
-import importlib
 import json
 import re
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from test_replay import ARM, arm, run, without_torque
 
 import jax_inertia as ji
+from benchmarks.exam import replayed as examiner
 from jax_inertia.cli.main import main
 from jax_inertia.diagnosis.certainty.probability import calibration, probability
 from jax_inertia.diagnosis.result import Verdict
@@ -80,15 +80,13 @@ def test_the_file_replays_as_the_report_says(soft, capsys):
     assert stated["before"] > 100 * stated["floor"]
 
 
-def test_a_program_that_shares_no_code_finds_the_same(soft, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks" / "replay"))
-    evaluator = importlib.import_module("evaluator")
-    source = Path(str(evaluator.__file__)).read_text()
+def test_a_program_that_shares_no_code_finds_the_same(soft):
+    source = Path(str(examiner.__file__)).read_text()
     assert "import jax_inertia" not in source
     assert "from jax_inertia" not in source
     log = ji.read_log(soft / "1.npz")
     file = soft / "out" / "corrected.xml"
-    path = evaluator.replayed(file, log.joint_names, log.time, log.qpos, log.qpos_target)
+    path = examiner.replayed(file, log.joint_names, log.time, log.qpos, log.qpos_target)
     settled = log.time > 0.6
     error = np.sqrt(np.mean((path - log.qpos)[settled] ** 2))
     stated = json.loads((soft / "out" / "report.json").read_text())["shrink"]["replay"]

@@ -1,14 +1,12 @@
 """What is handed over, against the plant that was fitted: the same motion from the written file in MuJoCo's own
 steps."""
 
-import importlib
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 from test_replay import ARM, NAMES
 
+from benchmarks.exam import replayed as examiner
 from jax_inertia.logs.log import Log
 from jax_inertia.replay import handover
 from jax_inertia.replay.inputs import tolerances
@@ -94,12 +92,10 @@ def test_the_file_moves_as_the_fit_did(what):
 
 
 @pytest.mark.parametrize("what", ["low pass", "lag", "rubs", "integral"])
-def test_a_program_that_shares_no_code_moves_the_file_so(what, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks" / "replay"))
-    evaluator = importlib.import_module("evaluator")
+def test_a_program_that_shares_no_code_moves_the_file_so(what):
     _, done, file = both(NUMBERS[what])
     log = told()
-    path = evaluator.replayed(file.text, NAMES, log.time, log.qpos, log.qpos_target)
+    path = examiner.replayed(file.text, NAMES, log.time, log.qpos, log.qpos_target)
     assert apart(done, path) < 1e-6
 
 
