@@ -16,12 +16,12 @@ from benchmarks.paper.brain import (
     ORACLE,
     Settings,
     make_brain,
-    standing,
 )
 from benchmarks.paper.figures import figure, legend, save
 from benchmarks.paper.loop import Run, by_controller, crew, drive, rms, summary
 from benchmarks.paper.plant import TICK, Fleet, LinkMass, Sensors, model
 from benchmarks.paper.shared_out import Wanted, every
+from benchmarks.paper.strides import standing
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.model.load import body_pi
 
