@@ -323,6 +323,25 @@ def test_a_torque_that_is_cut_off_shows_its_limit():
     assert half.kp == pytest.approx(30.0, rel=0.01)
 
 
+def test_what_a_joint_passes_is_no_limit():
+    """A torque that falls short at some jolts, as a foot's that is set down, of a joint that gives twice as much."""
+    time = np.arange(0, 10, 0.002)
+    target = 0.8 * np.sign(np.sin(2 * np.pi * 0.5 * time))[:, None]
+    q = 0.5 * np.sin(2 * np.pi * 0.5 * time - 0.5)[:, None]
+    v = np.gradient(q[:, 0], time)[:, None]
+    tau = 30 * (target - q) - 0.5 * v
+    jolts = (np.abs(tau) > 12.0) & (np.abs(tau) < 12.5)
+    log = Log(
+        time=time, joint_names=("hinge",), qpos=q, qvel=v, tau=tau - 4.0 * np.sign(tau) * jolts,
+        qpos_target=target,
+    )  # fmt: skip
+    assert jolts.mean() > 0.02
+    assert np.abs(tau).max() > 24.0
+    half = command.command_half(log)[0]
+    assert half.limit is None
+    assert half.kp == pytest.approx(30.0, rel=0.05)
+
+
 def test_the_commands(tmp_path, capsys):
     log, model = tmp_path / "run.npz", tmp_path / "arm.xml"
     ji.write_log(without_torque(run(kp=(0.7, 1.0))), log)

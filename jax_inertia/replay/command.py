@@ -245,6 +245,10 @@ def _without_cut(
     if limit <= 0 or np.std(rest) > _STRAIGHT * limit or len(rows.averaged(0.0, good)[1]) < _ROWS:
         # Not a limit: a torque that is noisy, or another law.
         return known, None, 0.0
+    beyond = known & (way * tau > (1.0 + 3.0 * _STRAIGHT) * (limit - falls * way * rows.v))
+    if beyond.sum() > cut.sum():
+        # Nor is one that the joint passes more often than it is held by it.
+        return known, None, 0.0
     spread = falls * np.ptp(np.percentile(line[:, 1], [5.0, 95.0]))
     if spread > max(_FALLS * limit, 3.0 * np.std(rest)):
         return good, float(limit), float(falls)
