@@ -44,7 +44,7 @@ ORDER: dict[str, str] = {
     "replay": """loop joint_numbers record simulation fitting result remainder checks search listing step_law corrected
         handover proof command inputs pipeline output entry""",
     "replay.simulation": "spec_edits model_edits plant stepped simulate",
-    "replay.fitting": "errors columns problem start fit draws",
+    "replay.fitting": "errors columns problem start fit file_form draws",
     "replay.output": "figures policy report recording",
     "replay.search": """ties parsimony causal unnamed held_out candidates tries by_law afresh entries closed_loop odd
         exchange undecided instead clock possible probability choice""",

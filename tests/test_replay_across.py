@@ -93,7 +93,9 @@ def test_replay_and_file_move_as_the_twin():
     theta[-1] = 0.02
     planned = replay(plant, table, theta[None], record)[0]
     found = plant.numbers(table, theta, None)
-    made = Correction(NAMES, LOOP, found, plant.nominal, found.dry, False, plant.pairs)
+    made = Correction(
+        NAMES, LOOP, found, found.at_joint.lumped, plant.nominal, found.dry, False, plant.pairs
+    )
     file = handover.written(made, leg(), handover.in_memory)
     done = handover.replayed(file.model, NAMES, LOOP, record)
     assert with_it < 3e-3

@@ -40,7 +40,7 @@ def both(numbers, h=0.002, integrator="implicitfast"):
     record = record_of(told(), loop)
     planned = replay(plant, table, np.array(theta)[None], record)[0]
     found = plant.numbers(table, np.array(theta), None)
-    made = Correction(NAMES, loop, found, plant.nominal, found.dry, False)
+    made = Correction(NAMES, loop, found, found.at_joint.lumped, plant.nominal, found.dry, False)
     file = handover.written(made, mujoco.MjSpec.from_string(text), handover.in_memory)
     return planned, handover.replayed(file.model, NAMES, loop, record), file
 

@@ -21,6 +21,7 @@ from jax_inertia.logs.log_files import read_log, write_log
 from jax_inertia.replay import handover
 from jax_inertia.replay.entry import diagnose
 from jax_inertia.replay.fitting.draws import drawn
+from jax_inertia.replay.fitting.file_form import file_form
 from jax_inertia.replay.loop import position_loop
 from jax_inertia.replay.record import record_of
 from jax_inertia.replay.simulation.plant import Plant
@@ -98,7 +99,7 @@ def test_numbers_drawn_one_by_one_replay_worse(soft):
     fit = diagnose(soft / "arm.xml", log).found
     plant = Plant(mujoco.MjSpec.from_string(ARM), NAMES, position_loop(log, loop_of), holds=True)
     record = record_of(log, plant.loop)
-    together = drawn(plant, fit, 32).vectors
+    together = drawn(plant, fit, file_form(plant, fit, [], np.zeros(0)), 32).vectors
     rng = np.random.default_rng(0)
     apart = np.stack([rng.permutation(x) for x in together.T], axis=1)
     away = [
@@ -120,7 +121,7 @@ def test_a_draw_at_the_fit_is_the_file(soft):
     found = diagnose(soft / "arm.xml", log)
     sharp = found.found._replace(covariance=found.found.covariance * 1e-14)
     plant = Plant(spec, NAMES, position_loop(log, mujoco.MjModel.from_xml_string(ARM)), holds=True)
-    draws = drawn(plant, sharp, 1)
+    draws = drawn(plant, sharp, file_form(plant, sharp, [], np.zeros(0)), 1)
     folder = soft / "sharp"
     folder.mkdir()
     (folder / "draws.npz").write_bytes(exports.draws_file(NAMES, draws))

@@ -51,7 +51,7 @@ def corrected(spec: MjSpec, found: Correction) -> tuple[str, ...]:
     loop, names, was = found.loop, found.names, found.original.at_joint
     if loop.source != "model":
         with_loop(spec, names, loop)
-    x = found.numbers.at_joint.lumped
+    x = found.in_file
     for j, name in enumerate(names):
         without_integral(spec, name)
         joint, actuator = spec.joint(name), actuator_of(spec, name)
@@ -173,8 +173,8 @@ def _remarks(spec: MjSpec, found: Correction) -> tuple[str, ...]:
         )
     if (x.behind > 0).any():
         out.append(
-            f"the lag of the motor at {where(x.behind > 0)} is in corrected.xml to its second order: targets that lag, "
-            "and less kd and armature"
+            f"the lag of the motor at {where(x.behind > 0)} is in corrected.xml as targets that lag, with the kd and "
+            "armature that replay most like it"
         )
     if x.forces:
         out.append(
@@ -188,7 +188,7 @@ def _remarks(spec: MjSpec, found: Correction) -> tuple[str, ...]:
 
 
 def _set_gains(actuator, found: Correction, j: int) -> None:
-    x, was, gear = found.numbers.at_joint.lumped, found.original.at_joint, float(actuator.gear[0])
+    x, was, gear = found.in_file, found.original.at_joint, float(actuator.gear[0])
     ratio = float(x.kp[j] / was.kp[j])
     bias = np.array(actuator.biasprm, float)
     if ratio != 1.0:

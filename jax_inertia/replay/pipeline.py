@@ -15,6 +15,7 @@ from jax_inertia.model.write import changes
 from jax_inertia.replay import checks, handover, listing, proof
 from jax_inertia.replay.fitting.draws import Draws, drawn
 from jax_inertia.replay.fitting.errors import replay_errors
+from jax_inertia.replay.fitting.file_form import InFile, file_form
 from jax_inertia.replay.fitting.fit import Fit, Progress, fit
 from jax_inertia.replay.inputs import (
     Parts,
@@ -78,7 +79,7 @@ def diagnose(
     case = _Case(parts, loop, handover.nominal_model(spec(), names, loop), spec, write)
     handed = _handed_over(case, done, bare, progress)
     progress("replaying the test")
-    draws = drawn(handed.done.plant, handed.found) if handed.changed else None
+    draws = drawn(handed.done.plant, handed.found, handed.in_file) if handed.changed else None
     replayed = _test(case, handed, draws)
     found = _told(case, handed, replayed, timed, bare, loops.torque)
     return dataclasses.replace(found, draws=draws)
@@ -102,6 +103,7 @@ class _Handed(NamedTuple):
     found: Fit
     """Of fitted and validation rows."""
     correction: Correction
+    in_file: InFile
     file: handover.Written
     whole: Sequence[Record]
 
@@ -120,14 +122,16 @@ def _handed_over(case: _Case, done: choice.Chosen, bare: Plant, progress: Progre
         progress("fitting all of it")
         found = _on_all(done.plant, found, whole)
     progress("writing, reading back and replaying what was found")
-    correction = _correction(done, found, case.loop, whole)
+    in_file = file_form(done.plant, found, whole, checks.least(whole, done.plant.loop))
+    correction = _correction(done, found, case.loop, whole, in_file)
     file = handover.written(correction, case.spec(), case.write)
     if done.sound or not _harms(case, file.model, correction):
-        return _Handed(done, found, correction, file, whole)
+        return _Handed(done, found, correction, in_file, file, whole)
     done = choice.unchanged(bare, done.everything, done.records)
-    correction = _correction(done, done.found, case.loop, whole)
+    in_file = file_form(done.plant, done.found, whole, checks.least(whole, done.plant.loop))
+    correction = _correction(done, done.found, case.loop, whole, in_file)
     file = handover.written(correction, case.spec(), case.write)
-    return _Handed(done, done.found, correction, file, whole)
+    return _Handed(done, done.found, correction, in_file, file, whole)
 
 
 def _test(case: _Case, handed: _Handed, draws: Draws | None) -> Replayed:
@@ -151,7 +155,7 @@ def _told(
     case: _Case, handed: _Handed, replayed: Replayed, timed: clock.Timed, bare: Plant, torque: bool
 ) -> Diagnosis:
     """Everything in words."""
-    done, found, correction, file, whole = handed
+    done, found, correction, _, file, whole = handed
     names, loop, test = correction.names, case.loop, case.parts.test
     # What is less likely than not, with all that has a name and would do in its place, is handed over and has no name.
     distinct = {k: s for k, s in done.shares.items() if listing.distinct(found, k)}
@@ -180,7 +184,7 @@ def _told(
 
 
 def _correction(
-    done: choice.Chosen, found: Fit, loop: Loop, records: Sequence[Record]
+    done: choice.Chosen, found: Fit, loop: Loop, records: Sequence[Record], in_file: InFile
 ) -> Correction:
     """What is handed over of a fit."""
     plant = done.plant
@@ -188,7 +192,9 @@ def _correction(
     changed = bool(np.any(found.theta != choice.nominal_fit(found).theta))
     friction = proof.mean_friction(numbers, records) if numbers.varies else numbers.dry
     holds = changed and plant.holds
-    return Correction(plant.names, loop, numbers, plant.nominal, friction, holds, plant.pairs)
+    return Correction(
+        plant.names, loop, numbers, in_file(numbers), plant.nominal, friction, holds, plant.pairs
+    )
 
 
 def _harms(case: _Case, model: MjModel, c: Correction) -> bool:

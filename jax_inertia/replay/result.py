@@ -161,6 +161,8 @@ class Correction:
     names: tuple[str, ...]
     loop: Loop
     numbers: Numbers
+    in_file: Numbers
+    """The same as a file holds them (`file_form`)."""
     original: Numbers
     friction: Float[np.ndarray, " n"]
     """Dry friction's mean along the fitted runs [N m], which is what a file has of one that varies."""

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import truncnorm
 
+from jax_inertia.replay.fitting.file_form import InFile
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.simulation.model_edits import change_body, changed_bodies, lightened
 from jax_inertia.replay.simulation.plant import Plant
@@ -45,13 +46,13 @@ class Draws(NamedTuple):
     """Of the model's time [s]."""
 
 
-def drawn(plant: Plant, found: Fit, count: int = COUNT) -> Draws:
-    """`count` draws from the normal distribution of a fit within the bounds of its numbers.
+def drawn(plant: Plant, found: Fit, in_file: InFile, count: int = COUNT) -> Draws:
+    """`count` draws from the normal distribution of a fit within the bounds of its numbers, as files hold them.
 
     Numbers that stayed at the nominal model's are not varied. The same fit gives the same draws.
     """
     vectors = _vectors(found, count)
-    numbers = [plant.numbers(found.table, x, None).at_joint.lumped for x in vectors]
+    numbers = [in_file(plant.numbers(found.table, x, None)) for x in vectors]
     models, changed = [copy.copy(plant.model) for _ in numbers], []
     for model, x in zip(models, numbers, strict=True):
         for body in changed_bodies(x):
