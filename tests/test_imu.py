@@ -404,7 +404,7 @@ def test_loads_by_an_imu_without_torque():
     gains = {"kp": np.full(12, SMALL.kp), "kd": np.full(12, SMALL.kd)}
     found = ji.diagnose(model_of(SMALL), log_of(arrays, "tau", **gains))
     payload(found, SMALL, 1.0)
-    assert any("what the position loop gives" in note for note in found.notes)
+    assert any("computed from the position loop" in note for note in found.notes)
 
 
 def test_a_soft_foot_sinks_as_in_mujoco():
