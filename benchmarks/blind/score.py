@@ -3,13 +3,15 @@
     python -m benchmarks.blind.score run LOGS VAULT --commitment HEX --out OUT [--jobs 1] [--reached] \\
         --tool NAME=FOLDER [--tool ...]
     python -m benchmarks.blind.score store OUT/rows.json --set S1 --seed SEED --note "what was run" ...
+    python -m benchmarks.blind.score add ROWS.json --note "what was run"
     python -m benchmarks.blind.score page [--check]
 
 Each tool's folder holds results/NAME/report.json (PROTOCOL.md). `run` writes OUT/rows.json, a row a log and tool; the
 tool called pace_like is what the first tool's closed-loop replays are compared with, and a log that a tool has no
 answer to counts as refused. Rows that OUT has are not made again. `store` keeps them under benchmarks/results with the
-opened seed, and `page` writes RESULTS.md beside this file from there, its figure, and the table that docs/results.md
-opens with. NumPy, MuJoCo and matplotlib; nothing of the package.
+opened seed, `add` keeps rows of further logs of that set, diagnosed once its seed was open, and `page` writes RESULTS.md
+beside this file from there, its figure, and the table that docs/results.md opens with. NumPy, MuJoCo and matplotlib;
+nothing of the package.
 """
 
 from __future__ import annotations
@@ -98,17 +100,21 @@ def score(
     return {tool: rows[tool] for tool in tools}
 
 
-def store(rows: dict[str, list[dict]], about: dict) -> None:
-    """Rows, a line each, and what other programs read."""
+def store(rows: dict[str, list[dict]], about: dict, more: dict[str, list[dict]]) -> None:
+    """Rows, a line each, and what other programs read; `more`: further logs of the set, by what was run."""
     first = next(iter(rows))
     made = page.summary(rows[first], rows.get(page.PACE, []))
     SUMMARY.write_text(json.dumps(made, indent=1) + "\n")
+    text = f'"about": {json.dumps(about)},\n"tools": {_lines(rows)},\n"more": {_lines(more)}'
+    STORED.write_text(f"{{\n{text}\n}}\n")
+
+
+def _lines(rows: dict[str, list[dict]]) -> str:
     lines = [
-        f"{json.dumps(tool)}: [\n" + ",\n".join(map(json.dumps, some)) + "\n]"
-        for tool, some in rows.items()
+        f"{json.dumps(name)}: [\n" + ",\n".join(map(json.dumps, some)) + "\n]"
+        for name, some in rows.items()
     ]
-    tools = "{\n" + ",\n".join(lines) + "\n}"
-    STORED.write_text(f'{{\n"about": {json.dumps(about)},\n"tools": {tools}\n}}\n')
+    return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def written() -> dict[Path, str]:
@@ -117,9 +123,11 @@ def written() -> dict[Path, str]:
     about, tools = stored["about"], stored["tools"]
     rows = next(iter(tools.values()))
     lines = ["", about["head"][0], "", *page.goals(rows, tools.get(page.PACE, [])), "", ""]
+    more = [line for x in stored["more"].items() for line in page.further(*x)]
+    lines += more
     docs = DOCS / "results.md"
     return {
-        PAGE: page.page(about, tools),
+        PAGE: page.page(about, tools) + "\n".join(["", *more]),
         docs: BLOCK.sub(lambda _: "\n".join(lines), docs.read_text()),
     }
 
@@ -144,6 +152,9 @@ def main() -> None:
     keep.add_argument("--set", required=True)
     keep.add_argument("--seed", type=Path, required=True)
     keep.add_argument("--note", action="append", default=[], help="a paragraph of the page")
+    add = commands.add_parser("add")
+    add.add_argument("rows", type=Path)
+    add.add_argument("--note", required=True)
     commands.add_parser("page").add_argument("--check", action="store_true")
     args = parser.parse_args()
     if args.command == "run":
@@ -164,7 +175,11 @@ def main() -> None:
             "seed_sha256": hashlib.sha256(seed).hexdigest(),
             "head": args.note,
         }
-        store(json.loads(args.rows.read_text()), about)
+        store(json.loads(args.rows.read_text()), about, {})
+    elif args.command == "add":
+        stored = json.loads(STORED.read_text())
+        more = stored.get("more", {}) | {args.note: json.loads(args.rows.read_text())}
+        store(stored["tools"], stored["about"], more)
     else:
         pages = written()
         if args.check:

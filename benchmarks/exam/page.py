@@ -161,13 +161,14 @@ def leaderboard(tools: dict[str, Rows]) -> list[str]:
 def goals(rows: Rows, pace: Rows) -> list[str]:
     """Markdown: what was asked, what was found, and what falls short."""
     found, counts = numbers(rows, pace), shares(rows)
+    found = {name: number for name, number in found.items() if number[0] is not None}
     short = [name for name, (value, *_) in found.items() if not met(name, value)]
     lines = ["| | with its 95 % interval | asked | |", "|---|---|---|---|"]
     for name, number in found.items():
         text = str(counts[name]) if name in counts else worded(number)
         flag = "**short**" if name in short else ""
         lines.append(f"| {name.replace('_', ' ')} | {text} | {GOALS[name]} | {flag} |")
-    return [*lines, "", f"{len(GOALS) - len(short)} of {len(GOALS)} are as asked."]
+    return [*lines, "", f"{len(found) - len(short)} of {len(found)} are as asked."]
 
 
 def page(about: dict, tools: dict[str, Rows]) -> str:
@@ -197,6 +198,22 @@ def page(about: dict, tools: dict[str, Rows]) -> str:
     lines += ["", "## Wrong rows", "", "| log | robot | hidden | said | |", "|---|---|---|---|---|"]
     lines += [_wrong(r) for r in rows if not r["right"]]
     return "\n".join(lines) + "\n"
+
+
+def further(note: str, rows: Rows) -> list[str]:
+    """Of logs of the set that were diagnosed once its seed was open: what was run, the goals, and the wrong rows."""
+    wrong = [_wrong(r) for r in rows if not r["right"]]
+    head = ["| log | robot | hidden | said | |", "|---|---|---|---|---|"]
+    return [
+        f"**{len(rows)} further logs.** {note}",
+        "",
+        *goals(rows, []),
+        "",
+        *head,
+        *wrong,
+        "",
+        "",
+    ]
 
 
 def _by(rows: Rows, column: str) -> list[str]:
