@@ -9,9 +9,9 @@
 Each tool's folder holds results/NAME/report.json (PROTOCOL.md). `run` writes OUT/rows.json, a row a log and tool; the
 tool called pace_like is what the first tool's closed-loop replays are compared with, and a log that a tool has no
 answer to counts as refused. Rows that OUT has are not made again. `store` keeps them under benchmarks/results with the
-opened seed, `add` keeps rows of further logs of that set, diagnosed once its seed was open, and `page` writes RESULTS.md
-beside this file from there, its figure, and the table that docs/results.md opens with. NumPy, MuJoCo and matplotlib;
-nothing of the package.
+opened seed, `add` keeps rows of further logs of that set, diagnosed once its seed was open, and `page` writes
+RESULTS.md beside this file from there, its figure, and the table that docs/results.md opens with. NumPy, MuJoCo and
+matplotlib; nothing of the package.
 """
 
 from __future__ import annotations
