@@ -6,7 +6,7 @@ where a step is short or gains little the next round is along the replay's own m
 The fit ends when neither leads on.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,36 +47,19 @@ class Rival(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Numbers of a closed loop, which effects are there, and how well they are known."""
+    """Numbers of a closed loop, and which effects are there."""
 
     theta: Float[np.ndarray, " P"]
-    covariance: Float[np.ndarray, "P P"]
-    chosen: tuple[int, ...]
-    """Effects, as `Groups` numbers them."""
-    evidence: float
-    """Of the chosen effects against none [nats]."""
-    error: list[Float[np.ndarray, "T n"]]
-    """Measured minus replayed, of each run [rad]."""
-    weights: Weights
-    rounds: tuple[float, ...]
-    """Rms error of the replays after each round [rad]."""
-    normal: Normal
     groups: Groups
     rivals: tuple[Rival, ...]
     """Of the same joints as the odd effects that were taken."""
 
     @property
     def there(self) -> Bool[np.ndarray, " P"]:
-        """Which numbers are of chosen effects."""
+        """Which numbers are of effects that are there."""
         out = np.zeros(len(self.theta), bool)
-        out[self.groups.rows_of(self.chosen)] = True
+        out[self.groups.rows_of(self.groups.there(self.theta))] = True
         return out
-
-    def gain(self, effect: int) -> float:
-        """Evidence for an effect that is there: how much less there is without it [nats]."""
-        rest = [g for g in self.chosen if g != effect]
-        whole = solve(self.normal, self.groups, self.chosen).evidence
-        return whole - solve(self.normal, self.groups, rest).evidence
 
 
 class _State(NamedTuple):
@@ -88,12 +71,7 @@ class _State(NamedTuple):
     normal: Normal | None = None
 
 
-def fitted(
-    loop: Likelihood,
-    *,
-    rounds: int = ROUNDS,
-    progress: Callable[[str], None] = lambda text: None,
-) -> Found:
+def fitted(loop: Likelihood) -> Found:
     """The effects of most evidence and their numbers, from the model as given.
 
     Ordinary numbers first; then odd effects one by one, each with all others fitted anew, for as long as the replays'
@@ -102,22 +80,20 @@ def fitted(
     groups = Groups(loop.numbers)
     theta = np.zeros(len(loop.numbers))
     error = [e[0] for e in loop.errors(theta[None])]
-    history = [_total(loop, error)]
     allowed = {*groups.ordinary, *groups.there(theta)}
     first = _State(theta, error, loop.weights(error))
-    now = _converged(loop, groups, first, allowed, rounds, history, progress, with_delay=True)
+    now = _converged(loop, groups, first, allowed, ROUNDS, with_delay=True)
     rivals: list[Rival] = []
     for k in range(_MOST):
-        progress(f"closed loop, {k} odd effects")
-        best, taken, lost = now, -1, []
+        best, taken = now, -1
+        lost: list[tuple[int, Float[np.ndarray, " P"]]] = []
         # What ordinary numbers, each far off, pass for is sought where they are not off yet, too.
         for state in (now, first) if k == 0 else (now,):
             for g in _promising(loop, groups, state, allowed):
                 wider = allowed | {g} | groups.rivals[g]
                 tried = _converged(
-                    loop, groups, state, wider, _FIRST, history, progress,
-                    added=g, with_delay=state is first,
-                )  # fmt: skip
+                    loop, groups, state, wider, _FIRST, added=g, with_delay=state is first
+                )
                 if _better(loop, groups, tried, best):
                     best, taken, tried, g = tried, g, best, taken
                 lost.append((g, tried.theta))
@@ -126,19 +102,15 @@ def fitted(
         rivals += _rivals(groups, taken, lost)
         before = {*groups.there(now.theta)} - {*groups.ordinary}
         allowed = {*groups.ordinary, *groups.there(best.theta)}
-        now = _converged(loop, groups, best, allowed, rounds, history, progress)
+        now = _converged(loop, groups, best, allowed, ROUNDS)
         if {*groups.there(now.theta)} - {*groups.ordinary} == before:
             break
-    chosen = groups.there(now.theta)
-    normal = loop.rows(now.theta, now.error).normal(now.weights)
-    solved = solve(normal, groups, chosen)
-    return Found(
-        now.theta, solved.covariance, tuple(chosen), solved.evidence, now.error, now.weights,
-        tuple(history), normal, groups, tuple(rivals),
-    )  # fmt: skip
+    return Found(now.theta, groups, tuple(rivals))
 
 
-def _rivals(groups: Groups, taken: int, lost) -> list[Rival]:
+def _rivals(
+    groups: Groups, taken: int, lost: Sequence[tuple[int, Float[np.ndarray, " P"]]]
+) -> list[Rival]:
     """Of the fits that lost a turn, the latest with each other effect of the joint or body that gained one."""
 
     def place(g: int) -> tuple[int, str]:
@@ -182,8 +154,6 @@ def _converged(
     now: _State,
     allowed: set[int],
     rounds: int,
-    history: list[float],
-    progress: Callable[[str], None],
     *,
     added: int | None = None,
     with_delay: bool = False,
@@ -193,7 +163,6 @@ def _converged(
     theta, error, w, normal = now
     asked = groups.rows_of([*allowed]).tolist()
     for k in range(rounds):
-        progress("closed loop, a round")
         rows = loop.rows(theta, error, along_replay=along_replay, asked=asked)
         if k == 0 and with_delay:
             rows = _with_delay(loop, groups, rows, asked)
@@ -212,7 +181,6 @@ def _converged(
                 gain, part = float(scores[best] - score), float(parts[best])
                 theta, error = tries[best], [e[best] for e in tried]
                 break
-        history.append(_total(loop, error))
         gain /= max(-float(score), 1.0)
         vain = vain + 1 if gain < _ENOUGH else 0
         if vain == 2:
