@@ -17,6 +17,7 @@ from jax_inertia.replay.loop import ORDINARY, Loop, Parameter
 from jax_inertia.replay.record import Commanded, Record, feeds_forward, record_of
 from jax_inertia.replay.search.odd import Search
 from jax_inertia.replay.search.parsimony import simplest
+from jax_inertia.replay.search.probability import Sure
 from jax_inertia.replay.search.undecided import open_between
 from jax_inertia.replay.simulation.plant import Plant, Structure
 from jax_inertia.replay.simulation.simulate import replay
@@ -372,7 +373,8 @@ def test_a_sum_of_damping_and_kd_below_kd_is_no_negative_friction(total, family,
         (number,), np.array([total]), one, one, 100.0, np.zeros((3, 2)), np.zeros((1, 3, 2)), None
     )
     search = Search(found, (), (), ())
-    (effect,) = listed(found, search, {}, {(0,): 0.8}, {(0,): 0.9}, LOOP, ["shoulder", "elbow"])
+    odds = {(0,): Sure(2.0, 2.0)}
+    (effect,) = listed(found, search, {}, {(0,): 0.8}, odds, LOOP, ["shoulder", "elbow"])
     assert (effect.family, effect.name) == (family, "shoulder")
     assert effect.size.value == pytest.approx(size)
     other = {"viscous_friction", "kd_scale"} - {family}
