@@ -1,7 +1,7 @@
 """Robots on their feet that log encoders, torques and an IMU, and no contact force: what is found, in how many seconds.
 
-    python benchmarks/feet.py OUT                 # makes the logs of `PLAN` and diagnoses each
-    python benchmarks/feet.py OUT --weigh         # mass and centre of the trunk instead, by `estimate`
+    python -m benchmarks.feet OUT                 # makes the logs of `PLAN` and diagnoses each
+    python -m benchmarks.feet OUT --weigh         # mass and centre of the trunk instead, by `estimate`
 
 Robots, controller and sensors are of this file alone. MuJoCo C at 0.5 ms. Controller at 500 Hz: forces of the standing
 feet that balance the trunk (least squares, virtual springs on height and attitude), through Jᵀ, and joint springs about
@@ -20,6 +20,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
+
+from benchmarks.worlds.feet.standing import foot_loads
 
 STEP, LOOP, WARM = 5e-4, 4, 1.5  # s, steps of a period of the controller and of the log, s
 HARD = "0.006 1"
@@ -277,7 +279,7 @@ def simulated(robot: Robot, motion: str, hidden: str, seconds: float, seed: int)
             mujoco.mj_step2(model, data)
             if not k and t >= -1e-9:
                 row["base_linacc"] = data.sensor("acc").data.copy()
-                row["true_force"] = _loads(model, data, feet)
+                row["true_force"] = foot_loads(model, data, feet)
                 for name, x in row.items():
                     rows.setdefault(name, []).append(x)
         if data.qpos[2] < 0.6 * level or data.xmat[1][8] < 0.85:
@@ -321,16 +323,6 @@ def _stance(robot, model, data, sites, trunk, lifted, level) -> np.ndarray:
         mujoco.mj_jacSite(model, data, jac, None, site)
         out -= jac.T @ f
     return out[6:]
-
-
-def _loads(model, data, feet: list[int]) -> np.ndarray:
-    out, wrench = np.zeros(len(feet)), np.zeros(6)
-    for i in range(data.ncon):
-        mujoco.mj_contactForce(model, data, i, wrench)
-        for geom in data.contact[i].geom:
-            if (body := int(model.geom_bodyid[geom])) in feet:
-                out[feet.index(body)] += wrench[0]
-    return out
 
 
 def _sensed(robot: Robot, rows: dict, hidden: str, rng) -> dict[str, Any]:

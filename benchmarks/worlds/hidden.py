@@ -7,7 +7,9 @@ a fifth of its rating: a wrist's friction is the gear's, not its light load's.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -95,6 +97,19 @@ def truncated(rng, sigma: float, size=None):
     return sigma * x
 
 
+def inertials_off(rng, bodies: Sequence[str], share: float = 1.0) -> dict[str, dict[str, Any]]:
+    """By how much the inertials of some bodies are off the model's, `share`: of `TOLERANCE`."""
+    sigma = {k: share * x for k, x in TOLERANCE.items()}
+    return {
+        body: {
+            "mass": float(truncated(rng, sigma["mass"])),
+            "com": [float(x) for x in truncated(rng, sigma["com"], 3)],
+            "inertia": float(truncated(rng, sigma["inertia"])),
+        }
+        for body in bodies
+    }
+
+
 def log_uniform(rng, low, high, size=None):
     return np.exp(rng.uniform(np.log(low), np.log(high), size))
 
@@ -168,12 +183,4 @@ def draw_ordinary(robot: Robot, run: Motion, rng) -> Hidden:
     presliding = np.maximum(log_uniform(rng, 1e-4, 2e-3, n), least)
     bias = s * rng.uniform(0.0, 0.02, n) * rng.choice([-1.0, 1.0], n)
     bias = np.where(rng.random(n) < 0.25, 0.0, bias)
-    inertials = {
-        body: {
-            "mass": float(truncated(rng, TOLERANCE["mass"])),
-            "com": [float(x) for x in truncated(rng, TOLERANCE["com"], 3)],
-            "inertia": float(truncated(rng, TOLERANCE["inertia"])),
-        }
-        for body in robot.bodies
-    }
-    return Hidden(law, presliding, armature, bias, inertials, scale=s)
+    return Hidden(law, presliding, armature, bias, inertials_off(rng, robot.bodies), scale=s)

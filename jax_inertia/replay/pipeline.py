@@ -122,16 +122,19 @@ def _handed_over(case: _Case, done: choice.Chosen, bare: Plant, progress: Progre
         progress("fitting all of it")
         found = _on_all(done.plant, found, whole)
     progress("writing, reading back and replaying what was found")
+    handed = _written(case, done, found, whole)
+    if done.sound or not _harms(case, handed.file.model, handed.correction):
+        return handed
+    done = choice.unchanged(bare, done.everything, done.records)
+    return _written(case, done, done.found, whole)
+
+
+def _written(case: _Case, done: choice.Chosen, found: Fit, whole: Sequence[Record]) -> _Handed:
+    """A fit, as a file that is written and read back."""
     in_file = file_form(done.plant, found, whole, checks.least(whole, done.plant.loop))
     correction = _correction(done, found, case.loop, whole, in_file)
     file = handover.written(correction, case.spec(), case.write)
-    if done.sound or not _harms(case, file.model, correction):
-        return _Handed(done, found, correction, in_file, file, whole)
-    done = choice.unchanged(bare, done.everything, done.records)
-    in_file = file_form(done.plant, done.found, whole, checks.least(whole, done.plant.loop))
-    correction = _correction(done, done.found, case.loop, whole, in_file)
-    file = handover.written(correction, case.spec(), case.write)
-    return _Handed(done, done.found, correction, in_file, file, whole)
+    return _Handed(done, found, correction, in_file, file, whole)
 
 
 def _test(case: _Case, handed: _Handed, draws: Draws | None) -> Replayed:

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.worlds.as_bought import Made
 from benchmarks.worlds.effects import add_mass, editable
 from benchmarks.worlds.feet.legs import WALKERS, Walker, sways, trots
-from benchmarks.worlds.hidden import TOLERANCE, log_uniform, truncated
+from benchmarks.worlds.hidden import inertials_off, log_uniform
 from benchmarks.worlds.own_robot import set_linear
 from benchmarks.worlds.plant import Unstable
 
@@ -94,15 +94,7 @@ def _draw(robot: Walker, kind: str, rng: np.random.Generator) -> Real:
         centre = mujoco.MjModel.from_xml_string(robot.xml).body(robot.trunk).ipos
         place = centre + rng.uniform([-0.1, -0.05, 0.0], [0.1, 0.05, 0.1])
         load = (float(rng.uniform(*LOAD)), place, float(rng.uniform(0.05, 0.12)))
-    half = {k: 0.5 * x for k, x in TOLERANCE.items()}
-    inertials = {
-        body: {
-            "mass": float(truncated(rng, half["mass"])),
-            "com": [float(x) for x in truncated(rng, half["com"], 3)],
-            "inertia": float(truncated(rng, half["inertia"])),
-        }
-        for body in robot.bodies
-    }
+    inertials = inertials_off(rng, robot.bodies, 0.5)
     size = (robot.height / 0.33) ** 2
     return Real(
         armature=size * log_uniform(rng, 0.006, 0.02) * np.ones(n),
@@ -169,13 +161,13 @@ def simulate(robot: Walker, real: Real, motion, seconds: float, loop: int, rate:
         if keep:
             # Of the state before this step, as the positions above.
             rows.setdefault("base_linacc", []).append(data.sensor("accelerometer").data.copy())
-            rows.setdefault("load", []).append(_loads(model, data, feet))
+            rows.setdefault("load", []).append(foot_loads(model, data, feet))
         if k % 400 == 0 and (data.qpos[2] < 0.5 * robot.height or data.xmat[1][8] < 0.85):
             raise Unstable(f"fell at {t:.2f} s")
     return {name: np.array(x) for name, x in rows.items()}
 
 
-def _loads(model: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) -> np.ndarray:
+def foot_loads(model: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) -> np.ndarray:
     """Normal force on each foot [N]."""
     out, wrench = np.zeros(len(feet)), np.zeros(6)
     for i in range(data.ncon):

@@ -189,7 +189,7 @@ def _promising(
     run: unseen.Unseen,
     before,
 ) -> list[tuple[Candidate, Fit]]:
-    """Fits that came part of the way: those that are likelier than all that pass.
+    """Fits that have not converged and are worth more rounds: those that are likelier than all that pass.
 
     Where none passes, the likeliest of those by which validation rows err less. Evidence that is short of being enough
     is short of what the same fit has where it settles, and so are the validation rows: a load of 0.5 kg at an arm's

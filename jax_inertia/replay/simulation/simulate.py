@@ -200,7 +200,9 @@ def misses(
         # Most numbers of a vector are not the loop's, and most that are, another joint's.
         done: dict[tuple[float, ...], np.ndarray] = {}
         for b, x in enumerate(every):
-            age = float(x.steps[j] * x.step_of_kd[j]) - plant.own.of_kd
+            # A logged velocity is as old as it is.
+            own_age = float(x.steps[j] * x.step_of_kd[j]) - plant.own.of_kd
+            age = own_age if record.velocity is None else 0.0
             own = age, *(float(getattr(x, name)[j]) for name in _LAW)
             if own not in done:
                 done[own] = _miss(record, windows, x, j, age)
