@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jax_inertia as ji
-from benchmarks.harness import log_det, pickup_log
+from benchmarks.harness import log_det, pickup_log, results
 from benchmarks.harness.pickup_log import WRIST
 from jax_inertia.estimation import joint_terms, log_filter, pieces
 from jax_inertia.estimation.inertial_filter import make_estimator
@@ -235,14 +235,10 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-BEGIN, END = "<!-- benchmarks/loads.py -->\n", "<!-- end -->\n"
-
-
 def write(rows: list[dict]) -> None:
     """The results, and the page's table of them."""
     RESULTS.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
-    head, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(head + BEGIN + "\n" + table(rows) + "\n" + END + rest.split(END)[1])
+    results.write_part("loads", table(rows), PAGE)
 
 
 def main() -> None:

@@ -34,7 +34,6 @@ STEPS, PERIOD_US = 60_000, 1000.0
 OTHERS = 200
 """Different samples, over and over."""
 RESULTS, PAGE = results.RESULTS / "controller.json", results.HERE.parent / "docs/live.md"
-BEGIN, END = "<!-- benchmarks/controller -->\n", "<!-- end -->\n"
 
 
 def timed(call: Callable[[int], object], steps: int) -> dict[str, list[float]]:
@@ -117,8 +116,7 @@ def main(steps: int = STEPS) -> None:
     found = rows("arm, 7 joints", arm(), steps) + rows("humanoid, 29 rows", walker(), steps)
     about = results.circumstances()
     RESULTS.write_text(json.dumps({"about": about, "steps": steps, "rows": found}, indent=1) + "\n")
-    head, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table(found)}\n{END}{rest.split(END)[1]}")
+    results.write_part("controller/latency", table(found), PAGE)
     print(table(found), about)
 
 

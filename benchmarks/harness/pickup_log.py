@@ -20,9 +20,24 @@ ARMS = {
 WRIST = "wrist"
 
 
+def shape(kind: str) -> tuple[str, Sequence[float], Sequence[float]]:
+    """Turns, lengths [m] and masses [kg] of an arm of `ARMS`, or of one drawn by chance: "drawn 7" is the seventh."""
+    if kind in ARMS:
+        return ARMS[kind]
+    rng = np.random.default_rng([71, int(kind.removeprefix("drawn "))])
+    joints, size = int(rng.integers(3, 8)), np.exp(rng.uniform(np.log(0.1), np.log(0.6)))
+    turns = [str(rng.choice(list("xyz")))]
+    while len(turns) < joints:  # Two that turn alike may follow each other, three may not.
+        turns.append(str(rng.choice([t for t in "xyz" if turns[-2:] != [t, t]])))
+    taper = np.linspace(1.0, rng.uniform(0.2, 0.5), joints) * rng.uniform(0.6, 1.4, joints)
+    lengths = size * taper
+    masses = rng.uniform(10.0, 40.0) * size**1.5 * taper**2
+    return "".join(turns), lengths.tolist(), masses.tolist()
+
+
 def arm(kind: str = "spherical") -> mujoco.MjModel:
-    """An arm of `ARMS`: rods along their own z, a ball at the end of the last."""
-    turns, lengths, masses = ARMS[kind]
+    """An arm of `shape`: rods along their own z, a ball at the end of the last."""
+    turns, lengths, masses = shape(kind)
     xml, at = "", 0.0
     for k, (turn, length, mass) in enumerate(zip(turns, lengths, masses, strict=True)):
         axis = " ".join("1" if turn == x else "0" for x in "xyz")
@@ -62,7 +77,7 @@ def loaded(kind: str, load: float, at: Sequence[float] = (0.0, 0.02, 0.09), radi
 
 def motion(kind: str, time: np.ndarray, seed: int, pace: float = 1.0):
     """(q, v, a) of a smooth motion: three sines a joint."""
-    rng, n = np.random.default_rng(seed), len(ARMS[kind][0])
+    rng, n = np.random.default_rng(seed), len(shape(kind)[0])
     frequency = pace * rng.uniform(0.1, 0.7, (3, n))
     phase, size = rng.uniform(0, 2 * np.pi, (2, 3, n))
     size = (0.25 + 0.3 * size / (2 * np.pi)) / (1 + frequency)
@@ -128,4 +143,4 @@ def picked_up(
 
 def own_mass(kind: str) -> float:
     """Of the bare wrist [kg]."""
-    return ARMS[kind][2][-1]
+    return shape(kind)[2][-1]

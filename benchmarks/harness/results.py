@@ -86,11 +86,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(str(x) for x in line) + " |" for line in lines)
 
 
-def write_part(name: str, text: str) -> None:
-    """Replace the part `name` of the page, which stands between two comments; the rest of the page stays."""
+def write_part(name: str, text: str, page: Path = PAGE) -> None:
+    """Replace the part `name` of a page, which stands between two comments; the rest of the page stays."""
     begin, end = f"<!-- {name}: written by {name}.py -->", f"<!-- end of {name} -->"
-    page = PAGE.read_text() if PAGE.exists() else "# Benchmarks\n"
-    before, found, rest = page.partition(begin)
+    written = page.read_text() if page.exists() else "# Benchmarks\n"
+    before, found, rest = written.partition(begin)
     after = rest.partition(end)[2] if found else "\n"
     body = f"{begin}\n\n{text.strip()}\n\n{end}"
-    PAGE.write_text(f"{before.rstrip()}\n\n{body}{after}")
+    page.write_text(f"{before.rstrip()}\n\n{body}{after}")
