@@ -57,6 +57,7 @@ def demo(tmp_path_factory):
     return status, out, text.getvalue(), seen.call_args.args
 
 
+@pytest.mark.slow
 def test_demo_tells_its_story_in_files(demo):
     status, out, *_ = demo
     assert status == 0
@@ -101,6 +102,7 @@ def test_demo_tells_scripts_and_people_the_same(demo, capsys):
     assert all(f"note: {note}" in told for note in numbers["diagnosis"]["notes"])
 
 
+@pytest.mark.slow
 def test_the_demo_s_log_gives_its_load_to_the_main_command(demo, tmp_path, capsys, monkeypatch):
     """1.9 kg from 4 s to 10 s on a hand of 1.1 kg."""
     _, data, *_ = demo

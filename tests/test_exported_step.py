@@ -152,6 +152,7 @@ np.testing.assert_allclose(ours.belief.covariance, right.belief.covariance, rtol
 """
 
 
+@pytest.mark.slow
 def test_a_fleet_over_two_devices():
     """In a process of its own, whose CPU counts as two devices."""
     folder = Path(__file__).parent

@@ -152,6 +152,7 @@ def test_intervals_of_a_tools_mass_hold_what_the_diagnosis_left_open(weighed):
     assert np.max(np.abs(z)) < 2.0, z
 
 
+@pytest.mark.slow
 def test_a_load_is_known_better_than_by_the_links_own_tolerance(weighed):
     halves, (_, usual) = [half for _, (_, half) in weighed[0]], weighed[1]
     assert np.median(halves) < 0.5 * usual

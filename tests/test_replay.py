@@ -206,7 +206,7 @@ def test_a_sound_robot_has_no_gap():
     ("effects", "family", "place", "size", "tolerance"),
     [
         ({"delay": 0.02}, "target_delay", "global", 0.02, 2e-3),
-        ({"kp": (1.0, 0.7)}, "kp_scale", "elbow", 0.7, 0.03),
+        pytest.param({"kp": (1.0, 0.7)}, "kp_scale", "elbow", 0.7, 0.03, marks=pytest.mark.slow),
         pytest.param(
             {"dry": (0.6, 0.0)}, "coulomb_friction", "shoulder", 0.6, 0.06, marks=pytest.mark.slow
         ),

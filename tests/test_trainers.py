@@ -93,6 +93,7 @@ def test_draws_replay_in_mujoco_as_the_corrected_model_does(soft):
     assert min(x.min() for x in made["DRAWS"].values() if x.dtype == float and x.ndim == 2) >= -1e-9
 
 
+@pytest.mark.slow
 def test_numbers_drawn_one_by_one_replay_worse(soft):
     """The same values, but each number's from another draw: what numbers have in common is lost."""
     log, loop_of = read_log(soft / "0.npz"), mujoco.MjModel.from_xml_string(ARM)

@@ -135,6 +135,7 @@ def test_the_fleets_robots_carry_themselves(name, seed):
     assert robot.peak.min() > 0
 
 
+@pytest.mark.slow
 def test_every_set_has_robots_of_its_own():
     masses = [
         mujoco.MjModel.from_xml_string(fleet.mjcf("scara", s)).body_mass for s in (None, 5, 6)
@@ -323,6 +324,7 @@ def test_position_logs_hold_targets_and_no_torque(rigs):
     assert hidden["visibility"]["sigmas"] > 1.0
 
 
+@pytest.mark.slow
 def test_a_sound_robot_replays_as_its_nominal_model(rigs, tmp_path):
     """Within what a loop's hold of a millisecond is at some rad/s, which a loop without hold does not know."""
     found = position_marks.errors(rigs["sound"], tmp_path)
