@@ -88,6 +88,9 @@ class Bank:
         return [self._seen(*block, root, base, left, covariance) for block in self._blocks]
 
     def _seen(self, rows, count, at, columns, prior_mean, root, base, left, covariance) -> Seen:
+        live = root[:, rows].any(axis=0)
+        if not live.all():
+            rows, columns = rows[live], columns[:, live]
         own = (columns * root[:, rows, None, None]).reshape(-1, len(at) * count)
         # An effect that this motion does not excite has no rows.
         x, rest = base[:, rows].reshape(len(own), base.shape[2]), left[:, rows].ravel()

@@ -195,7 +195,7 @@ class Evidence:
         gram, along = gram + np.eye(len(prior)), along + prior
         factor = linalg.cho_factor(gram, lower=True)
         mean = linalg.cho_solve(factor, along)
-        covariance = linalg.cho_solve(factor, np.eye(len(mean)))
+        covariance = inverse(factor[0])
         fitted = _torque(chosen, slices, mean, self.y.shape)
         logdet = float(np.sum(self.weight / self.noise.repeated * np.log(self.noise.variance)))
         logdet += 2.0 * float(np.log(np.diag(factor[0])).sum())
@@ -229,13 +229,12 @@ class Evidence:
             if not fresh:
                 continue
             every = [(h, s) for h, s in zip(chosen, slices, strict=True) if j in h.rows]
-            a, b = (
-                np.concatenate([h.on_row(j) for h, _ in x], axis=1) * root[:, j, None]
-                for x in (fresh, every)
-            )
             at, beside = (
                 np.concatenate([np.arange(s.start, s.stop) for _, s in x]) for x in (fresh, every)
             )
+            b = np.concatenate([h.on_row(j) for h, _ in every], axis=1) * root[:, j, None]
+            # Of an array with itself NumPy computes one half.
+            a = b if len(at) == len(beside) else b[:, np.isin(beside, at)]
             gram[np.ix_(at, beside)] += a.T @ b
             along[at] += a.T @ y[:, j]
         for _, s in new:
@@ -366,6 +365,21 @@ def worth(
     return float(0.5 * (quadratic + np.linalg.slogdet(covariance)[1]))
 
 
+def inverse(factor: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """(L Lᵀ)⁻¹ of a lower Cholesky factor, by LAPACK's own: a third of what solving for the identity costs.
+
+    >>> import numpy as np
+    >>> inverse(np.array([[2.0, 0.0], [1.0, 1.0]]))
+    array([[ 0.5, -0.5],
+           [-0.5,  1. ]])
+    """
+    if not len(factor):
+        return np.zeros((0, 0))
+    lower, failed = linalg.lapack.dpotri(factor, lower=1)
+    assert not failed
+    return np.tril(lower) + np.tril(lower, -1).T
+
+
 def prior_mean(chosen: Sequence[Hypothesis]) -> Float[np.ndarray, " p"]:
     """Prior mean of every number of the chosen, per prior standard deviation."""
     return np.concatenate([h.prior_mean for h in chosen]) if chosen else np.zeros(0)
@@ -376,10 +390,10 @@ def scaled(
 ) -> Float[np.ndarray, "Rn p"]:
     """Columns of several hypotheses on all rows, times `root`, per prior standard deviation."""
     out = np.zeros((*root.shape, sum(h.count for h in chosen)))
-    at = 0
+    at, live = 0, np.flatnonzero(root.any(axis=0))
     for h in chosen:
         if h.row is None:
-            out[:, :, at : at + h.count] = h.scaled * root[:, :, None]
+            out[:, live, at : at + h.count] = h.columns[:, live] * root[:, live, None] * h.scale
         else:
             out[:, h.row, at : at + h.count] = h.scaled * root[:, h.row, None]
         at += h.count
