@@ -5,6 +5,7 @@ import functools
 import re
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 import robots_in_motion as robots
@@ -122,6 +123,52 @@ def test_slides_in_millimetres(name, every):
     for road, message in refusals(name, log, every).items():
         assert "in mm" in message, road
         assert "=0.001" in message, road
+
+
+COLUMN = """<mujoco><option timestep="0.001"/><worldbody><body name="column" pos="0 0 0.3">
+  <joint name="yaw" axis="0 0 1"/><inertial pos="0.02 0 0" mass="1.5" diaginertia="0.01 0.01 0.008"/>
+  <body name="tube" pos="0.1 0 0.05"><joint name="reach" type="slide" axis="1 0 0"/>
+    <inertial pos="0.05 0 0" mass="0.8" diaginertia="0.001 0.005 0.005"/>
+    <body name="hand" pos="0.1 0 0"><joint name="pitch" axis="0 1 0"/>
+      <inertial pos="0.08 0 0" mass="0.4" diaginertia="0.0003 0.0015 0.0015"/>
+    </body></body></body></worldbody></mujoco>"""
+"""A slide between hinges: its loop's forces [N] are many times their torques [N m]."""
+
+
+@functools.cache
+def column() -> tuple[ji.Robot, ji.Log]:
+    """Its model, and a log by MuJoCo C of one with friction, rotors and half its hand's mass more; gains in the log."""
+    kp, kd = np.array([40.0, 900.0, 15.0]), np.array([1.5, 30.0, 0.4])
+    nominal = mujoco.MjModel.from_xml_string(COLUMN)
+    model = mujoco.MjModel.from_xml_string(COLUMN)
+    model.dof_armature[:], model.dof_damping[:] = (0.03, 0.6, 0.003), 0.2 * kd
+    model.dof_frictionloss[:] = 0.15, 1.4, 0.02
+    model.body_mass[-1] *= 1.5
+    model.body_inertia[-1] *= 1.5
+    data, rows = mujoco.MjData(model), []
+    for k in range(10000):
+        t = 0.02 * (k // 20)
+        waves = [np.sin(2.0 * np.pi * f * t + p) for f, p in ((0.45, 0.0), (0.6, 1.0), (0.8, 2.0))]
+        target = (0.0, 0.1, 0.3) + np.array([0.6, 0.1, 0.6]) * waves
+        if k == 0:
+            data.qpos[:] = target
+        if k % 5 == 0:
+            rows.append((data.time, data.qpos.copy(), target))
+        data.qfrc_applied[:] = kp * (target - data.qpos) - kd * data.qvel
+        mujoco.mj_step(model, data)
+    time, q, target = (np.array(x) for x in zip(*rows, strict=True))
+    names = ("yaw", "reach", "pitch")
+    log = ji.Log(time=time, joint_names=names, qpos=q, qpos_target=target, kp=kp, kd=kd)
+    return ji.load_model(nominal), log
+
+
+def test_forces_of_a_slide_are_no_measure_of_torques_of_hinges():
+    """Read in mrad, hinges' torques were a trifle of the slide's force, and missed nothing."""
+    own, log = column()
+    replays.usable(log, own)
+    for size, unit in ((np.pi / 180.0, "degrees"), (1e-3, "mrad")):
+        with pytest.raises(LogError, match=unit):
+            replays.usable(scaled(log, np.array([1.0 / size, 1.0, 1.0 / size])), own)
 
 
 @pytest.mark.parametrize(

@@ -69,13 +69,17 @@ class Compared:
 
     @functools.cached_property
     def size(self) -> Float[np.ndarray, " n"]:
-        """The larger of each joint's two torques (norm over all rows), and no trifle of all joints' or its own log's.
+        """The larger of each joint's two torques (norm over all rows), and no trifle of its kind's or its own log's.
 
-        Of a rail that does little but speed its own mass up friction leaves next to nothing, which noise hides.
+        Of a rail that does little but speed its own mass up friction leaves next to nothing, which noise hides. A
+        slide's N are no measure of a hinge's N m: by them hinges read in mrad missed nothing.
         """
         logged = norm(np.where(self.parts.used, self.raw - self.raw.mean(axis=0), 0.0))
-        size = np.maximum(norm(self.tau), norm(self.needed))
-        least = max(_SLIGHT * size.max(initial=0.0), 1e-300)
+        size, hinge = np.maximum(norm(self.tau), norm(self.needed)), self.parts.hinges
+        largest = np.where(
+            hinge, size.max(initial=0.0, where=hinge), size.max(initial=0.0, where=~hinge)
+        )
+        least = np.maximum(_SLIGHT * largest, 1e-300)
         return np.maximum(np.maximum(size, _SLIGHT * logged), least)
 
     @functools.cached_property
