@@ -59,6 +59,9 @@ class Settings:
     ordinary_tolerance: float = 0.2
     """Change of a joint's friction or rotor inertia that is none, relative to the model's own number: dampings of a
     good model are 5 to 10 % off; two of those."""
+    gain_tolerance: float = 0.05
+    """Of a motor's torque over what a loop commands, relative: its constant is stated within 10 %, two deviations.
+    Prior; a friction, which nobody states, is further off."""
     as_bought: float = 3.0
     """Log odds [nats] from which a model counts as bought, not calibrated: 20 to 1 (Kass and Raftery, JASA 90(430),
     1995). Where a log says next to nothing of friction, joints' votes add up to a fraction of a nat of either sign."""

@@ -12,6 +12,7 @@ from jax_inertia.replay.loop import LOGARITHMIC, ORDINARY, UNITS, Loop, Paramete
 from jax_inertia.replay.result import Effect, Size, Tie
 from jax_inertia.replay.search import causal
 from jax_inertia.replay.search.candidates import Candidate
+from jax_inertia.replay.search.elsewhere import Possible
 from jax_inertia.replay.search.instead import Instead, Rows
 from jax_inertia.replay.search.odd import Odd, Search
 from jax_inertia.replay.search.probability import Sure
@@ -58,6 +59,7 @@ def known(found: Fit, k: int) -> tuple[float, float]:
     rows = list(causal.late(found, k))
     loose = checks.loose(found.table)[k]
     variance = float(found.covariance[np.ix_(rows, rows)].sum())
+    variance += float(np.broadcast_to(found.elsewhere, len(found.table))[rows].sum())
     return float(found.theta[rows].sum()), float(np.hypot(np.sqrt(max(variance, 0.0)), loose))
 
 
@@ -110,7 +112,7 @@ def listed(
         )  # fmt: skip
         out[-1] = _with_ties(out[-1], _instead(instead.get(rows, ()), loop, names))
     dropped = [o.candidate for o in search.odd if o.rows not in shares]
-    return _with_possible(_with_dropped(out, dropped, names), search.possible, names)
+    return _with_possible(_with_dropped(out, dropped, names), search.possible, loop, names)
 
 
 def _with_ties(effect: Effect, more: Sequence[Tie]) -> Effect:
@@ -146,14 +148,19 @@ def _with_dropped(effects: Sequence[Effect], dropped: Sequence[Candidate], names
 
 
 def _with_possible(
-    effects: Sequence[Effect], possible: Sequence[Candidate], names
+    effects: Sequence[Effect], possible: Sequence[Possible], loop: Loop, names
 ) -> tuple[Effect, ...]:
     """Each effect that may be there too, listed with the largest at its joint, or else with the largest."""
     out = list(effects)
-    for c in possible if out else ():
+    for c, _, tried in possible if out else ():
         place = place_of(*c.place, names)
         at = next((k for k, e in enumerate(out) if (e.kind, e.name) == place), 0)
-        text = "it may be there too: its odds are not under 1 in 20; a longer log, or another motion, tells"
+        p, x = c.parameters[0], float(tried.theta[len(tried.table) - len(c.parameters)])
+        unit = "" if UNITS[p.family] == "1" else f" {UNITS[p.family]}"
+        text = (
+            f"{whole(p, x, loop):.3g}{unit} of it may be there too, the others following: its odds are not under 1 in "
+            "20; a longer log, or another motion, tells"
+        )
         out[at] = _with_ties(out[at], [Tie(c.family, *place, text, False)])
     return tuple(out)
 

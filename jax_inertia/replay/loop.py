@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.model.mujoco_types import MjModel
 from jax_inertia.text.closest_names import listed
@@ -114,6 +115,8 @@ class Parameter(NamedTuple):
     """Of the prior, where that is not the nominal value: of what is not there in the nominal model at all."""
     given: bool = False
     """Whether the model's own number is kept, and is off by what such numbers are off by alone."""
+    own: float = 0.0
+    """By how much the number of a model that is right is off, standard deviation; 0 of what is there or is not."""
 
     @property
     def is_tolerance(self) -> bool:
@@ -241,6 +244,9 @@ def ordinary(
     """
     out = []
     said = _KP_GUESSED if loop.source == "model" else _KP_SAID
+    own = Settings.ordinary_tolerance / 2.0
+    # Gains that the log or the user says are taken at their word.
+    gains = Settings.gain_tolerance if loop.source == "model" else 0.0
     rotor = 0.5 * np.sqrt(inertia * heaviest)
     for j in range(len(loop.kp)):
         viscous = loop.kd[j] + damping[j]
@@ -249,16 +255,19 @@ def ordinary(
         dry = max(friction[j], _DRY_SHARE * torque[j])
         # Torque knows what is kd and what is damping.
         least = loop.kd[j] if torque_logged else 0.0
-        out += [
+        rub = float(np.hypot(own * damping[j], gains * loop.kd[j]))
+        off = Settings.inertia_tolerance * armature[j], rub, own * friction[j], gains
+        rows = (
             Parameter("armature", j, armature[j], max(armature[j], rotor[j]), 0.0, np.inf),
             Parameter("viscous_friction", j, viscous, typical, least, np.inf),
             Parameter("coulomb_friction", j, friction[j], 2.0 * dry, 0.0, np.inf),
-            Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0),
             Parameter("kp_scale", j, 0.0, said, -6.0, 3.0),
-        ]
+        )
+        rows = [p._replace(own=float(x)) for p, x in zip(rows, off, strict=True)]
+        out += [*rows[:3], Parameter("encoder_offset", j, 0.0, _OFFSET, -1.0, 1.0), rows[3]]
         varies = any(abs(x.kd[j] - loop.kd[j]) > _APART * loop.kd[j] for x in settings)
         if varies or (torque_logged and loop.kd[j] > 0):
-            out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0))
+            out.append(Parameter("kd_scale", j, 0.0, said, -6.0, 3.0, own=gains))
     out.append(Parameter("target_delay", ALL, 0.0, _DELAY, 0.0, _LONGEST_DELAY))
     out.append(Parameter("loop_hold", ALL, 0.0, HALF_PERIOD, -early, _LONGEST_HOLD))
     whole = float(np.hypot(early, HALF_PERIOD))

@@ -31,6 +31,7 @@ from jax_inertia.replay.record import Record, target_period
 from jax_inertia.replay.remainder import resemblances
 from jax_inertia.replay.result import Correction, Diagnosis, Replayed, Size, rms, total
 from jax_inertia.replay.search import causal, choice, clock
+from jax_inertia.replay.search.elsewhere import elsewhere
 from jax_inertia.replay.simulation.plant import Plant
 from jax_inertia.text.words import number
 
@@ -121,6 +122,7 @@ def _handed_over(case: _Case, done: choice.Chosen, bare: Plant, progress: Progre
         whole = checks.without_touches(done.plant, found, whole, known)
         progress("fitting all of it")
         found = _on_all(done.plant, found, whole)
+        found = found._replace(elsewhere=elsewhere(found, done.search.found, done.search.possible))
     progress("writing, reading back and replaying what was found")
     handed = _written(case, done, found, whole)
     if done.sound or not _harms(case, handed.file.model, handed.correction):

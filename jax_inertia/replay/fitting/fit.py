@@ -39,6 +39,8 @@ class Fit(NamedTuple):
     columns: Float[np.ndarray, "P N m"]
     """Derivatives of the error, there or a last small step before."""
     weights: Weights
+    elsewhere: Float[np.ndarray, " P"] | float = 0.0
+    """What effects that may be there, and are not in the fit, add to each number's variance."""
 
     @property
     def sigma(self) -> Float[np.ndarray, " P"]:

@@ -214,10 +214,10 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
     asked = [k for k in range(ordinaries) if full.table[k].family not in TOLERANCES]
     keep = parsimony.needed(full, asked)
     given_up = np.isin(np.arange(len(full.table)), np.setdiff1d(asked, keep))
-    within = np.hypot(checks.loose(full.table), parsimony.own_tolerance(full.table, plant.loop))
+    within = parsimony.within(full.table)
     free = full.free & ~(given_up & (within == 0))
     table = tuple(
-        p._replace(sd=sd, given=True) if up and sd else p
+        p._replace(sd=sd, own=0.0, given=True) if up and sd else p
         for p, up, sd in zip(full.table, given_up, within.tolist(), strict=True)
     )
     nominal = np.array([p.nominal for p in full.table])
@@ -227,7 +227,9 @@ def _sparse(plant, full: Fit, ordinaries: int, records, held, least, progress) -
     )  # fmt: skip
     run, every = Unseen(plant, held, least), Unseen(plant, [*records, *held], least)
     most = _SPARSER**2 * run.missed(full)
-    found = few if np.all(run.missed(few) <= most) else full
+    # Twenty to one, as of any other choice: where joints err by a discrepancy a few samples say nothing.
+    better = run.likelier(run.errors(full), run.errors(few), full.weights) > AS_GOOD
+    found = full if better and np.any(run.missed(few) > most) else few
     for families in _TOGETHER:
         if families == _GAINS and plant.loop.source == "model":
             continue

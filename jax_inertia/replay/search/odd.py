@@ -16,6 +16,7 @@ from jax_inertia.replay.search import afresh as afresh_fits
 from jax_inertia.replay.search import by_law, closed_loop
 from jax_inertia.replay.search import held_out as unseen
 from jax_inertia.replay.search.candidates import Candidate, candidates
+from jax_inertia.replay.search.elsewhere import Possible, most_likely
 from jax_inertia.replay.search.parsimony import Parabola, Worth
 from jax_inertia.replay.search.tries import (
     AS_GOOD,
@@ -59,8 +60,7 @@ class Search(NamedTuple):
 
     found: Fit
     odd: tuple["Odd", ...]
-    possible: tuple[Candidate, ...]
-    """That did not get in, by less than a twentieth of the probability."""
+    possible: tuple[Possible, ...]
     pool: tuple[Candidate, ...]
     """All that did not get in."""
 
@@ -135,12 +135,12 @@ def add_odd(
             continue
         out.append(Odd(first, rows, rivals))
         pool += centre(plant, first, found)
-    return Search(found, tuple(out), tuple(possible), tuple(pool))
+    return Search(found, tuple(out), most_likely(possible), tuple(pool))
 
 
 def _judged(
     plant: Plant, found: Fit, fits: Sequence[tuple[Candidate, Fit]], run: unseen.Unseen, before
-) -> tuple[Passed, list[Candidate]]:
+) -> tuple[Passed, list[Possible]]:
     """(those that evidence and held-out runs both ask for, with evidence and fits; those that are nearly as good).
 
     `before`: errors of the held-out runs by what is found.
@@ -164,7 +164,7 @@ def _judged(
             untold.setdefault(c, []).append((evidence, tried))
         elif evidence > -AS_GOOD and c.family != "payload_centre":
             # Where a load is, is no effect by itself.
-            possible.append(c)
+            possible.append(Possible(c, evidence, tried))
     # Where the runs can tell of some, they do.
     passed = passed or untold
     return {c: sorted(x, key=lambda y: -y[0]) for c, x in passed.items()}, possible
@@ -172,13 +172,15 @@ def _judged(
 
 def _settled_too(
     plant: Plant, found: Fit, fits, records, floor: np.ndarray, run: unseen.Unseen, before
-) -> tuple[Passed, list[Candidate]]:
-    """As `_judged`; promising ones are judged again once they settle."""
+) -> tuple[Passed, list[Possible]]:
+    """As `_judged`; promising ones are judged again once they settle; where none passes, all that may be there."""
     passed, possible = _judged(plant, found, fits, run, before)
     near = dict(_promising(plant, found, fits, passed, run, before))
+    for x in most_likely(possible)[: 0 if passed else _SETTLED]:
+        near.setdefault(x.candidate, x.fit)
     gone_on = [(c, settled(plant, x, records, floor)) for c, x in near.items()]
     more, others = _judged(plant, found, gone_on, run, before)
-    return {**passed, **more}, [*[c for c in possible if c not in near], *others]
+    return {**passed, **more}, [*[x for x in possible if x.candidate not in near], *others]
 
 
 def _promising(

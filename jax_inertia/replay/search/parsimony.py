@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.replay import checks
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.joint_numbers import COORDINATES
-from jax_inertia.replay.loop import ALL, ORDINARY, Loop, Parameter
+from jax_inertia.replay.loop import ALL, ORDINARY, Parameter
 
 
 class Simplest(NamedTuple):
@@ -64,7 +63,7 @@ def needed(found: Fit, rows: Sequence[int]) -> list[int]:
     free, chosen = found.free, np.isin(np.arange(len(found.table)), rows)
     go = np.flatnonzero(free)
     covariance = np.linalg.inv(found.hessian[np.ix_(go, go)])
-    covariance += np.diag(checks.loose(found.table)[go] ** 2)
+    covariance += np.diag(within(found.table)[go] ** 2)
     off = (found.theta - nominal(found))[go]
     least = simplest(covariance, off, chosen[go], float(np.log(max(found.samples, 2.0))))
     kept = [i for i in np.flatnonzero(least.kept & chosen[go]) if off[i] != 0]
@@ -72,24 +71,9 @@ def needed(found: Fit, rows: Sequence[int]) -> list[int]:
     return go[kept].tolist()
 
 
-def own_tolerance(table: Sequence[Parameter], loop: Loop) -> Float[np.ndarray, " P"]:
-    """By how much ordinary numbers of a model that are right are off, standard deviations; 0 where there is none.
-
-    Gains that the log or the user says are taken at their word.
-    """
-    own, out = Settings.ordinary_tolerance / 2.0, np.zeros(len(table))
-    gains = own if loop.source == "model" else 0.0
-    for k, p in enumerate(table):
-        if p.family == "armature":
-            out[k] = Settings.inertia_tolerance * p.nominal
-        elif p.family == "coulomb_friction":
-            out[k] = own * p.nominal
-        elif p.family == "viscous_friction":
-            kd = float(loop.kd[p.joint])
-            out[k] = np.hypot(own * (p.nominal - kd), gains * kd)
-        elif p.family in ("kp_scale", "kd_scale"):
-            out[k] = gains
-    return out
+def within(table: Sequence[Parameter]) -> Float[np.ndarray, " P"]:
+    """By how much numbers that are given up are off, deviations: what those of a right model are, and by a clock."""
+    return np.hypot(checks.loose(table), [p.own for p in table])
 
 
 def nominal(found: Fit) -> Float[np.ndarray, " P"]:
@@ -99,6 +83,8 @@ def nominal(found: Fit) -> Float[np.ndarray, " P"]:
 
 
 def _may_go(p: Parameter) -> bool:
+    if p.given:
+        return False
     # A load may be off its body's centre along one axis alone, and a spring rest at the model's zero.
     if p.family in COORDINATES:
         return True
@@ -127,7 +113,7 @@ class Parabola:
         self.pull = (found.theta[self.go] - mean) / sd**2
         self.prior = float(np.sum(((found.theta[self.go] - mean) / sd) ** 2))
         self.off = (found.theta - nominal(found))[self.go]
-        self.loose = np.diag(checks.loose(found.table)[self.go] ** 2)
+        self.loose = np.diag(within(found.table)[self.go] ** 2)
         self.may_go = np.array([_may_go(found.table[k]) for k in self.go], bool)
         self.each = float(np.log(max(samples, 2.0)))
 
