@@ -11,6 +11,7 @@ from test_diagnosis_calibrated import COULOMB, ELBOW, ROTOR, VISCOUS, with_joint
 from jax_inertia import load_model
 from jax_inertia.diagnosis.certainty.rivals import rivals
 from jax_inertia.diagnosis.checks import rows
+from jax_inertia.diagnosis.conclusion.stated_causes import without
 from jax_inertia.diagnosis.effects.base import Place
 from jax_inertia.diagnosis.effects.encoder import Backlash, JointElasticity
 from jax_inertia.diagnosis.effects.joint import Armature, Cogging
@@ -19,7 +20,6 @@ from jax_inertia.diagnosis.residual import Residual
 from jax_inertia.diagnosis.search.ordinary import ordinary_of, ordinary_physics
 from jax_inertia.diagnosis.search.selection import Selection
 from jax_inertia.diagnosis.settings import CalibrationState, Settings
-from jax_inertia.diagnosis.summary import _without
 from jax_inertia.maths.precision import in_double_precision
 
 SETTINGS = Settings()
@@ -92,10 +92,10 @@ def test_what_has_no_name_is_noise_where_numbers_are_stated(sound):
     residual, *_ = sound
     h = hypothesis(residual, Cogging(), ELBOW, (8.0,), 8.0)
     selection = found(sound, h, 0.5, ())
-    stated = _without(selection, [h])
+    stated = without(selection, [h])
     assert h not in stated.posterior.chosen
     left = selection.evidence.y - stated.posterior.fitted
     noise = np.sqrt(np.mean(stated.evidence.noise.variance, axis=0))
     assert noise[1] == pytest.approx(rows(left, residual.weight)[1], rel=0.1)
     assert noise[1] > 3 * np.sqrt(np.mean(selection.evidence.noise.variance, axis=0))[1]
-    assert _without(selection, []) is selection
+    assert without(selection, []) is selection

@@ -57,10 +57,12 @@ ORDER: dict[str, str] = {
     "cli.conversion": "options command",
     "cli.demo": "simulation hidden comparison figure command",
     "diagnosis": """features effects friction_curve result simulate settings residual hypothesis search
-        detectability verdict checks certainty report corrected calibration_state listing summary
+        detectability verdict checks certainty report corrected calibration_state conclusion
         pipeline entry""",
     "diagnosis.certainty": "rivals causes probability doubts",
-    "diagnosis.corrected": "baseline physical_bounds motor_gains friction_laws intervals covariance handed_over",
+    "diagnosis.conclusion": "listing stated_causes summary",
+    "diagnosis.corrected": """baseline physical_bounds motor_gains unusual_numbers friction_laws intervals
+        covariance handed_over""",
     "diagnosis.features": "derivatives two_mass context",
     "diagnosis.effects": """identified spec_joint couplings advice base actuator joint dry_friction friction_forms
         encoder environment external_force generic generic_forms inertial ground tolerances

@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from jax_inertia.diagnosis import summary
 from jax_inertia.diagnosis.calibration_state import log_odds_as_bought, stated_by_model
 from jax_inertia.diagnosis.certainty.causes import borne_out, judges_of, remembering
 from jax_inertia.diagnosis.certainty.rivals import told_apart
 from jax_inertia.diagnosis.checks import LEAST_ROWS, PASSING, HeldOut, OtherRun, gated, rms
+from jax_inertia.diagnosis.conclusion.stated_causes import Causes, causes_of
+from jax_inertia.diagnosis.conclusion.summary import concluded, drafted
 from jax_inertia.diagnosis.corrected.handed_over import HandedOver
 from jax_inertia.diagnosis.detectability import undetectable
 from jax_inertia.diagnosis.effects.base import Effect
@@ -125,9 +126,9 @@ def _judged(
     selection = borne_out(whole, judges)
 
     def made(chosen: Selection) -> Made:
-        causes = summary.causes_of(chosen, everything, judges, dropped, settings)
+        causes = causes_of(chosen, everything, judges, dropped, settings)
         own = heldout.by_noise_of(causes.told.evidence)
-        draft = summary.drafted(causes, own, as_bought, settings)
+        draft = drafted(causes, own, as_bought, settings)
         done = correction(_nominal(unseen), unseen.robot, draft, unseen.extra)
         draft = dataclasses.replace(draft, corrected=done)
         handed = _handed_over(draft, unseen)
@@ -150,13 +151,13 @@ def _judged(
     progress("the error of what is handed over")
     test = _other_run(unseen.robot, unseen.test_log, selection, settings)
     rows = done.heldout, done.left
-    return summary.concluded(draft, done.causes, done.handed, rows, validation, test)
+    return concluded(draft, done.causes, done.handed, rows, validation, test)
 
 
 class Made(NamedTuple):
     """What is stated of a selection, and what is handed over."""
 
-    causes: summary.Causes
+    causes: Causes
     draft: Diagnosis
     handed: HandedOver
     heldout: HeldOut

@@ -15,8 +15,10 @@ from jaxtyping import Float
 
 from jax_inertia.diagnosis.effects.actuator import TorqueGain
 from jax_inertia.diagnosis.effects.base import Interval, Place
+from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.search.evidence import Posterior
 from jax_inertia.diagnosis.search.selection import Selection
+from jax_inertia.diagnosis.settings import Settings
 
 
 class Gain(NamedTuple):
@@ -84,3 +86,9 @@ def _gains(now: Posterior) -> Iterator[tuple]:
     for h, part in zip(now.chosen, now.slices, strict=True):
         if isinstance(h.effect, TorqueGain):
             yield h, part
+
+
+def distinct(now: Posterior, h: Hypothesis, settings: Settings) -> bool:
+    """Whether a gain is another than the one that the log's torques were computed with."""
+    mean, covariance = now.of(h)
+    return bool(abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]))

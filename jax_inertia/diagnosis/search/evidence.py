@@ -375,7 +375,8 @@ def inverse(factor: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     """
     if not len(factor):
         return np.zeros((0, 0))
-    lower, failed = linalg.lapack.dpotri(factor, lower=1)
+    (potri,) = linalg.get_lapack_funcs(("potri",), (factor,))
+    lower, failed = potri(factor, lower=1)
     assert not failed
     return np.tril(lower) + np.tril(lower, -1).T
 

@@ -1,14 +1,13 @@
-"""From a selection and its checks to what is reported: effects with intervals, the joints' table, the remainder."""
+"""From causes and their checks to what is reported: effects with intervals, the joints' table, the remainder."""
 
 import dataclasses
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_inertia.diagnosis.certainty.causes import Judges, carried_over, odds_of_others, remembering
-from jax_inertia.diagnosis.certainty.doubts import Doubts, odds_of_verdict
+from jax_inertia.diagnosis.certainty.doubts import odds_of_verdict
 from jax_inertia.diagnosis.certainty.probability import confidence, probability
 from jax_inertia.diagnosis.checks import (
     Check,
@@ -17,22 +16,20 @@ from jax_inertia.diagnosis.checks import (
     noise_of,
     rms,
     rows,
-    share,
     shrink_interval,
 )
+from jax_inertia.diagnosis.conclusion.listing import as_listed
+from jax_inertia.diagnosis.conclusion.stated_causes import Causes
 from jax_inertia.diagnosis.corrected.baseline import left_by_least_squares
 from jax_inertia.diagnosis.corrected.covariance import model_errors
 from jax_inertia.diagnosis.corrected.friction_laws import friction_curves
 from jax_inertia.diagnosis.corrected.handed_over import HandedOver
 from jax_inertia.diagnosis.corrected.intervals import joint_numbers
 from jax_inertia.diagnosis.corrected.motor_gains import motor_gains
-from jax_inertia.diagnosis.corrected.physical_bounds import physical
-from jax_inertia.diagnosis.effects.actuator import GainTolerance
-from jax_inertia.diagnosis.effects.base import Interval, Place
+from jax_inertia.diagnosis.corrected.unusual_numbers import unusual
 from jax_inertia.diagnosis.effects.registry import LEVEL_OF
 from jax_inertia.diagnosis.effects.tolerances import inertial_changes
-from jax_inertia.diagnosis.hypothesis import Hypothesis, elsewhere
-from jax_inertia.diagnosis.listing import as_listed, effects
+from jax_inertia.diagnosis.hypothesis import Hypothesis
 from jax_inertia.diagnosis.report.gap_stretches import gap_stretches
 from jax_inertia.diagnosis.report.where import body_forces, regions, states
 from jax_inertia.diagnosis.report.wording import headline
@@ -47,107 +44,9 @@ from jax_inertia.diagnosis.result import (
     Verdict,
 )
 from jax_inertia.diagnosis.search.evidence import Evidence, Posterior
-from jax_inertia.diagnosis.search.one_more import SETTLING
-from jax_inertia.diagnosis.search.ordinary import bounded
-from jax_inertia.diagnosis.search.refuted_tolerances import refuted
 from jax_inertia.diagnosis.search.selection import Selection
-from jax_inertia.diagnosis.settings import CalibrationState, Settings
+from jax_inertia.diagnosis.settings import Settings
 from jax_inertia.diagnosis.verdict import joined, judged
-
-
-@dataclasses.dataclass(frozen=True)
-class Causes:
-    """What is stated of a selection, and what speaks against it."""
-
-    selection: Selection
-    """With stand-ins."""
-    told: Selection
-    """With causes alone: its numbers are those that are stated."""
-    likely: list[tuple[Hypothesis, Found]]
-    ordinary: Posterior
-    everything: Posterior
-    """With the stand-ins that help to predict."""
-    generic: list[Hypothesis]
-    others: list[tuple[Hypothesis, float]]
-    """Named effects that are no causes, and the log odds that each is there [nats]."""
-    doubts: Doubts
-    bent: tuple[str, ...]
-    dropped: tuple[Hypothesis, ...]
-
-    @property
-    def now(self) -> Posterior:
-        """Numbers of the causes."""
-        return self.told.posterior
-
-    def naming(self, keys: Collection[tuple[str, Place]]) -> "Causes":
-        """With effects of some families and places named after all: that they are there is no doubt any more."""
-        others = [(h, odds) for h, odds in self.others if (h.family, h.place) not in keys]
-        doubts = self.doubts._replace(another=_any_of(others))
-        return dataclasses.replace(self, others=others, doubts=doubts)
-
-    def left(self, run: HeldOut, handed: HandedOver) -> Float[np.ndarray, "R n"]:
-        """Residual of held-out rows by what is handed over [N m].
-
-        What the files lose of the fit comes on top of what rows are predicted with by the others.
-        """
-        by_files = self.by_files(run.residual, handed)
-        return run.left(self.now) + by_files - (run.residual.y - self.now.fitted)
-
-    def by_files(self, residual: Residual, handed: HandedOver) -> Float[np.ndarray, "R n"]:
-        """Residual of a log by what is handed over, less what is of that log alone [N m]."""
-        left = handed.residual(residual) - self.of_log(residual)
-        return left - handed.ringing(residual, left)
-
-    def of_log(self, residual: Residual) -> Float[np.ndarray, "R n"]:
-        """Torque of how a log is read, no part of the robot [N m]: when its torques and its wrenches acted, what feet
-        that give and hold make of them. Fitted; of what each log has numbers of its own, nothing of another one.
-        """
-        out = np.zeros_like(residual.y)
-        own = residual.log is self.told.residual.log
-        for h in self.now.chosen:
-            if h.effect.marginal and (own or not h.effect.of_log):
-                theta = self.now.of(h)[0]
-                there = h if own else elsewhere(h, residual)
-                out += there.torque((theta - h.effect.of_links(theta)) / h.scale, out.shape)
-        return out
-
-
-def causes_of(
-    selection: Selection,
-    everything: Posterior,
-    judges: Judges,
-    dropped: tuple[Hypothesis, ...],
-    settings: Settings,
-) -> Causes:
-    """Which effects of a selection are causes, by rows that choices may depend on; the last judge is the strictest."""
-    now, evidence, residual = selection.posterior, selection.evidence, selection.residual
-    ordinary = evidence.posterior(tuple(h for h in now.chosen if not h.is_odd))
-    left = residual.y - now.fitted
-    shares = {id(h): share(residual, left, now.torque(h)) for h in now.chosen}
-    likely, doubtful = effects(selection, shares, judges, settings)
-    generic = [h for h in now.chosen if h.is_odd and (not h.named or h in doubtful)]
-    stated = _without(selection, generic)
-    residual, causes = _causes(stated, judges[-1], settings)
-    # Where a secant was laid again it is another object of the same key.
-    kept = {h.key: h for h in causes.chosen}
-    likely = [(h if h in causes.chosen else kept[h.key], f) for h, f in likely if h.key in kept]
-    told = dataclasses.replace(stated, residual=residual, posterior=causes)
-    before = remembering(selection, everything)
-    others = odds_of_others(before, causes, dropped, judges)
-    bent = tuple(x.line for x in refuted(told, settings))
-    worths = zip(now.chosen, evidence.worths(now), strict=True)
-    unnamed = max((float(w) - h.odds for h, w in worths if h in generic), default=None)
-    # A model that lacks its joints' friction is no sound one, even where a log determines none of the numbers.
-    lacking = selection.state is CalibrationState.AS_BOUGHT
-    doubts = Doubts(_any_of(others), bool(bent) or lacking, unnamed)
-    return Causes(
-        selection, told, likely, ordinary, everything, generic, others, doubts, bent, dropped
-    )
-
-
-def _any_of(others: Sequence[tuple[Hypothesis, float]]) -> float:
-    """Odds that any one of some effects is there, of the log odds of each [nats]."""
-    return float(np.exp(np.minimum([odds for _, odds in others], 50.0)).sum())
 
 
 def drafted(causes: Causes, heldout: HeldOut, as_bought: float, settings: Settings) -> Diagnosis:
@@ -186,8 +85,7 @@ def drafted(causes: Causes, heldout: HeldOut, as_bought: float, settings: Settin
         errors=model_errors(told),
         notes=(
             *causes.bent,
-            *_flags(told, joints),
-            *_gains(told, gains, settings),
+            *unusual(told, joints, gains, settings),
             *_left_out(causes.dropped),
         ),
         trace=Trace(np.zeros(0), empty, empty, empty, residual.context.row_names, {}),
@@ -280,65 +178,13 @@ def _gap(residual: Residual, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _without(selection: Selection, generic: Sequence[Hypothesis]) -> Selection:
-    """The selection without shapes that name no cause, by the noise of rows that they are not taken from."""
-    if not generic:
-        return selection
-    kept = tuple(h for h in selection.posterior.chosen if h not in generic)
-    now = selection.evidence.posterior(kept)
-    for _ in range(SETTLING):
-        selection = remembering(selection, now)
-        now = selection.posterior
-    return selection
-
-
-def _causes(
-    selection: Selection, judge: HeldOut | OtherRun, settings: Settings
-) -> tuple[Residual, Posterior]:
-    """What the verdict is about, and whose numbers are stated: a shape that names no cause explains nothing.
-
-    With the residual that has the loads of the robot as found.
-    """
-    causes, residual = selection.posterior, selection.residual
-    causes = carried_over(bounded(residual, selection.evidence, causes), judge)
-    causes = _at_stated_gains(causes, judge, settings)
-    return physical(residual, selection.evidence, bounded(residual, selection.evidence, causes))
-
-
-def _at_stated_gains(now: Posterior, judge: HeldOut | OtherRun, settings: Settings) -> Posterior:
-    """With motors' gains at one, as the log has them, where they are not distinct from it and predict no better.
-
-    How uncertain they are stays in every interval.
-    """
-    gains = [
-        now.part(h)
-        for h in now.chosen
-        if isinstance(h.effect, GainTolerance) and not _distinct(now, h, settings)
-    ]
-    if not gains:
-        return now
-    at = np.concatenate([np.arange(part.start, part.stop) for part in gains])
-    stated = now.given(at, np.zeros(len(at)))
-    return stated if judge.error(stated) <= (1.0 + settings.gate) * judge.error(now) else now
-
-
-def _distinct(now: Posterior, h: Hypothesis, settings: Settings) -> bool:
-    """Whether a gain is another than the one that the log's torques were computed with."""
-    mean, covariance = now.of(h)
-    return bool(abs(mean[0]) > settings.distinct * np.sqrt(covariance[0, 0]))
-
-
-def _left_out(dropped: tuple[Hypothesis, ...]) -> tuple[str, ...]:
+def _left_out(dropped: tuple[Hypothesis, ...]) -> Iterator[str]:
     """A line for each effect that the other run refuted."""
-    return tuple(
-        f"{h.family.replace('_', ' ')}{_at(h)} fits this log but not the other run; left out"
-        for h in dropped
-        if h.named
-    )
-
-
-def _at(h: Hypothesis) -> str:
-    return "" if h.place.kind == "global" else f" at {h.place.name}"
+    for h in dropped:
+        if h.named:
+            at = "" if h.place.kind == "global" else f" at {h.place.name}"
+            what = h.family.replace("_", " ")
+            yield f"{what}{at} fits this log but not the other run; left out"
 
 
 def _inertials(selection: Selection) -> dict[str, tuple[float, ...]]:
@@ -371,33 +217,6 @@ def _lacking(residual, found: tuple[Found, ...]) -> str:
         if not np.any(own[dofs]) and 2 * len(at) >= count:
             words.append(word)
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def _flags(selection: Selection, joints: dict[str, dict[str, Interval]]) -> tuple[str, ...]:
-    """Numbers that fit and that no robot has."""
-    out = []
-    context = selection.residual.context
-    _, _, da = context.sensitivity
-    for name, row in context.joint_dofs.items():
-        link = float(np.median(da[:, row, row])) - float(context.armature[row])
-        rotor = joints[name]["armature"].value
-        if rotor > 20.0 * max(link, 1e-9) and rotor > 0.5:
-            out.append(
-                f"rotor inertia of {rotor:.3g} kg m² at {name} is over 20 times what the joint moves: "
-                "it fits, and is no rotor's"
-            )
-    return tuple(out)
-
-
-def _gains(selection: Selection, gains: dict[str, Interval], settings: Settings) -> Iterator[str]:
-    """Torque constants that are distinct from what the log's torques were computed with."""
-    for h in selection.posterior.chosen:
-        if isinstance(h.effect, GainTolerance) and _distinct(selection.posterior, h, settings):
-            gain = gains[h.place.name]
-            yield (
-                f"the motor of {h.place.name} gives {gain.value:.3g} [{gain.low:.3g}, {gain.high:.3g}] times the "
-                "torque that its current was taken for"
-            )
 
 
 def _remainder(check: Check, causes: Causes, run: HeldOut | OtherRun, given: Verdict) -> Remainder:
