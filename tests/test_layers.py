@@ -46,7 +46,7 @@ ORDER: dict[str, str] = {
     "replay.simulation": "spec_edits model_edits plant stepped simulate",
     "replay.fitting": "errors columns problem start fit file_form draws",
     "replay.output": "figures policy report recording",
-    "replay.search": """ties parsimony causal unnamed held_out candidates elsewhere tries by_law afresh entries
+    "replay.search": """ties parsimony causal unnamed held_out candidates tries elsewhere by_law afresh entries
         closed_loop odd exchange undecided instead clock possible probability choice""",
     "trainers": "exports",
     "fleet": "running report_file numbers drift page jobs",

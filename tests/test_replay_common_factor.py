@@ -122,6 +122,8 @@ def test_intervals_are_of_a_fit_with_what_may_be_there_too():
     assert sd == pytest.approx(np.sqrt(expected), rel=0.01)
     # Where nothing else may be there, nothing is added.
     assert elsewhere(without, without, []) == 0.0
+    # Nor by what evidence asks for and validation rows refused.
+    assert elsewhere(without, without, [possible[0]._replace(evidence=1000.0)]) == 0.0
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from jax_inertia.replay.fitting.fit import Fit
 from jax_inertia.replay.search.candidates import Candidate
 from jax_inertia.replay.search.parsimony import Parabola, nominal
+from jax_inertia.replay.search.tries import AS_GOOD
 
 
 class Possible(NamedTuple):
@@ -41,8 +42,9 @@ def most_likely(possible: Sequence[Possible]) -> tuple[Possible, ...]:
 def elsewhere(found: Fit, without: Fit, possible: Sequence[Possible]) -> Float[np.ndarray, " P"]:
     """What effects that may be there add to each number's deviation, in squares.
 
-    `without`: the fit that they were compared to.
+    `without`: the fit that they were compared to. What evidence asks for and validation rows do not show is none.
     """
+    possible = [x for x in possible if x.evidence <= AS_GOOD]
     weights, now = np.exp([0.5 * x.evidence for x in possible]), _simplest(without, without)
     out = np.zeros(len(found.table))
     for w, x in zip(weights / (1.0 + weights.sum()), possible, strict=True):
