@@ -92,6 +92,11 @@ def test_what_does_not_float(tmp_path):
     )
     with pytest.raises(ji.ModelError, match=r"one root link; .* trunk, odd"):
         ji.load_model(path, floating_base=True)
+    long = f'<link name="{"odd" * 200}"/></robot>'
+    path.write_text(LEG.format(root="trunk", shape="").replace("</robot>", long))
+    with pytest.raises(ji.ModelError, match=r"trunk, oddodd") as told:
+        ji.load_model(path, floating_base=True)
+    assert len(str(told.value).replace(str(path), "")) < 200
     mjcf = tmp_path / "leg.xml"
     mjcf.write_text("<mujoco/>")
     for model in (mjcf, mujoco.MjModel.from_xml_path(str(mjcf))):

@@ -293,9 +293,11 @@ def _require_covariance(path: Path, p: np.ndarray, eps: float) -> None:
     """StateError for a matrix that is not symmetric and positive semidefinite, to rounding."""
     variance = np.diagonal(p)
     scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    correlation = p / scale / scale[:, None]
-    tolerance = _ROUNDINGS * eps
-    symmetric = bool(np.all(np.abs(correlation - correlation.T) <= tolerance))
+    # No number at all, and so not symmetric, where an entry is beyond what its variances allow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        correlation = p / scale / scale[:, None]
+        tolerance = _ROUNDINGS * eps
+        symmetric = bool(np.all(np.abs(correlation - correlation.T) <= tolerance))
     if not symmetric or np.linalg.eigvalsh(correlation)[0] < -tolerance * len(p):
         what = "positive semidefinite" if symmetric else "symmetric"
         raise StateError(f"{path}: covariance is not {what}; start anew, or from an earlier state")

@@ -83,6 +83,7 @@ def require_finite_robot(robot: Robot, where: str | Path) -> None:
         "gravity": (robot.gravity, ["option"] * 3),
         "gravcomp": (robot.compensated, bodies),
         "place of a geom": (robot.surface.point, [bodies[b] for b in robot.surface.body]),
+        "contact law": (robot.surface.soft, [bodies[b] for b in robot.surface.body]),
         "size of a geom": (robot.surface.radius, [bodies[b] for b in robot.surface.body]),
     }
     for what, (value, owners) in owned.items():

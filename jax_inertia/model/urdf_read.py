@@ -70,7 +70,8 @@ def _without_negative(body: mujoco.MjsBody) -> bool:
     moments[0] = max(moments[0], moments[2] - moments[1])
     body.iquat, body.inertia = whole, moments
     body.fullinertia = np.full(6, np.nan)
-    return bool(np.any(moments - before > 1e-9 * np.abs(before).max()))
+    # No difference of the two: a file's numbers may be as large as numbers are.
+    return bool(np.any(moments - 1e-9 * np.abs(before).max() > before))
 
 
 def has_mass(geom: mujoco.MjsGeom) -> bool:
@@ -99,7 +100,7 @@ def _root_link(found: list[Tag]) -> str:
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
         raise ModelError(
-            f"a URDF has one root link; these are no joint's child: {', '.join(roots)}"
+            f"a URDF has one root link; these are no joint's child: {listed(roots, 20)}"
         )
     return roots[0]
 
