@@ -65,6 +65,8 @@ class Trace(eqx.Module):
     innovation: kalman.Innovation
     threshold: Float[Array, " T"]
     reopened: Bool[Array, " T"]
+    covariance: Float[Array, "T bodies 10 10"]
+    """Of each body's own coordinates."""
     joints: FoundTerms | None = None
     """Friction and offsets, where they are estimated."""
 
@@ -95,6 +97,8 @@ class Estimator(eqx.Module):
     bodies: tuple[int, ...] = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
     analytic_jacobian: bool = eqx.field(static=True)
+    constants: int = eqx.field(static=True, default=0)
+    """How many constants of the model are further states, the last ones: `held_load`."""
 
     def initial(self) -> State:
         """State before the first sample."""
@@ -107,8 +111,13 @@ class Estimator(eqx.Module):
     ) -> tuple[State, Step]:
         """Predict over `dt` [s] and update with one sample (Foster et al., eq. process to eq. measurement).
 
-        A `dt` that is no positive number is a fault of a clock, and counts as no time at all.
+        A `dt` that is no positive number is a fault of a clock, and counts as no time at all. Raises ValueError where
+        constants of the model are estimated, whose columns `update` and `run` take.
         """
+        if self.constants:
+            raise ValueError(
+                "constants of the model are estimated; give their columns to update or run"
+            )
         observation = floats_as(observation, self.robot.pi.dtype)
         known = self.robot, observation, self.bodies, state.bias
         valid = jnp.asarray(observation.motion.valid)
@@ -135,6 +144,7 @@ class Estimator(eqx.Module):
         dt: Float[Array, ""] | float,
         *,
         speed: Float[Array, " nv"] | None = None,
+        of_constants: Float[Array, "nv k"] | None = None,
     ) -> tuple[State, Step]:
         """`step` for a regressor Y^est and a torque residual y computed before (`signals.torque_residual`).
 
@@ -144,19 +154,33 @@ class Estimator(eqx.Module):
         A χ² gate alone would reject a genuine pick-up for ever. Impacts pass in some 50 ms; where everything that could
         be tested is rejected for `reopen_after` (`gates.Reopening`), the model is what is wrong, so the prior's
         covariance is added to the belief's: the gate opens, and the filter looks anew. `speed` are the joints'
-        velocities, which friction hangs on. Raises ValueError where that is estimated and they are left out.
+        velocities, which friction hangs on, and `of_constants` the torques of one standard deviation of each of the
+        model's constants (`held_load`). Raises ValueError where these are estimated and left out.
         """
         if self.joints is not None and speed is None:
             raise ValueError("friction is estimated, and update has no speed; give the velocities")
-        measure = lambda: self._measurement(regressor, residual, valid, speed)  # noqa: E731
+        count = 0 if of_constants is None else of_constants.shape[-1]
+        if count != self.constants:
+            raise ValueError(
+                f"of_constants has {count} columns; this filter estimates {self.constants} constants of the model"
+            )
+        measure = lambda: self._measurement(regressor, residual, valid, speed, of_constants)  # noqa: E731
         return self._updated(state, measure, dt, speed)
 
     def _known(
-        self, state: State, regressor: Array, residual: Array, motion: Motion, dt: Float[Array, ""]
+        self,
+        state: State,
+        regressor: Array,
+        residual: Array,
+        motion: Motion,
+        of_constants: Array | None,
+        dt: Float[Array, ""],
     ) -> tuple[State, Step]:
         """`update` by what was computed before, for a moment's motion."""
         valid, speed = jnp.asarray(motion.valid), jnp.asarray(motion.v)
-        return self.update(state, regressor, residual, valid, dt, speed=speed)
+        return self.update(
+            state, regressor, residual, valid, dt, speed=speed, of_constants=of_constants
+        )
 
     def _measurement(
         self,
@@ -164,6 +188,7 @@ class Estimator(eqx.Module):
         residual: Float[Array, " nv"],
         valid: Array,
         speed: Float[Array, " nv"] | None,
+        of_constants: Float[Array, "nv k"] | None = None,
     ) -> kalman.Measurement:
         """Of the rows that the bodies move the regressor must be finite; of the others it is zero."""
         moved = moved_rows(self.robot, self.bodies)
@@ -175,6 +200,10 @@ class Estimator(eqx.Module):
             broken = broken | ~jnp.all(jnp.isfinite(columns), axis=1)
             each = jnp.eye(len(moved), dtype=own.dtype)[:, :, None] * columns[:, None, :]
             terms = each.reshape(len(moved), -1)
+        if of_constants is not None:
+            others = take_rows(of_constants, moved)
+            broken = broken | ~jnp.all(jnp.isfinite(others), axis=1)
+            terms = jnp.concatenate([terms, others], axis=1)
 
         def predicted(x: Float[Array, " n"]) -> Float[Array, " nv"]:
             rows = jnp.einsum("vbp,bp->v", own, self._pi(x)) + terms @ x[self._size :]
@@ -230,12 +259,14 @@ class Estimator(eqx.Module):
         *,
         dt: Float[Array, " T"] | None = None,
         used: Bool[Array, " T"] | None = None,
+        of_constants: Float[Array, "T nv k"] | None = None,
     ) -> tuple[State, Trace]:
         """`step` over a log: regressors in batches, one scan, then physical units in batches. Jit it.
 
         `dt` [s] is the time since the sample before, by default that of the log, whose first sample is taken to come
         one period after `state`. Samples that are not `used` (default: all are) leave no trace in the state.
-        Raises ValueError for fewer than two samples without a `dt`.
+        `of_constants` are the columns of the model's constants, where these are estimated (`held_load`).
+        Raises ValueError for fewer than two samples without a `dt`, and for columns of other constants.
         """
         if dt is None:
             dt = jnp.diff(jnp.asarray(observations.motion.time))
@@ -249,7 +280,9 @@ class Estimator(eqx.Module):
         samples: tuple = (observations,)
         if self.sigma_a is None:  # else regressors hang on the belief
             rows = torque_residuals(self.robot, observations, self.bodies, state.bias)
-            follow, samples = self._known, (*rows, observations.motion)
+            if of_constants is not None:
+                of_constants = jnp.asarray(of_constants, self.robot.pi.dtype)
+            follow, samples = self._known, (*rows, observations.motion, of_constants)
 
         def one(carry, x):
             sample, since, use = x
@@ -269,7 +302,7 @@ class Estimator(eqx.Module):
         steps = (samples, dt, used)
         state, (own, terms, innovation, threshold, reopened) = jax.lax.scan(one, state, steps)
         estimate = jax.lax.map(lambda x: physical_units(self.chart, *x), own, batch_size=64)
-        return state, Trace(estimate, innovation, threshold, reopened, terms)
+        return state, Trace(estimate, innovation, threshold, reopened, own[1], terms)
 
     @in_full_precision
     def calibrate_bias(self, state: State, observations: Observation) -> State:
@@ -296,9 +329,11 @@ class Estimator(eqx.Module):
         self, state: State, dt: Float[Array, ""]
     ) -> tuple[kalman.Belief, Bool[Array, ""]]:
         reopened = self.reopening.due(state.rejected_for)
-        # A load is new, friction is not.
+        # A load is new, friction and the model are not.
         own = jnp.arange(len(state.belief.mean)) < self._size
-        extra = jnp.where(reopened & own[:, None] & own, self.prior.covariance, 0.0)
+        # Twice what it was: where the last reopening was in vain, a load is larger than the prior says.
+        wider = state.belief.covariance + self.prior.covariance
+        extra = jnp.where(reopened & own[:, None] & own, wider, 0.0)
         return kalman.predict(state.belief, self.process_noise * dt + extra), reopened
 
     @property
@@ -316,19 +351,27 @@ class Estimator(eqx.Module):
     def _terms(self, mean: Float[Array, " n"], p: Float[Array, "n n"]) -> FoundTerms | None:
         if self.joints is None:
             return None
-        sigma = jnp.sqrt(jnp.diagonal(p))[self._size :]
-        return FoundTerms(mean[self._size :].reshape(-1, 3), sigma.reshape(-1, 3))
+        own = slice(self._size, len(mean) - self.constants)
+        sigma = jnp.sqrt(jnp.diagonal(p))[own]
+        return FoundTerms(mean[own].reshape(-1, 3), sigma.reshape(-1, 3))
 
     def _projected(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Bodies as the chart has them, and no friction below zero in all."""
+        """Bodies as the chart has them, and no friction below zero in all; in a chart without bounds nothing has any.
+
+        A mean that is moved to a bound has not the covariance that it had, and contradicts the sample that it is of.
+        """
+        if isinstance(self.chart, charts.Linear):
+            return x
         own = self.chart.project(self._own(x).reshape(-1, 10)).ravel()
         if self.joints is None:
-            return own
+            return jnp.concatenate([own, x[self._size :]]) if self.constants else own
         moved = np.array(moved_rows(self.robot, self.bodies))
         least = jnp.stack([-self.robot.damping, -self.robot.frictionloss], axis=1)[moved]
         free = jnp.full((len(moved), 1), -jnp.inf, x.dtype)
         least = jnp.concatenate([least.astype(x.dtype), free], axis=1)
-        return jnp.concatenate([own, jnp.maximum(x[self._size :], least.ravel())])
+        free = jnp.full(self.constants, -jnp.inf, x.dtype)
+        least = jnp.concatenate([least.ravel(), free])
+        return jnp.concatenate([own, jnp.maximum(x[self._size :], least)])
 
     def _noise(self, belief: kalman.Belief, speed: Float[Array, " nv"] | None) -> Noise:
         """With the dry friction of rows that hardly move, which is anything up to its level."""

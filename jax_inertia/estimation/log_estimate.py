@@ -62,7 +62,7 @@ class LogEstimate:
     friction: bool
     """Whether friction and offsets of the joints were estimated with the bodies."""
     considered: Considered
-    """Covariance of π at the end by what the filter takes for exact: other links, gains."""
+    """What the filter knows at the end, with what it takes for exact."""
     held_p: Float[np.ndarray, " bodies"]
     """Of each body at the end of the log: chance of what is seen if it held nothing beyond the model."""
     known: Knowledge
@@ -118,6 +118,7 @@ class LogEstimate:
         """What each body has beyond its unloaded mass, by the filter at the end and by the batch fit [kg]."""
         online = np.asarray(self.trace.estimate.pi)[-1, :, 0] - self.unloaded_mass
         if self.calibration is None:
+            online = online - self.considered.bare[:, 0]
             return np.stack([online, np.asarray(self.fit.added.pi)[:, 0]])
         return np.stack([online, np.asarray(self.fit.estimate.pi)[:, 0] - self.unloaded_mass])
 
@@ -165,12 +166,23 @@ class LogEstimate:
     def mass_half_widths(self, i: int) -> tuple[float, float]:
         """Half of the 95 % intervals of the i-th mass by the filter at the end and by the batch fit [kg].
 
-        Of a constant body both are right about the same number: where they differ by more than chance makes them, both
-        intervals are as wide as the difference. In a log of poses at rest the filter's alone.
+        Of a constant body both are right about the same number: the filter's interval holds the fit's, and where they
+        differ by more than chance makes them, the fit's is as wide as the difference. In a log of poses at rest the
+        filter's alone.
         """
         halves = self._mass_halves(i)
-        apart = self._apart(i, *halves)
-        return max(halves[0], apart), halves[1] if self.held else max(halves[1], apart)
+        return self._widened(i, *halves, self._apart(i, *halves))
+
+    def _widened(self, i: int, online: float, whole: float, apart: float) -> tuple[float, float]:
+        """Halves of two intervals of a mass where filter and batch fit differ by so much beyond chance [kg]."""
+        if self.held:
+            return max(online, apart), whole
+        if self.changed:
+            return online, whole
+        # As NumPy arrays: JAX outside of `estimate` may be set to single precision.
+        pis = np.asarray(self.trace.estimate.pi)[-1], np.asarray(self.fit.estimate.pi)
+        masses = [float(pi[i, 0]) for pi in pis]
+        return max(online, abs(masses[0] - masses[1]) + whole), max(whole, apart)
 
     def load_half_widths(self, i: int) -> tuple[float, float]:
         """The same of what the i-th body has beyond the model's own mass [kg].
@@ -180,14 +192,10 @@ class LogEstimate:
         """
         if self.calibration is not None:
             return self.mass_half_widths(i)
-        own = float(np.asarray(self.trace.estimate.sigma_pi)[-1, i, 0])
         form = RIGID_BODY_ERROR * np.abs(self.loads[:, i])
-        online = Z95 * float(
-            np.hypot(np.hypot(own, form[0]), np.sqrt(self.considered.loads[i, 0, 0]))
-        )
+        online = Z95 * float(np.hypot(form[0], np.sqrt(self.considered.loads[i, 0, 0])))
         whole = Z95 * float(np.hypot(self.fit.added.sigma_pi[i, 0], form[1]))
-        apart = self._apart(i, *self._mass_halves(i))
-        return max(online, apart), whole if self.held else max(whole, apart)
+        return self._widened(i, online, whole, self._apart(i, *self._mass_halves(i)))
 
     def _mass_halves(self, i: int) -> tuple[float, float]:
         """Half of each 95 % interval of the i-th mass, filter and batch fit apart [kg]."""

@@ -105,11 +105,14 @@ def without_slow_rows(observation: Observation, robot: Robot, slowest: float = S
     return eqx.tree_at(lambda o: o.motion.valid, observation, valid)
 
 
-def without_reversals(observation: Observation, robot: Robot) -> Observation:
-    """The same without the slow rows of hinges that have dry friction by the model and are faster most of the time.
+def without_reversals(
+    observation: Observation, robot: Robot, joints: JointTerms | None = None
+) -> Observation:
+    """The same without the slow rows of hinges that have dry friction and are faster most of the time.
 
-    Where a joint turns round, its friction depends on what drives it and not on its speed alone: an error that goes
-    with the load, since it is at the ends of each motion that it comes.
+    Dry friction by the model, or with `joints` of a size that is estimated. Where a joint turns round, its friction
+    depends on what drives it and not on its speed alone, and the low-pass has spread the jump of its torque: an error
+    that goes with the load, since it is at the ends of each motion that it comes.
 
     >>> from jax_inertia import load_model
     >>> from jax_inertia.estimation import log_filter
@@ -120,7 +123,10 @@ def without_reversals(observation: Observation, robot: Robot) -> Observation:
     True
     """
     fast = np.median(np.abs(np.asarray(observation.motion.v)), axis=0) > SLOW
-    rubs = fast & (np.asarray(robot.frictionloss) > 0)
+    dry = np.asarray(robot.frictionloss) + (
+        0.0 if joints is None else np.asarray(joints.sigma)[:, 1]
+    )
+    rubs = fast & (dry > 0)
     valid = without_slow_rows(observation, robot).motion.valid
     kept = np.where(rubs, valid, observation.motion.valid)
     return eqx.tree_at(lambda o: o.motion.valid, observation, kept)
@@ -385,7 +391,12 @@ def online(
 _run = eqx.filter_jit(Estimator.run, compiler_options=_QUICK)  # pyright: ignore[reportCallIssue]
 
 
-def run(estimator: Estimator, state: State, observations: Observation) -> tuple[State, Trace]:
+def run(
+    estimator: Estimator,
+    state: State,
+    observations: Observation,
+    of_constants: Float[np.ndarray, "T nv k"] | None = None,
+) -> tuple[State, Trace]:
     """`Estimator.run`, compiled.
 
     >>> import numpy as np
@@ -401,4 +412,4 @@ def run(estimator: Estimator, state: State, observations: Observation) -> tuple[
     >>> bool(abs(mass - 1.5) < 2 * sigma < 1.0)  # 1 kg of link, 0.5 kg of load
     True
     """
-    return _run(estimator, state, observations)
+    return _run(estimator, state, observations, of_constants=of_constants)

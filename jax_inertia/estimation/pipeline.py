@@ -10,16 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jax_inertia.dynamics.sparse_rows import moved_rows
 from jax_inertia.estimation import batch_fit, joint_terms, log_filter
 from jax_inertia.estimation.batch_fit import BatchFit
 from jax_inertia.estimation.estimate_inputs import CHARTS, TOLERANCE, Inputs, Settings, checked
 from jax_inertia.estimation.filter_settings import GATE
-from jax_inertia.estimation.held_load import Held, Unknown, errors_of
+from jax_inertia.estimation.held_load import Considered, Held, Unknown, errors_of, with_constants
 from jax_inertia.estimation.identifiability import knowledge
-from jax_inertia.estimation.inertial_filter import Trace
+from jax_inertia.estimation.inertial_filter import Estimator, Trace
 from jax_inertia.estimation.joint_terms import JointTerms
 from jax_inertia.estimation.log_estimate import LogEstimate
-from jax_inertia.estimation.physical_estimate import Estimate
+from jax_inertia.estimation.physical_estimate import Estimate, as_bodies
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths import charts
@@ -66,11 +67,12 @@ def estimate(
     and then held; `gains` (default 10) is then where the fit starts, `gain_sigma` their relative uncertainty (default
     1, or 0.5 with gains), and `trust` how well the model is known: masses in parts, centres of mass in m.
 
-    Filter: `chart`, a chart or one of `CHARTS`; `gate`, the probability of keeping a good sample (default 0.9999; 1: no
-    gate), which reopens after rejecting everything for `reopen_after` (default 0.5 s); `iterations` of each update
-    (default 5); `sigma_tau`, noise of one filtered sample [N m] (default: from residuals); the load to expect,
-    `prior_mass` [kg] (default: a tenth of the robot) within `prior_reach` [m], by which bodies may drift in
-    `drift_time` (default 3600 s; 3 without gate).
+    Filter: over π, whose most probable bodies are given; with a `chart` other than the default, itself or by its name
+    in `CHARTS`, the extended filter in its coordinates (`make_estimator`), with so many `iterations` of each update
+    (default 5). `gate` is the probability of keeping a good sample (default 0.9999; 1: no gate), which reopens after
+    rejecting everything for `reopen_after` (default 0.5 s); `sigma_tau`, noise of one filtered sample [N m] (default:
+    from residuals); the load to expect, `prior_mass` [kg] (default: a tenth of the robot) within `prior_reach` [m], by
+    which bodies may drift in `drift_time` (default 3600 s; 3 without gate).
 
     Signals: low-pass at `cutoff` (default 10 Hz, at most a fifth of the log's rate) on a grid of `rate` (default: ten
     times the cutoff, or the log's); the mean residual of the first `bias_window` seconds, when nothing is carried, is
@@ -130,6 +132,11 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         progress("start-up bias")
         bias = bias + _start_up_bias(inputs, robot, observation, bias, prior)
     unknown = _unknown(inputs, robot, observation, prior, bias)
+    if unknown.joints is not None and holds_of(observation) is None:
+        kept = [
+            log_filter.without_reversals(x, robot, unknown.joints) for x in (start.raw, observation)
+        ]
+        start, observation = start._replace(raw=kept[0]), kept[1]
     progress("batch fit")
     fit = _fit(inputs, start, prior, bias, unknown)
     if not fit.converged:
@@ -137,11 +144,11 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
     progress("noise")
     noise, changed = _noise(inputs, robot, observation, prior, fit, bias, unknown.joints)
     progress("filter")
-    thinned = log_filter.thinned(observation, settings.cutoff)
-    trace = _filter(inputs, robot, thinned, noise, prior, bias, unknown.joints)
+    thinned = _thinned(inputs, robot, observation)
+    held = Held.of(robot, observation, bodies, prior, bias, unknown, settings.cutoff)
+    trace, considered = _filter(inputs, robot, thinned, held, noise, prior, bias, unknown.joints)
     load = _load_with_calibration(inputs, start, prior, progress)
     progress("what the log can tell")
-    held = Held.of(robot, observation, bodies, prior, bias, unknown, settings.cutoff)
     found = LogEstimate(
         bodies=bodies,
         robot=robot,
@@ -165,7 +172,7 @@ def run(inputs: Inputs, progress: Callable[[str], None]) -> LogEstimate:
         ),
         held=holds_of(observation) is not None,
         friction=unknown.joints is not None,
-        considered=held.considered(trace, noise),
+        considered=considered,
         held_p=held.p_values(trace, noise),
         row_names=_row_names(robot),
         settings={f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)},
@@ -383,33 +390,73 @@ def _noise(
     return np.broadcast_to(np.asarray(given, float), (robot.nv,)).copy(), changed
 
 
+def _thinned(inputs: Inputs, robot: Robot, observation: Observation) -> Observation:
+    """Samples of the filter, without the rows that the bodies do not move, whose own friction it does not know."""
+    moved = np.isin(np.arange(robot.nv), moved_rows(robot, inputs.chosen))
+    thinned = log_filter.thinned(observation, inputs.settings.cutoff)
+    valid = np.asarray(thinned.motion.valid) & moved
+    return eqx.tree_at(lambda o: o.motion.valid, thinned, valid)
+
+
 def _filter(
     inputs: Inputs,
     robot: Robot,
     thinned: Observation,
+    held: Held,
     noise: np.ndarray,
     prior: Load,
     bias: np.ndarray,
     joints: JointTerms | None,
-) -> Trace:
-    settings = inputs.settings
-    chart = settings.chart
+) -> tuple[Trace, Considered]:
+    """Bodies over time, and what is known of them at the end."""
+    estimator, seen = _filter_of(inputs, robot, thinned, held, noise, prior, joints)
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    state, trace = log_filter.run(estimator, state, thinned, held.of_constants(seen))
+    considered = held.considered(estimator, state.belief, trace, noise, seen)
+    if isinstance(_chart(inputs, robot), charts.LogCholeskyUUt):
+        usual = prior.anchor(robot.pi[np.array(inputs.chosen)])
+        physical = as_bodies(trace.estimate, trace.covariance, usual)
+        trace = eqx.tree_at(lambda t: t.estimate, trace, physical)
+    return trace, considered
+
+
+def _chart(inputs: Inputs, robot: Robot) -> charts.Chart:
+    """As asked for."""
+    chart = inputs.settings.chart
     if isinstance(chart, str):
-        chart = CHARTS[chart](robot.pi[np.array(inputs.chosen)])
+        return CHARTS[chart](robot.pi[np.array(inputs.chosen)])
+    return chart
+
+
+def _filter_of(
+    inputs: Inputs,
+    robot: Robot,
+    thinned: Observation,
+    held: Held,
+    noise: np.ndarray,
+    prior: Load,
+    joints: JointTerms | None,
+) -> tuple[Estimator, Float[np.ndarray, "k r"]]:
+    """The filter, and which directions of what the model may be off by it estimates with the bodies."""
+    settings, chart = inputs.settings, _chart(inputs, robot)
+    over_pi = isinstance(chart, charts.LogCholeskyUUt)
     estimator = log_filter.online(
         robot,
         inputs.bodies,
         noise,
         prior=prior,
-        chart=chart,
+        # No linearisation grows old there; `as_bodies` makes bodies of what is found.
+        chart=charts.Linear() if over_pi else chart,
         gate=settings.gate,
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,
         drift_seconds=settings.drift_time,
         joints=joints,
     )
-    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
-    return log_filter.run(estimator, state, thinned)[1]
+    if not over_pi:
+        return estimator, np.zeros((held.more.shape[2], 0))
+    seen = held.seen(np.asarray(thinned.motion.valid), np.maximum(noise, 1e-9))
+    return with_constants(estimator, seen.shape[1]), seen
 
 
 def _load_with_calibration(
