@@ -140,7 +140,8 @@ def _add_unknown(add) -> None:
 
 def _add_filter(add) -> None:
     chart_help = (
-        f"coordinates: {', '.join(CHARTS)} (default {CHARTS[0]}; the paper's: log-cholesky)"
+        f"coordinates: {', '.join(CHARTS)} (default {CHARTS[0]}, whose filter is over π and gives the most "
+        "probable bodies; the others are filtered in themselves; the paper's: log-cholesky)"
     )
     add("--chart", choices=CHARTS, default=CHARTS[0], metavar="CHART", help=chart_help)
     add(
