@@ -193,8 +193,8 @@ def errors_of(
     return ModelErrors(jnp.asarray(every), jnp.zeros((robot.nv, 4, 10 * len(off))))
 
 
-# Filters of as many states are compiled once: the number is a multiple of this.
 _TOGETHER = 4
+"""The number of constants is a multiple of this (a decision), since each number of states is compiled anew."""
 
 
 def seen_directions(

@@ -17,10 +17,10 @@ from jax_inertia.estimation.estimate_inputs import CHARTS, TOLERANCE, Inputs, Se
 from jax_inertia.estimation.filter_settings import GATE
 from jax_inertia.estimation.held_load import Considered, Held, Unknown, errors_of, with_constants
 from jax_inertia.estimation.identifiability import knowledge
-from jax_inertia.estimation.inertial_filter import Estimator, Trace
+from jax_inertia.estimation.inertial_filter import Trace
 from jax_inertia.estimation.joint_terms import JointTerms
 from jax_inertia.estimation.log_estimate import LogEstimate
-from jax_inertia.estimation.physical_estimate import Estimate, as_bodies
+from jax_inertia.estimation.physical_estimate import ANY_SHAPE, Estimate, as_bodies
 from jax_inertia.estimation.priors import Load, Tolerance
 from jax_inertia.logs.log import Log, LogError
 from jax_inertia.maths import charts
@@ -345,12 +345,6 @@ def _unknown(
     return Unknown(joints if wanted else None, errors, sigma)
 
 
-_ANY_SHAPE = 3.0
-"""How far a load may change the radii of gyration, log. A filter needs 1 (`Load.of_a_body`), lest its first samples
-leave a body of no size. A fit of the whole log does not, and where inertias are not determined, they would tilt the
-mass by it: by 0.3 % of a tool on a slender wrist."""
-
-
 def _fit(
     inputs: Inputs,
     start: _WithoutLoad,
@@ -363,7 +357,7 @@ def _fit(
         start.robot,
         [start.raw],
         inputs.bodies,
-        prior=Load(prior.mass, prior.reach, _ANY_SHAPE),
+        prior=Load(prior.mass, prior.reach, ANY_SHAPE),
         gains=start.gains,
         gain_sigma=unknown.gain_sigma,
         bias=bias,
@@ -409,54 +403,35 @@ def _filter(
     joints: JointTerms | None,
 ) -> tuple[Trace, Considered]:
     """Bodies over time, and what is known of them at the end."""
-    estimator, seen = _filter_of(inputs, robot, thinned, held, noise, prior, joints)
-    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
-    state, trace = log_filter.run(estimator, state, thinned, held.of_constants(seen))
-    considered = held.considered(estimator, state.belief, trace, noise, seen)
-    if isinstance(_chart(inputs, robot), charts.LogCholeskyUUt):
-        usual = prior.anchor(robot.pi[np.array(inputs.chosen)])
-        physical = as_bodies(trace.estimate, trace.covariance, usual)
-        trace = eqx.tree_at(lambda t: t.estimate, trace, physical)
-    return trace, considered
-
-
-def _chart(inputs: Inputs, robot: Robot) -> charts.Chart:
-    """As asked for."""
-    chart = inputs.settings.chart
+    settings, chart, pi = inputs.settings, inputs.settings.chart, robot.pi[np.array(inputs.chosen)]
     if isinstance(chart, str):
-        return CHARTS[chart](robot.pi[np.array(inputs.chosen)])
-    return chart
-
-
-def _filter_of(
-    inputs: Inputs,
-    robot: Robot,
-    thinned: Observation,
-    held: Held,
-    noise: np.ndarray,
-    prior: Load,
-    joints: JointTerms | None,
-) -> tuple[Estimator, Float[np.ndarray, "k r"]]:
-    """The filter, and which directions of what the model may be off by it estimates with the bodies."""
-    settings, chart = inputs.settings, _chart(inputs, robot)
+        chart = CHARTS[chart](pi)
     over_pi = isinstance(chart, charts.LogCholeskyUUt)
+    seen = np.zeros((held.more.shape[2], 0))
+    if over_pi:
+        # No linearisation grows old there; `as_bodies` makes bodies of what is found.
+        chart = charts.Linear()
+        seen = held.seen(np.asarray(thinned.motion.valid), np.maximum(noise, 1e-9))
     estimator = log_filter.online(
         robot,
         inputs.bodies,
         noise,
         prior=prior,
-        # No linearisation grows old there; `as_bodies` makes bodies of what is found.
-        chart=charts.Linear() if over_pi else chart,
+        chart=chart,
         gate=settings.gate,
         reopen_after=settings.reopen_after,
         iterations=settings.iterations,
         drift_seconds=settings.drift_time,
         joints=joints,
     )
-    if not over_pi:
-        return estimator, np.zeros((held.more.shape[2], 0))
-    seen = held.seen(np.asarray(thinned.motion.valid), np.maximum(noise, 1e-9))
-    return with_constants(estimator, seen.shape[1]), seen
+    estimator = with_constants(estimator, seen.shape[1])
+    state = eqx.tree_at(lambda s: s.bias, estimator.initial(), jnp.asarray(bias))
+    state, trace = log_filter.run(estimator, state, thinned, held.of_constants(seen))
+    considered = held.considered(estimator, state.belief, trace, noise, seen)
+    if over_pi:
+        physical = as_bodies(trace.estimate, trace.covariance, prior.anchor(pi))
+        trace = eqx.tree_at(lambda t: t.estimate, trace, physical)
+    return trace, considered
 
 
 def _load_with_calibration(

@@ -51,7 +51,7 @@ class Causes:
         return self.told.posterior
 
     def naming(self, keys: Collection[tuple[str, Place]]) -> "Causes":
-        """With effects of some families and places named after all: that they are there is no doubt any more."""
+        """The same where some effects, by family and place, are named after all: none of them is a doubt any more."""
         others = [(h, odds) for h, odds in self.others if (h.family, h.place) not in keys]
         doubts = self.doubts._replace(another=_any_of(others))
         return dataclasses.replace(self, others=others, doubts=doubts)
